@@ -1,6 +1,6 @@
 # A room with a turning box, a bouncing ball and a camera that walks, recorded by capture.gd:
-#     cd docs/godot3
-#     xvfb-run -a godot3 --video-driver GLES3 --audio-driver Dummy --fixed-fps 30 -s example.gd FOLDER
+#     xvfb-run -a godot3 --path docs/godot3 --video-driver GLES3 --audio-driver Dummy --fixed-fps 30 \
+#         -s example.gd FOLDER
 extends SceneTree
 
 

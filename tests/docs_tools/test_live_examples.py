@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import gffe_cl as gffe
 from gffe_cl.cli.commands import invoke
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -92,29 +93,18 @@ def test_panda3d_survives_what_happens_in_games():
     assert found.returncode == 0, found.stderr
 
 
-_RECORD = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import gffe_cl as gffe
-import panda3d_live
-
-game = panda3d_live.Game((320, 180), offscreen=True)
-with gffe.SequenceWriter(sys.argv[2], 320, 180, 15) as writer:
-    for k in range(6):
-        frame = game.render(k / 15)
-        entry = gffe.FrameEntry(f"frame_{k:06d}.exr", time=frame.time, reset=k == 0, render_camera=frame.camera)
-        color = frame.color.astype("float16")
-        writer.add(entry, gffe.named_channels(color, frame.depth, None if frame.reset else frame.motion))
-"""
-
-
 @pytest.mark.long
-def test_doctor_finds_nothing_wrong_with_panda3d(tmp_path):
+def test_the_recipe_for_panda3d_records_what_the_doctor_finds_sound(tmp_path):
     pytest.importorskip("panda3d")
-    command = [sys.executable, "-c", _RECORD, str(EXAMPLES), str(tmp_path / "recorded")]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    page = (EXAMPLES.parent / "formats.md").read_text()
+    (recipe,) = re.findall(r"^```py\n(import gffe_cl.*?panda3d_live.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    shutil.copytree(EXAMPLES, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "record.py").write_text(recipe)
+    command = [sys.executable, "record.py"]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert found.returncode == 0, found.stderr
-    assert invoke(["check", str(tmp_path / "recorded")]) in (None, 0)
+    assert len(gffe.open_sequence(tmp_path / "out" / "panda").rendered) == 16
+    assert invoke(["check", str(tmp_path / "out" / "panda")]) in (None, 0)
 
 
 @pytest.mark.long

@@ -1,5 +1,6 @@
 """The recipe for Godot 3, in the engine: what it records is sound, and frames between are found."""
 
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,16 +12,17 @@ import gffe_cl as gffe
 from gffe_cl.cli.commands import invoke
 
 RECIPE = Path(__file__).parents[2] / "docs" / "godot3"
-GODOT = ["godot3", "--video-driver", "GLES3", "--audio-driver", "Dummy", "--fixed-fps", "30", "-s", "example.gd"]
+GODOT = ["godot3", "--path", str(RECIPE), "--video-driver", "GLES3", "--audio-driver", "Dummy", "--fixed-fps", "30"]
+EXAMPLE = ["-s", "example.gd"]
 
 
 @pytest.mark.long
 @pytest.mark.skipif(shutil.which("godot3") is None or shutil.which("xvfb-run") is None, reason="no Godot 3 or no Xvfb")
 def test_godot3_records_what_gffe_reads(tmp_path, capsys):
     recorded, half = tmp_path / "recorded", tmp_path / "half"
-    found = subprocess.run(
-        ["xvfb-run", "-a", *GODOT, str(recorded)], cwd=RECIPE, capture_output=True, text=True, timeout=300
-    )
+    command = ["xvfb-run", "-a", *GODOT, *EXAMPLE, str(recorded)]
+    home = os.environ | {"XDG_DATA_HOME": str(tmp_path)}
+    found = subprocess.run(command, env=home, capture_output=True, text=True, timeout=300)
     assert (recorded / "sequence.json").exists(), found.stdout + found.stderr
     assert invoke(["check", str(recorded)]) in (None, 0)
     assert "fault" not in capsys.readouterr().out
