@@ -47,6 +47,9 @@ def test_panda3d_plays():
 
 _EVENTS = """
 import sys
+from types import SimpleNamespace
+import numpy as np
+import pytest
 sys.path.insert(0, sys.argv[1])
 import gffe_cl as gffe
 import panda3d_live
@@ -59,6 +62,12 @@ def frames(*moments):
 
 
 assert gffe.check(frames(0, 1, 2)) is None
+nobody, path = game.base.mouseWatcherNode, game.look(0.2)
+game.base.mouseWatcherNode = SimpleNamespace(hasMouse=lambda: True, getMouseX=lambda: 0.5, getMouseY=lambda: 0.25)
+moved = game.look(0.2)
+assert moved.position[2] == pytest.approx(path.position[2] + 0.5, abs=1e-4)  # z is up
+assert moved.position[0] == pytest.approx(9 * np.sin(1), abs=1e-4)
+game.base.mouseWatcherNode = nobody
 game.switch("lose")
 assert frames(3) == []
 assert gffe.check(frames(4, 5, 6)) is None  # the first of them leads to frame 2
