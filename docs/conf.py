@@ -74,7 +74,12 @@ def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
     if page == "cli":
         made = subprocess.run(_COMMAND_LINE, capture_output=True, text=True, check=True).stdout
         made = re.sub(r"</?span[^>]*>", "", html.unescape(made))
-        source[0] += made[made.index("\n**Usage**") :]
+        made = made[made.index("\n**Usage**") :]
+        # The list of commands has them cut short: their whole first paragraphs, and links.
+        for name, summary in re.findall(r"^## `gffe (\w+)`\n\n(.+)$", made, re.MULTILINE):
+            line = re.compile(rf"^\* `{name}`: .*$", re.MULTILINE)
+            made = line.sub(lambda _, name=name, text=summary: f"* [`{name}`](#gffe-{name}): {text}", made, count=1)
+        source[0] += made
 
 
 def _link_public_name(

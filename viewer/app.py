@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from gffe_cl.viewer.panels import (
     windows,
 )
 from gffe_cl.viewer.panels.palette import Palette
+from gffe_cl.viewer.panels.picture_frames import PictureFrames
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 from gffe_cl.viewer.window_stack import Stack
@@ -64,11 +66,13 @@ class App:
     """Ties the model to ImGui and GL.
 
     `on_frame(app)`, if given, is called once per interface frame: screenshots and tests hook in there.
+    `on_picture(app)` is called once per frame that shows a new picture in the interface as it is.
     """
 
     def __init__(self, model: Model, on_frame=None):
         self.model = model
         self.on_frame = on_frame
+        self.on_picture: Callable[[App], None] | None = None
         self.canvas: Any = None  # a Canvas, made when there is a GL context
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.clock = time.perf_counter  # what playback goes by
@@ -85,6 +89,7 @@ class App:
         self._params: hello_imgui.RunnerParams | None = None
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self.canvas_size = (0, 0)  # screen pixels
+        self.picture_frames = PictureFrames(self)
         self.foot: tuple[float, float] | None = None  # of the picture: the middle of its lower edge, screen pixels
         self._drawn = self._texture = self._tiles = None
         self._all_there = True  # when the overview was drawn
@@ -126,7 +131,7 @@ class App:
         callbacks.show_menus = lambda: commands.menus(self)
         callbacks.show_status = lambda: status.draw(self)
         callbacks.show_gui = self._windows
-        callbacks.before_swap = self._capture
+        callbacks.before_swap = self._before_swap
         callbacks.before_exit = self._before_exit
         if test is not None:
             params.use_imgui_test_engine = True
@@ -137,7 +142,9 @@ class App:
         """Have `use` called with the window, (H, W, 3) uint8, when the present frame is drawn."""
         self._captures.append(use)
 
-    def _capture(self) -> None:
+    def _before_swap(self) -> None:
+        if self.clock is time.perf_counter and not self._captures:
+            self.picture_frames.allow()
         if not self._captures:
             return
         wanted, self._captures = self._captures, []
@@ -200,6 +207,7 @@ class App:
             theme.apply(*self._themed)
         self.docks.update()
         if self.clock is time.perf_counter:
+            self.picture_frames.show()
             # what is drawn just before the next slot is due would delay it
             time.sleep(min(model.playback.rest(self.clock()), _LONGEST_REST))
         model.update(self.clock(), self.canvas)
@@ -255,8 +263,9 @@ class App:
             if chosen:
                 self.model.open(chosen)
         self.stack.draw(self)
-        windows.progress(self.model)
+        windows.progress(self)
         windows.messages(self)
+        self.picture_frames.look_for_input()
         if self.on_frame is not None:
             self.on_frame(self)
 

@@ -34,7 +34,9 @@ def measure(
     from gffe_cl.viewer.app import App
 
     stopwatch = _Stopwatch(seconds, look)
-    App(model, on_frame=stopwatch).run(size or _SIZE, test=lambda app: None)
+    app = App(model, on_frame=stopwatch)
+    app.on_picture = stopwatch.count
+    app.run(size or _SIZE, test=lambda app: None)
     if stopwatch.problem:
         raise GffeError(stopwatch.problem)
     assert stopwatch.first is not None  # it ran to its end
@@ -81,6 +83,12 @@ class _Stopwatch:
             if now - self.cached.start > self.seconds:
                 app.close()
 
+    def count(self, app) -> None:
+        """Call once per picture that is shown in the interface as it is."""
+        played = self.cached or self.first
+        if played is not None:
+            played.count(time.perf_counter(), app.model, interface=False)
+
     def _look_for_pictures(self, model) -> None:
         for name in self._drawn - self.pictures.keys():
             seconds = _age_of_process()
@@ -124,8 +132,8 @@ class _Pass:
         self._due_rate = model.playback.target_rate
         self._rows: list[tuple[bool, float, float, float]] = []
 
-    def count(self, now: float, model) -> None:
-        self._interface += 1
+    def count(self, now: float, model, interface: bool = True) -> None:
+        self._interface += interface
         self._end, self._dropped = now, model.playback.dropped
         self._processor_end = time.process_time()
         result = model.contents.result

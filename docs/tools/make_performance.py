@@ -96,17 +96,26 @@ def io_table() -> str:
     rows = []
     for device in recorded("io")["devices"]:
         for one in device["frames"]:
-            times = (f"{one[part]:.1f}" for part in ("upload", "copy_in", "download", "copy_out"))
+            ways = ("upload", "zero_copy", "copy_in"), ("download", "mapped", "copy_out")
+            times = (" / ".join(f"{one[way]:.1f}" for way in direction) for direction in ways)
+            pixels = one["width"] * one["height"]
+            copied = " / ".join(f"{one[way] / pixels:.0f}" for way in ("copied", "zero_copied"))
             where = _runtime(f"{device['device']} ({device['platform']})")
-            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**"))
-    return table(("on", "color", "upload, ms", "copies in, ms", "download, ms", "copy out, ms", "ratio"), rows)
+            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**", copied))
+    heads = (
+        "in: upload / zero-copy / plain copies, ms",
+        "out: download / mapped / plain copy, ms",
+        "ratio",
+        "written on the way in: upload / zero-copy, B/px",
+    )
+    return table(("on", "color", *heads), rows)
 
 
 def speed_table() -> str:
     rows = []
     for one in recorded("speed")["of"]:
         old, new, ratio = (one[side] for side in ("old", "new", "ratio"))
-        for part in ("GAE", "SCN, inputs and kernels"):
+        for part in ("GAE", "SCN, network", "SCN, inputs and kernels", "wall time"):
             if part in ratio:
                 where = f"`{one['of']}`, {one['width']}×{one['height']}, {_runtime(one['device'])}"
                 rows.append((where, part, f"{old[part]:.1f}", f"{new[part]:.1f}", f"**{ratio[part]:.2f}**"))

@@ -40,51 +40,52 @@ def bench(
     subject: Annotated[
         str | None,
         typer.Argument(
-            metavar="SCENE|SEQUENCE", help="Name of a built-in scene, or folder of a sequence [dim](default: plaza)[/]."
+            metavar="SCENE|SEQUENCE", help="Built-in scene, or folder of a sequence [dim](default: plaza)[/]."
         ),
     ] = None,
     sizes: Annotated[
         str | None,
-        typer.Option(
-            help="Width × height, separated by commas; sequences are enlarged"
-            f" [dim](default: {_SIZES}; of a sequence its own)[/]."
-        ),
+        typer.Option(help=f"Frame sizes: WxH,…; sequences are enlarged [dim](default: {_SIZES}; a sequence's own)[/]."),
     ] = None,
-    repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
+    repeats: Annotated[int, typer.Option(help="Number of timed frames per size.")] = 15,
     frame: Annotated[
         int | None,
-        typer.Option(help="Which rendered frame [dim](default: 31 of a scene, the middle one of a sequence)[/]."),
+        typer.Option(
+            help="Index of the timed rendered frame [dim](default: 31 of a scene, the middle one of a sequence)[/]."
+        ),
     ] = None,
-    kernels: Annotated[bool, typer.Option("--kernels", help="Print the time of every kernel too.")] = False,
+    kernels: Annotated[
+        bool, typer.Option("--kernels", help="Kernel times: also print the time of every kernel.")
+    ] = False,
     traffic: Annotated[
         bool,
         typer.Option(
             "--traffic",
-            help="Instead of timing, count the bytes that each kernel loads and stores, with Oclgrind, in a part of the"
-            " images of one size [dim](default: 1920x1080)[/].",
+            help="Memory traffic: count with Oclgrind the bytes that each kernel loads and stores, instead of timing"
+            " [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
     methods: Annotated[
         bool,
         typer.Option(
             "--methods",
-            help="Instead of timing stages, compare time and PSNR with methods of OpenCV and PyTorch, in turns on the"
-            " same frames [dim](default size: 1920x1080; sequences at their own, with ground truth)[/].",
+            help="Comparison of time and PSNR with methods of OpenCV and PyTorch, in turns on the same frames"
+            " [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
     io: Annotated[
         bool,
         typer.Option(
             "--io",
-            help="Instead of timing stages, time NumPy arrays in and color out, beside plain copies of the same bytes"
+            help="Host transfers: time NumPy arrays in and color out, next to plain copies of the same bytes"
             " [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
     lanes: Annotated[
-        str, typer.Option(help="With --traffic: pixels per work-item, 1 as on GPUs, 8 as on CPUs; or both: 1,8.")
+        str, typer.Option(help="Pixels per work-item that --traffic counts: 1 as on GPUs, 8 as on CPUs, or 1,8.")
     ] = "1",
     device: Annotated[
-        str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
+        str | None, typer.Option("--device", help="OpenCL device to time [dim](default: every device that works)[/].")
     ] = None,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,

@@ -14,17 +14,22 @@ from gffe_cl.core.errors import GffeError
 
 @app.command()
 def calibrate(
-    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence; its cameras, if any, are not looked at.")],
-    output: Annotated[Path, typer.Argument(help="Folder for the sequence with cameras.")],
+    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence; cameras in it are ignored.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the new sequence with cameras.")],
     fov: Annotated[
         float | None,
         typer.Option(
             help="Horizontal field of view of the rendered images, degrees [dim](default: from the motion)[/]."
         ),
     ] = None,
-    cx: Annotated[float | None, typer.Option(help="Principal point, pixels [dim](default: the middle)[/].")] = None,
-    cy: Annotated[float | None, typer.Option(help="Likewise, from the top [dim](default: the middle)[/].")] = None,
-    aspect: Annotated[float, typer.Option(help="fx / fy: of pixels that are no squares.")] = 1.0,
+    cx: Annotated[
+        float | None,
+        typer.Option(help="Principal point, horizontal, pixels from the left [dim](default: the middle)[/]."),
+    ] = None,
+    cy: Annotated[
+        float | None, typer.Option(help="Principal point, vertical, pixels from the top [dim](default: the middle)[/].")
+    ] = None,
+    aspect: Annotated[float, typer.Option(help="Pixel aspect fx / fy; 1 for square pixels.")] = 1.0,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:

@@ -30,24 +30,30 @@ _STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
 
 @app.command()
 def check(
-    sequence: Annotated[Path, typer.Argument(help="Sequence to examine.")],
+    sequence: Annotated[Path, typer.Argument(help="Folder of the capture to examine; see `gffe formats`.")],
     fix: Annotated[
-        Path | None, typer.Option("--fix", help="Write the sequence with the faults mended to this folder.")
+        Path | None, typer.Option("--fix", help="Folder for a copy of the sequence with the faults repaired.")
     ] = None,
     html: Annotated[
         Path | None,
         typer.Option(
-            "--html", help="Also write a page with residuals before and after.", callback=output_file("--html")
+            "--html",
+            help="HTML file for a page with residuals before and after the repair.",
+            callback=output_file("--html"),
         ),
     ] = None,
     follow_links: FollowLinksOption = False,
     only: Annotated[
         list[str] | None,
-        typer.Option("--only", metavar="FINDING", help="With --fix: finding to mend, and no other. Repeatable."),
+        typer.Option(
+            "--only", metavar="FINDING", help="Finding that --fix repairs, and no other; may be given several times."
+        ),
     ] = None,
     without: Annotated[
         list[str] | None,
-        typer.Option("--except", metavar="FINDING", help="With --fix: finding to leave as it is. Repeatable."),
+        typer.Option(
+            "--except", metavar="FINDING", help="Finding that --fix leaves as it is; may be given several times."
+        ),
     ] = None,
     json_path: JsonOption = None,
 ) -> None:

@@ -42,7 +42,7 @@ DeviceOption = Annotated[
     str | None,
     typer.Option(
         "--device",
-        help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`.",
+        help="OpenCL device: part of its or its platform's name, its index (0:0), gpu or cpu; see `gffe devices`.",
     ),
 ]
 
@@ -50,14 +50,14 @@ FollowLinksOption = Annotated[
     bool,
     typer.Option(
         "--follow-links",
-        help="Files that a capture's files refer to: also those outside its folder (paths in JSON, HDF5 links)"
+        help="Links of a capture (paths in JSON, HDF5 links): follow those that leave its folder, too"
         " [dim](default: only those inside)[/].",
         callback=follow_links_everywhere,  # nothing else is done with it
     ),
 ]
 
 SchedulerOption = Annotated[
-    str | None, typer.Option("--scheduler", help="Compute on the Dask cluster of this address: tcp://HOST:8786.")
+    str | None, typer.Option("--scheduler", help="Dask cluster to compute on, by address: tcp://HOST:8786.")
 ]
 
 
@@ -83,18 +83,22 @@ def output_file(option: str):
 
 JsonOption = Annotated[
     Path | None,
-    typer.Option("--json", help="Also write the report to this file.", callback=output_file("--json")),
+    typer.Option(
+        "--json",
+        help="JSON file for the report, written in addition to the printed one.",
+        callback=output_file("--json"),
+    ),
 ]
 
 
 NoCheckOption = Annotated[
-    bool, typer.Option("--no-check", help="Say nothing if the first frames do not fit; see `gffe check`.")
+    bool, typer.Option("--no-check", help="Quick check of the first frames: skip it; see `gffe check`.")
 ]
 CompressionOption = Annotated[
     str,
     typer.Option(
         "--compression",
-        help="Of new EXRs: none, rle, zips, zip, piz, htj2k256; dwaa and dwab approximate the colors.",
+        help="Compression of new EXR files: none, rle, zips, zip, piz, htj2k256, or the lossy dwaa and dwab.",
     ),
 ]
 EncodeOption = Annotated[
@@ -102,13 +106,12 @@ EncodeOption = Annotated[
     typer.Option(
         "--encode",
         metavar="PART,…[:WxH]",
-        help="Store rendered frames less exactly, as engines and captures do. Motion: half-uv, unorm8, unorm16 or"
-        " rounded; also two-lookups, half-depth, 8bit-color, noisy-camera; engine: all that an engine's capture has."
-        " Motion is stored in units of a 1920x1080 image, or of that of a size after a colon.",
+        help="Encoding of rendered frames: half-uv, unorm8, unorm16 or rounded; two-lookups, half-depth,"
+        " 8bit-color, noisy-camera; engine (all). WxH: of the motion's units.",
     ),
 ]
 WindowOption = Annotated[
-    str, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 (times the display) or off.")
+    str, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 (times the display size) or off.")
 ]
 
 

@@ -28,18 +28,24 @@ if TYPE_CHECKING:
 
 @app.command()
 def compare(
-    a: Annotated[Path, typer.Argument(help="Sequence with extrapolated frames.")],
-    b: Annotated[Path, typer.Argument(help="Sequence with ground truth.")],
+    a: Annotated[Path, typer.Argument(help="Folder of the sequence with extrapolated frames.")],
+    b: Annotated[Path, typer.Argument(help="Folder of the sequence with ground truth.")],
     mask: Annotated[
         str | None,
         typer.Option(
-            help="Measure only where this channel of A is not 0 (mask.dynamic …); or 'focus': where shading is wrong."
+            help="Mask of the measured pixels: a channel of A that is not 0 there, such as mask.dynamic, or focus:"
+            " wrong shading."
         ),
     ] = None,
     gae: Annotated[
-        Path | None, typer.Option(help="With --mask focus: the same without shading correction (`gffe run --no-scn`).")
+        Path | None,
+        typer.Option(
+            help="Folder of the same frames without shading correction (`gffe run --no-scn`), for --mask focus."
+        ),
     ] = None,
-    fail_under: Annotated[float | None, typer.Option(help="Exit with 1 if the mean PSNR is lower, dB.")] = None,
+    fail_under: Annotated[
+        float | None, typer.Option(help="Lowest mean PSNR for exit code 0, dB; below it the exit code is 1.")
+    ] = None,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:

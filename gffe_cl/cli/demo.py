@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 @takes_options("shading_correction", "scn_model", "scn_provider")
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("out/demo"),
-    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
-    seed: Annotated[int, typer.Option(help="Variation of the scene.")] = 0,
+    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "960x540",
+    seed: Annotated[int, typer.Option(help="Random seed of the scene's variation.")] = 0,
     window: WindowOption = "off",
     device: DeviceOption = None,
     *,

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 @app.command()
 def devices(
-    kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
+    kind: Annotated[str | None, typer.Option(help="Kind of the devices to list: gpu, cpu or other.")] = None,
     refresh: Annotated[
-        bool, typer.Option("--refresh", help="Probe them anew, whatever is known of them from before.")
+        bool, typer.Option("--refresh", help="Device cache: ignore it and probe every device again.")
     ] = False,
     json_path: JsonOption = None,
 ) -> None:

@@ -45,12 +45,12 @@ def evaluate(
         list[str] | None,
         typer.Argument(
             metavar="[SCENE|SEQUENCE]...",
-            help="Built-in scenes and situations, 'forest' or with a seed 'forest:3', and folders of sequences with"
-            " ground truth [dim](default: the eight scenes)[/].",
+            help="Built-in scenes and situations (forest, or forest:3 with a seed), and folders with ground truth"
+            " [dim](default: the eight scenes)[/].",
         ),
     ] = None,
     seeds: Annotated[
-        int, typer.Option(help="Of built-in scenes without a seed of their own: seeds 0 … N−1 of each.")
+        int, typer.Option(help="Number N of seeds, 0 … N−1, of each built-in scene that is named without a seed.")
     ] = 1,
     output: Annotated[Path, typer.Option("--out", help="Folder for the report and the finished cells.")] = Path(
         "report"
@@ -58,54 +58,64 @@ def evaluate(
     methods: Annotated[
         str | None,
         typer.Option(
-            help="Methods or groups of them, separated by commas: gffe, ablation, deviation, baseline, filling,"
-            " window, upscaling, library, … [dim](default: all but the last four groups)[/]."
+            help="Methods or groups, separated by commas: gffe, ablation, deviation, baseline, filling, window,"
+            " upscaling, library [dim](default: the first four)[/]."
         ),
     ] = None,
     onnx: Annotated[
-        list[str] | None, typer.Option(help="NAME=FILE: a network as one more method; may be given several times.")
+        list[str] | None,
+        typer.Option(help="Network to measure as one more method: NAME=FILE; may be given several times."),
     ] = None,
     scn_model: Annotated[
-        Path | None, typer.Option(help="Shading correction network (ONNX) to measure in place of the package's own.")
+        Path | None, typer.Option(help="Shading correction network, an ONNX file, in place of the package's own.")
     ] = None,
     scn_provider: Annotated[
-        str, typer.Option(help="Execution provider of the shading correction network, as of `gffe run`.")
+        str, typer.Option(help="Execution provider of the shading correction network, as for `gffe run`.")
     ] = "cpu",
     metrics: Annotated[
         str | None,
-        typer.Option(help="Also measure these, which are slow, separated by commas: fvvdp, cvvdp, lpips."),
+        typer.Option(help="Slow metrics to measure as well, separated by commas: fvvdp, cvvdp, lpips."),
     ] = None,
-    size: Annotated[str, typer.Option(help="Of built-in scenes: width × height, pixels.")] = "480x270",
-    frames: Annotated[int, typer.Option(help="Of built-in scenes: rendered frames.")] = 16,
-    fps: Annotated[float, typer.Option(help="Of built-in scenes: rendered frames per second.")] = 30.0,
+    size: Annotated[str, typer.Option(help="Frame size of built-in scenes: width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Number of rendered frames of built-in scenes.")] = 16,
+    fps: Annotated[float, typer.Option(help="Frame rate of built-in scenes, rendered frames per second.")] = 30.0,
     alpha: Annotated[
-        str, typer.Option(help="Of built-in scenes: times of the new frames in intervals, separated by commas.")
+        str,
+        typer.Option(
+            help="Times of the new frames of built-in scenes, in intervals of rendered frames, separated by commas."
+        ),
     ] = "0.5",
     upscale: Annotated[
         float,
         typer.Option(
-            help="Display pixels per rendered pixel, each way: small frames, of built-in scenes with jitter, go through"
-            " upscaling; beside it the group 'upscaling'."
+            help="Upscaling factor, display pixels per rendered pixel, each way: jittered small frames are upscaled;"
+            " adds the group upscaling."
         ),
     ] = 0.0,
     turn_rate: Annotated[
         float,
         typer.Option(
-            help="Degrees per second by which the camera of built-in scenes turns, and back: what windows are for"
-            " [dim](0 to 1000; default: 0, the scene's own camera)[/]."
+            help="Turn rate of the camera of built-in scenes, degrees per second, 0 to 1000 [dim](default: 0, the"
+            " scene's own camera)[/]."
         ),
     ] = 0.0,
     regions: Annotated[
-        bool, typer.Option("--regions", help="Print the PSNR of every method in every region of the picture.")
+        bool, typer.Option("--regions", help="Regions of the picture: print the PSNR of every method in each.")
     ] = False,
     budget: Annotated[
-        bool, typer.Option("--budget", help="Print where the error is, and what each region would gain if perfect.")
+        bool,
+        typer.Option(
+            "--budget", help="Error budget: print each region's share, and the gain if that region were perfect."
+        ),
     ] = False,
     late_warp: Annotated[
-        bool, typer.Option("--late-warp", help="Also measure rendered frames shown from a camera that has turned.")
+        bool,
+        typer.Option(
+            "--late-warp", help="Late warp: also measure rendered frames that are shown from a turned camera."
+        ),
     ] = False,
     scheduler: SchedulerOption = None,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Compute finished cells again.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Finished cells: compute them again.")] = False,
     device: DeviceOption = None,
     follow_links: FollowLinksOption = False,
 ) -> None:
@@ -168,17 +178,21 @@ def _subjects(texts, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[
 @app.command(hidden=True)
 def study(
     scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes and situations.")] = None,
-    seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
-    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
-    frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,
-    alpha: Annotated[float, typer.Option(help="Time of the extrapolated frames, in intervals.")] = 0.5,
-    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
-    disocclusions: Annotated[bool, typer.Option("--disocclusions", help="Compare ways to fill disocclusions.")] = False,
-    windows: Annotated[bool, typer.Option("--windows", help="Compare rendering windows.")] = False,
-    shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction.")] = False,
-    scn_model: Annotated[Path | None, typer.Option(help="Shading correction network (ONNX).")] = None,
-    scn_provider: Annotated[str, typer.Option(help="Execution provider of that network.")] = "cpu",
-    rate: Annotated[float, typer.Option(help="With --windows: degrees per second.")] = 150.0,
+    seeds: Annotated[int, typer.Option(help="Number N of seeds, 0 … N−1, of each scene.")] = 3,
+    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Number of rendered frames per scene and seed.")] = 10,
+    alpha: Annotated[
+        float, typer.Option(help="Time of the extrapolated frames, in intervals of rendered frames.")
+    ] = 0.5,
+    fps: Annotated[float, typer.Option(help="Frame rate, rendered frames per second.")] = 30.0,
+    disocclusions: Annotated[
+        bool, typer.Option("--disocclusions", help="Disocclusions: compare the ways to fill them.")
+    ] = False,
+    windows: Annotated[bool, typer.Option("--windows", help="Rendering windows: compare them.")] = False,
+    shading: Annotated[bool, typer.Option("--shading", help="Shading correction: measure it.")] = False,
+    scn_model: Annotated[Path | None, typer.Option(help="Shading correction network, an ONNX file.")] = None,
+    scn_provider: Annotated[str, typer.Option(help="Execution provider of the network, as for `gffe run`.")] = "cpu",
+    rate: Annotated[float, typer.Option(help="Turn rate of the camera for --windows, degrees per second.")] = 150.0,
     device: DeviceOption = None,
 ) -> None:
     """Older name of parts of `gffe eval`: prints the command that does the same, and runs it."""

@@ -24,14 +24,17 @@ _EXPORTED = [name for name, option in OPTIONS.items() if option.flag and name no
 @app.command()
 @takes_options(*_EXPORTED)
 def export(
-    output: Annotated[Path, typer.Argument(help="Folder for the C code: new, empty, or an earlier export.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the C code: new, empty or of an earlier export.")],
     frames: Annotated[
         Path | None,
-        typer.Option(help="Also write frames of this capture, or built-in scene, for the example to read."),
+        typer.Option(help="Capture or built-in scene whose frames are written for the example program."),
     ] = None,
-    count: Annotated[int, typer.Option(help="With --frames: how many.", min=1, max=1000)] = 10,
+    count: Annotated[int, typer.Option(help="Number of frames that --frames writes.", min=1, max=1000)] = 10,
     size: Annotated[
-        str | None, typer.Option(help="With --frames, of a built-in scene: width × height [dim](default 960x540)[/].")
+        str | None,
+        typer.Option(
+            help="Frame size of a built-in scene for --frames: width × height, pixels [dim](default: 960x540)[/]."
+        ),
     ] = None,
     device: DeviceOption = None,
     *,

@@ -42,11 +42,12 @@ def formats(json_path: JsonOption = None) -> None:
 @app.command("import")
 def import_(
     sequence: Annotated[Path, typer.Argument(help="Folder of a capture; see `gffe formats`.")],
-    output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the new sequence.")],
     every: Annotated[
         int,
         typer.Option(
-            help="Of so many rendered frames one stays rendered, the others become truth; motion reaches over them."
+            help="Interval N: every N-th frame stays rendered, the others become ground truth; motion vectors are"
+            " added up."
         ),
     ] = 1,
     encode: EncodeOption = None,

@@ -58,7 +58,13 @@ def _parameters(option: Option) -> list[inspect.Parameter]:
     made = [_parameter(option.name, *_kind(option), option.flag, _help(option))]
     if option.off_flag:
         made.append(
-            _parameter(f"no_{option.name}", bool, False, option.off_flag, f"The same as {option.flag} {option.off}.")
+            _parameter(
+                f"no_{option.name}",
+                bool,
+                False,
+                option.off_flag,
+                f"Switch off {option.off_label or option.label}: the same as {option.flag} {option.off}.",
+            )
         )
     return made
 
@@ -76,16 +82,16 @@ def _kind(option: Option) -> tuple[Any, Any]:
 
 def _help(option: Option) -> str:
     if option.kind is bool and option.default is True:
-        _, _, off = option.sentence.partition("off: ")
-        return f"{off[:1].upper()}{off[1:]}"
-    notes = []
+        return f"Switch off {option.label}: {option.sentence.partition('; off: ')[2]}"
+    values = ""
     if option.choices:
-        notes.append(", ".join(option.choices))
+        values = ", ".join(option.choices)
     elif option.kind in (int, float) and not option.automatic:
-        notes.append(f"{option.low:g} to {option.high:g}")
+        values = f"{option.low:g} to {option.high:g}"
+    default = ""
     if option.kind in (bool, str) and option.automatic:
-        notes.append(f"default: {option.automatic.removeprefix('auto: ')}")
-    return option.sentence + (f" [dim]({'; '.join(notes)})[/]" if notes else "")
+        default = f" [dim](default: {option.automatic.removeprefix('auto: ')})[/]"
+    return f"{option.sentence.removesuffix('.')}{f' ({values})' if values else ''}{default}."
 
 
 def _parameter(name: str, kind: Any, default: Any, flag: str, text: str) -> inspect.Parameter:

@@ -28,40 +28,52 @@ def render(
     scene: Annotated[
         str,
         typer.Argument(
-            help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard. Or of a"
-            " situation: bars, ropes, balls, rotors, handheld, cab, wipers, lamps, shadows, fan, screen, quantized."
+            help="Built-in scene: corridor, plaza, room, forest, gallery, street, factory or courtyard; or one of"
+            " the situations above."
         ),
     ],
-    output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
-    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
-    frames: Annotated[int, typer.Option(help="Rendered frames.")] = 30,
-    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Variation of layout, textures, lights and camera path.")] = 0,
+    output: Annotated[Path, typer.Argument(help="Folder for the new sequence.")],
+    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "960x540",
+    frames: Annotated[int, typer.Option(help="Number of rendered frames.")] = 30,
+    fps: Annotated[float, typer.Option(help="Frame rate, rendered frames per second.")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Random seed of layout, textures, lights and camera path.")] = 0,
     ground_truth: Annotated[
-        bool, typer.Option("--ground-truth", help="Also the frames in between, for measuring.")
+        bool, typer.Option("--ground-truth", help="Ground truth: also render the frames in between, for measuring.")
     ] = False,
     per_frame: Annotated[
-        int, typer.Option("-n", help="Frames in between per rendered frame, for --ground-truth and --window adaptive.")
+        int,
+        typer.Option(
+            "-n", help="Number of frames in between per rendered frame, for --ground-truth and --window adaptive."
+        ),
     ] = 1,
     samples: Annotated[
-        int | None, typer.Option(help="Color samples per pixel at edges [dim](default 8; 1 with --jitter)[/].")
+        int | None,
+        typer.Option(help="Number of color samples per pixel at edges [dim](default: 8; 1 with --jitter)[/]."),
     ] = None,
     window: Annotated[
         str,
         typer.Option(
-            help="Rendering window: adaptive (covers frames in between, see -n), fixed:1.2 (times the display) or off."
+            help="Rendering window: adaptive (covers the frames in between, see -n), fixed:1.2 (times the display"
+            " size) or off."
         ),
     ] = "off",
-    jitter: Annotated[str, typer.Option(help="Of the camera, for upscaling: halton:16 (points), or off.")] = "off",
+    jitter: Annotated[
+        str, typer.Option(help="Camera jitter for upscaling: halton:N (N-point Halton sequence) or off.")
+    ] = "off",
     scale: Annotated[
-        float, typer.Option(help="Rendered frames are so many times smaller than --size, each way; truth is not.")
+        float,
+        typer.Option(help="Scale by which rendered frames are smaller than --size, each way; ground truth is not."),
     ] = 1.0,
     encode: EncodeOption = None,
     compression: CompressionOption = "zip",
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
 ) -> None:
-    """Render a built-in scene to a sequence: color, depth, motion vectors and cameras."""
+    """Render a built-in scene to a sequence: color, depth, motion vectors and cameras.
+
+    Situations, small scenes of one difficulty each: bars, ropes, balls, rotors, handheld, cab, wipers, lamps, shadows,
+    fan, screen, quantized.
+    """
     from gffe_cl.frame.jitter import Jitter
     from gffe_cl.opencl.device import open_device
     from gffe_cl.scenes import load_scene

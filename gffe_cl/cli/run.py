@@ -40,38 +40,49 @@ _MANY_CUTS = 0.2  # of the rendered frames
 @app.command()
 @takes_options()
 def run(
-    sequence: Annotated[Path, typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene.")],
-    output: Annotated[Path, typer.Argument(help="Folder for the result, a sequence again.")],
+    sequence: Annotated[Path, typer.Argument(help="Folder of a capture (see `gffe formats`), or a built-in scene.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the result, which is a sequence.")],
     n: Annotated[
         int | None,
-        typer.Option("-n", help="Extrapolated frames per rendered frame, 1 to 7 [dim](default 1)[/]."),
+        typer.Option("-n", help="Number of extrapolated frames per rendered frame, 1 to 7 [dim](default: 1)[/]."),
     ] = None,
-    alpha: Annotated[str | None, typer.Option(help="Times instead, in intervals after each frame: 0.25,0.5.")] = None,
+    alpha: Annotated[
+        str | None,
+        typer.Option(help="Times of the new frames, in intervals after each rendered frame, in place of -n: 0.25,0.5."),
+    ] = None,
     device: DeviceOption = None,
     camera: Annotated[
-        str, typer.Option(help="'truth': of ground truth, where each new frame of an interval has some; 'predicted'.")
+        str,
+        typer.Option(
+            help="Camera of new frames: truth (of the ground truth, where every new frame of an interval has one) or"
+            " predicted."
+        ),
     ] = "truth",
     dump_stages: Annotated[
-        bool, typer.Option("--dump-stages", help="Write every buffer of every stage to OUTPUT/stages.")
+        bool, typer.Option("--dump-stages", help="Buffers of all stages: write them to OUTPUT/stages.")
     ] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Bad pixels are errors.")] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Bad pixels: treat them as errors.")] = False,
     window: Annotated[
         str | None,
         typer.Option(
-            help="Rendering window of a built-in scene: adaptive, fixed:1.2 or off. Of a recorded sequence: as"
-            " recorded, or off to use its display part only."
+            help="Rendering window of a built-in scene: adaptive, fixed:1.2 or off. Of a sequence: as recorded, or off"
+            " for its display part only."
         ),
     ] = None,
     size: Annotated[
-        str | None, typer.Option(help="Of a built-in scene: width × height, pixels [dim](default 960x540)[/].")
+        str | None,
+        typer.Option(help="Frame size of a built-in scene: width × height, pixels [dim](default: 960x540)[/]."),
     ] = None,
     frames: Annotated[
-        int | None, typer.Option(help="Of a built-in scene: rendered frames [dim](default 30)[/].")
+        int | None, typer.Option(help="Number of rendered frames of a built-in scene [dim](default: 30)[/].")
     ] = None,
     fps: Annotated[
-        float | None, typer.Option(help="Of a built-in scene: rendered frames per second [dim](default 30)[/].")
+        float | None,
+        typer.Option(help="Frame rate of a built-in scene, rendered frames per second [dim](default: 30)[/]."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Random seed of a built-in scene's variation [dim](default: 0)[/].")
+    ] = None,
     compression: CompressionOption = "zip",
     no_check: NoCheckOption = False,
     follow_links: FollowLinksOption = False,

@@ -25,15 +25,19 @@ def selftest(
         Path | None,
         typer.Option(
             "--report",
-            help="Write one file for a report of a fault: devices, drivers, versions, and all that differs.",
+            help="File for a fault report: devices, drivers, versions, and everything that differs.",
             callback=output_file("--report"),
         ),
     ] = None,
     quick: Annotated[
         bool,
-        typer.Option("--quick", help="Only kernels as the device takes them itself, no speed: a quarter of the time."),
+        typer.Option(
+            "--quick",
+            help="Quick test: only the kernel variants that the device chooses itself, no speed; a quarter of the"
+            " time.",
+        ),
     ] = False,
-    seconds: Annotated[float, typer.Option("--timeout", help="Seconds that one device may take.", min=1.0)] = 600.0,
+    seconds: Annotated[float, typer.Option("--timeout", help="Time limit per device, seconds.", min=1.0)] = 600.0,
     json_path: JsonOption = None,
 ) -> None:
     """Run a fixed workload on every device, and compare every buffer with recorded references, bit by bit.

@@ -27,40 +27,51 @@ from gffe_cl.core.files import only_process
 
 @app.command()
 def train(
-    folder: Annotated[Path, typer.Argument(help="Checkpoint, logs, model and its card; continues what it holds.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(help="Folder for checkpoint, logs, model and model card; training continues from its content."),
+    ],
     data: Annotated[
         Path | None,
-        typer.Option(help="Cache of training clips, made as far as missing [dim](default: FOLDER/data)[/]."),
+        typer.Option(help="Folder of cached training clips; missing ones are made [dim](default: FOLDER/data)[/]."),
     ] = None,
     clips: Annotated[
-        int, typer.Option(help="Clips to train on; each gives four samples. Fewer where --minutes does not allow them.")
+        int, typer.Option(help="Number of training clips of four samples each; fewer where --minutes does not suffice.")
     ] = 400,
-    steps: Annotated[int, typer.Option(help="Optimizer steps.")] = 20000,
-    batch: Annotated[int, typer.Option(help="Crops of 256×256 per step.")] = 16,
-    learning_rate: Annotated[float, typer.Option(help="Of Adam, at the beginning.")] = 1e-4,
-    final_learning_rate: Annotated[float, typer.Option(help="And at the end.")] = 1e-5,
-    shading: Annotated[float, typer.Option(help="How often crops get moving shading of their own, 0 to 1.")] = 0.6,
-    blend_weight: Annotated[float, typer.Option(help="Of the loss of the frame as it is shown.")] = 1.0,
+    steps: Annotated[int, typer.Option(help="Number of optimizer steps.")] = 20000,
+    batch: Annotated[int, typer.Option(help="Batch size: crops of 256×256 pixels per step.")] = 16,
+    learning_rate: Annotated[float, typer.Option(help="Learning rate of Adam at the beginning.")] = 1e-4,
+    final_learning_rate: Annotated[float, typer.Option(help="Final learning rate.")] = 1e-5,
+    shading: Annotated[float, typer.Option(help="Share of crops that get additional moving shading, 0 to 1.")] = 0.6,
+    blend_weight: Annotated[float, typer.Option(help="Weight of the loss of the displayed frame.")] = 1.0,
     full_every: Annotated[
-        int, typer.Option(help="Steps from one at full resolution to the next; half, quicker, between.")
+        int,
+        typer.Option(help="Interval of steps at full resolution; the others are at half resolution, which is quicker."),
     ] = 4,
     bfloat16: Annotated[
-        bool, typer.Option("--bfloat16", help="Mixed precision: quicker where there is AMX or a GPU.")
+        bool, typer.Option("--bfloat16", help="Mixed precision with bfloat16: quicker on CPUs with AMX and on GPUs.")
     ] = False,
     integers: Annotated[
         bool,
-        typer.Option("--integers", help="With 8-bit integers, as CPUs run them, close to the network --start."),
+        typer.Option(
+            "--integers",
+            help="Quantization-aware training with 8-bit integers, as CPUs run them, close to the network of --start.",
+        ),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Of data, order, augmentation and first weights.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of data, order, augmentation and initial weights.")] = 0,
     minutes: Annotated[
         float | None,
-        typer.Option(help="About so long, a third of it for clips; the same command goes on from there."),
+        typer.Option(help="Time limit, minutes, a third of it for clips; the same command continues from there."),
     ] = None,
-    data_only: Annotated[bool, typer.Option("--data-only", help="Only make the clips.")] = False,
+    data_only: Annotated[
+        bool, typer.Option("--data-only", help="Training clips: make them, and do not train.")
+    ] = False,
     start: Annotated[
-        Path | None, typer.Option(help="ONNX network of an earlier training to begin with, such as the package's own.")
+        Path | None, typer.Option(help="Network to begin with, an ONNX file of an earlier training.")
     ] = None,
-    vgg: Annotated[Path | None, typer.Option(help="torchvision's vgg19-*.pth, for the perceptual loss.")] = None,
+    vgg: Annotated[
+        Path | None, typer.Option(help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.")
+    ] = None,
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
     json_path: JsonOption = None,

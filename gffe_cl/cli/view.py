@@ -46,71 +46,92 @@ def _list_actions(wanted: bool) -> None:
 def view(
     target: Annotated[
         str | None,
-        typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene [dim](default: none)[/]."),
+        typer.Argument(help="Folder of a capture (see `gffe formats`), or a built-in scene [dim](default: none)[/]."),
     ] = None,
     attach: Annotated[
         str | None,
         typer.Option(
-            "--attach", metavar="NAME", help="Look into a running program, attached there by gffe_cl.attach(pipeline)."
+            "--attach",
+            metavar="NAME",
+            help="Name of a running program to look into, attached there by gffe_cl.attach(pipeline).",
         ),
     ] = None,
     last: Annotated[
-        int, typer.Option("--last", help="With --attach: rendered frames that are kept, for freezing, 3 to 256.")
+        int, typer.Option("--last", help="Number of rendered frames that --attach keeps for freezing, 3 to 256.")
     ] = 24,
-    n: Annotated[int, typer.Option("-n", help="Generated frames per rendered frame, 1 to 7.")] = 1,
+    n: Annotated[int, typer.Option("-n", help="Number of generated frames per rendered frame, 1 to 7.")] = 1,
     window: Annotated[
-        str | None, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 or off; see `gffe run`.")
+        str | None,
+        typer.Option(
+            "--window", help="Rendering window: adaptive, fixed:1.2 (times the display size) or off; see `gffe run`."
+        ),
     ] = None,
-    size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "480x270",
-    seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
+    size: Annotated[str, typer.Option(help="Frame size of a built-in scene: width × height, pixels.")] = "480x270",
+    seed: Annotated[int, typer.Option(help="Random seed of a built-in scene's variation.")] = 0,
     device: DeviceOption = None,
     window_size: Annotated[
         str | None,
         typer.Option(
-            help="Of the viewer's own window, pixels [dim](default: as last time; screenshots 1600x900, measuring"
+            help="Size of the viewer's window, pixels [dim](default: the last one; screenshots 1600x900, measuring"
             " 1280x720)[/]."
         ),
     ] = None,
     screenshot: Annotated[
         Path | None,
         typer.Option(
-            help="Write one picture of the whole window to this PNG, and exit.", callback=output_file("--screenshot")
+            help="PNG file for a screenshot of the whole window, after which the viewer exits.",
+            callback=output_file("--screenshot"),
         ),
     ] = None,
-    frame: Annotated[int, typer.Option(help="Screenshot: which one of the frames shown, generated ones counted.")] = 0,
+    frame: Annotated[int, typer.Option(help="Index of the frame in the screenshot, generated frames counted.")] = 0,
     layer: Annotated[
         str,
-        typer.Option(help="Screenshot and measuring: layer shown, such as final, disoccluded, history.dynamic_mask."),
+        typer.Option(
+            help="Layer in the screenshot or while measuring, such as final, disoccluded, history.dynamic_mask."
+        ),
     ] = "final",
-    other: Annotated[str | None, typer.Option("--with", help="The same: layer compared with.")] = None,
-    compare: Annotated[str, typer.Option(help="The same: off, split, difference, error or 'flip error'.")] = "off",
-    pixel: Annotated[str | None, typer.Option(help="Screenshot: pixel whose story is told, as 120,45.")] = None,
-    overview: Annotated[bool, typer.Option("--overview", help="Screenshot: all layers as tiles.")] = False,
+    other: Annotated[
+        str | None, typer.Option("--with", help="Layer to compare with, in the screenshot or while measuring.")
+    ] = None,
+    compare: Annotated[
+        str,
+        typer.Option(
+            help="Comparison in the screenshot or while measuring: off, split, difference, error or 'flip error'."
+        ),
+    ] = "off",
+    pixel: Annotated[str | None, typer.Option(help="Pixel that the screenshot explains: X,Y, such as 120,45.")] = None,
+    overview: Annotated[
+        bool, typer.Option("--overview", help="Overview: the screenshot shows all layers as tiles.")
+    ] = False,
     measure: Annotated[
         float | None,
         typer.Option(
-            help="Play every frame for so many seconds, then as long what the cache holds; print how fast that was, how"
-            " soon there was a picture, and exit."
+            help="Measurement: seconds to play every frame, then again from the cache; prints frame rates and times,"
+            " and exits."
         ),
     ] = None,
     script: Annotated[
         Path | None,
-        typer.Option(help="Do what this file says, a step a line (docs/guide.md), and exit.", exists=False),
+        typer.Option(
+            help="Script file with one step per line (docs/guide.md); the viewer exits at its end.", exists=False
+        ),
     ] = None,
     actions: Annotated[
         bool,
         typer.Option(
             "--actions",
-            help="List the actions that a script can do (`do ACTION`), and exit.",
+            help="Actions of scripts (`do ACTION`): list them and exit.",
             is_eager=True,
             callback=_list_actions,
         ),
     ] = False,
     film: Annotated[
         Path | None,
-        typer.Option(help="Film the window while the script waits: .webp or .gif.", callback=output_file("--film")),
+        typer.Option(
+            help="File for a film of the window while the script waits: .webp or .gif.", callback=output_file("--film")
+        ),
     ] = None,
-    cache: Annotated[int, typer.Option(help="MiB of computed frames kept in memory; 0: none.")] = 2048,
+    cache: Annotated[int, typer.Option(help="Memory for computed frames, MiB; 0: none.")] = 2048,
     no_check: NoCheckOption = False,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,

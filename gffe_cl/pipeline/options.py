@@ -121,108 +121,193 @@ class Options:
     """
 
     cut_detection: bool = _option(
-        True, "cut detection", "A rendered frame of which the one before shows nothing is a reset; off: resets must be"
-        " told.",
+        True,
+        "cut detection",
+        "Detection of cuts: a rendered frame that shares nothing with the frame before is a reset; off: only"
+        " marked frames are resets.",
         flag="--no-cut-detection",
-    )  # fmt: skip
+    )
     motion: bool = _option(
-        True, "motion estimation", "History tracking; off: everything is static.", flag="--no-motion"
+        True, "motion estimation", "Tracking of moving objects; off: everything is static.", flag="--no-motion"
     )
     history: int = _option(
-        2, "history", "k: positions kept per fragment, the current one included.", low=2, high=MAX_ORDER + 1,
-        unit="positions", flag="--history",
-    )  # fmt: skip
+        2,
+        "history",
+        "History length k: positions kept per fragment, including the current one.",
+        low=2,
+        high=MAX_ORDER + 1,
+        unit="positions",
+        flag="--history",
+    )
     order: int = _option(
-        1, "prediction order", "m: degree of the position prediction, below the history; 1 is linear, the paper's.",
-        low=1, high=MAX_ORDER, flag="--order",
-    )  # fmt: skip
+        1,
+        "prediction order",
+        "Degree m of the position prediction, less than the history length; 1 is linear, as in the paper.",
+        low=1,
+        high=MAX_ORDER,
+        flag="--order",
+    )
     camera_fixed: bool = _option(
-        True, "fixed to the camera", "Fragments that keep their place in view space, such as dashboards and weapons,"
-        " move with the camera, and with acceleration so does what moves evenly there, such as wipers and hands; off:"
-        " both are predicted in world space, as in the paper.",
-        flag="--no-camera-fixed", needs="motion",
-    )  # fmt: skip
+        True,
+        "camera-fixed objects",
+        "Prediction in view space of objects that stay there, such as dashboards and weapons, and, with"
+        " acceleration, of those that move evenly there, such as wipers and hands; off: they are predicted in"
+        " world space, as in the paper.",
+        flag="--no-camera-fixed",
+        needs="motion",
+    )
     acceleration: bool = _option(
-        True, "acceleration", "Movers' paths bend on as they have, beside the linear prediction of order 1.",
-        flag="--no-acceleration", needs="motion",
-    )  # fmt: skip
+        True,
+        "acceleration",
+        "Curved paths of moving objects, in addition to the linear prediction of order 1; off: straight paths.",
+        flag="--no-acceleration",
+        needs="motion",
+    )
     static_threshold: float | None = _option(
-        None, "static threshold", "ε: pixels of motion from which a fragment is dynamic; auto follows the noise and"
-        " the quantization of the motion vectors.", kind=float, low=0.0, high=1e6, usual_high=8.0, unit="pixels",
-        automatic="auto", flag="--static-threshold",
-    )  # fmt: skip
+        None,
+        "static threshold",
+        "Static threshold ε, pixels: fragments that move farther are dynamic; auto follows the noise and the"
+        " quantization of the motion vectors.",
+        kind=float,
+        low=0.0,
+        high=1e6,
+        usual_high=8.0,
+        unit="pixels",
+        automatic="auto",
+        flag="--static-threshold",
+    )
     camera_order: int | None = _option(
-        None, "camera prediction's order", "Path of the predicted camera where the new camera is not known: 1 straight,"
-        " as in the paper; 2 bends on; auto bends on and learns how the camera shakes.", kind=int, low=1, high=2,
-        automatic="auto", flag="--camera-order",
-    )  # fmt: skip
+        None,
+        "camera prediction's order",
+        "Order of camera prediction, where the new camera is unknown: 1 straight, as in the paper; 2 curved;"
+        " auto curved and adapted to a shaking camera.",
+        kind=int,
+        low=1,
+        high=2,
+        automatic="auto",
+        flag="--camera-order",
+    )
     resampling: str = _option(
-        "perceptual", "resampling", "Which values of colors are interpolated and mixed.",
-        choices={"perceptual": "As the eye sees them: like a square root where it is dark",
-                 "linear": "Linear light, as in the paper"},
+        "perceptual",
+        "resampling",
+        "Color values that are interpolated and blended.",
+        choices={
+            "perceptual": "Perceptual values, like a square root where it is dark",
+            "linear": "Linear light, as in the paper",
+        },
         flag="--resampling",
-    )  # fmt: skip
+    )
     crack_closing: bool = _option(
-        True, "crack closing", "A fragment covers what its pixel maps to; off: single pixels, as in the paper.",
+        True,
+        "crack closing",
+        "Closing of cracks: a fragment covers the area that its pixel maps to; off: single pixels, as in the paper.",
         flag="--no-crack-closing",
-    )  # fmt: skip
+    )
     blocks: bool = _option(
-        True, "backward blocks", "Blocks that show one smooth surface are warped backward; off: all is splatted.",
-        flag="--no-blocks", needs="crack_closing",
-    )  # fmt: skip
+        True,
+        "backward blocks",
+        "Backward warping of blocks that show one smooth surface; off: everything is splatted.",
+        flag="--no-blocks",
+        needs="crack_closing",
+    )
     hidden_parts: bool = _option(
-        True, "hidden parts of movers", "Disocclusions that a mover's own motion explains continue the mover; off: they"
-        " are the background's.", flag="--no-hidden-parts", needs="motion",
-    )  # fmt: skip
+        True,
+        "hidden parts of movers",
+        "Filling of disocclusions from a moving object whose own motion explains them; off: from the background.",
+        flag="--no-hidden-parts",
+        needs="motion",
+    )
     levels: int = _option(
-        1, "background levels", "L: a single level holds what anything hides, at full resolution. Of several, as in the"
-        " paper, level 0 holds what moving objects hide, others, at half the resolution each, what static ones do.",
-        low=0, high=MAX_LEVELS, off=0, off_label="background collection",
-        off_sentence="Static surfaces that are hidden now, remembered in levels.", flag="--background-levels",
+        1,
+        "background levels",
+        "Background levels L: 1 at full resolution; more, as in the paper, halve the resolution per level behind"
+        " static surfaces.",
+        low=0,
+        high=MAX_LEVELS,
+        off=0,
+        off_label="background collection",
+        off_sentence="Background collection: static surfaces that are hidden now are remembered.",
+        flag="--background-levels",
         off_flag="--no-background",
-    )  # fmt: skip
+    )
     hole_filling: str = _option(
-        "far-side", "hole filling", "What neither the rendered frame nor the background shows.",
-        choices={name: filling.sentence for name, filling in FILLINGS.items()}, off="none", flag="--hole-filling",
-    )  # fmt: skip
+        "far-side",
+        "hole filling",
+        "Filling of pixels that neither the rendered frame nor the background shows.",
+        choices={name: filling.sentence for name, filling in FILLINGS.items()},
+        off="none",
+        flag="--hole-filling",
+    )
     soft_silhouettes: bool = _option(
-        True, "soft silhouettes", "Edges of what moves over something else stay antialiased; off: as the warp leaves"
-        " them, as in the paper.", flag="--no-soft-silhouettes",
-    )  # fmt: skip
+        True,
+        "soft silhouettes",
+        "Antialiased edges of objects that move over others; off: edges as the warp leaves them, as in the paper.",
+        flag="--no-soft-silhouettes",
+    )
     upscale: float = _option(
-        0.0, "upscaling", "Display pixels per rendered pixel, each way: jittered frames are gathered over time, new"
-        " ones seen through that. 1: anti-aliasing only; 0: off.", low=0.0, high=3.0, off=0.0, flag="--upscale",
-    )  # fmt: skip
+        0.0,
+        "upscaling",
+        "Upscaling factor, display pixels per rendered pixel, each way: jittered frames are accumulated. 1:"
+        " anti-aliasing only; 0: off.",
+        low=0.0,
+        high=3.0,
+        off=0.0,
+        flag="--upscale",
+    )
     upscale_sharpening: float = _option(
-        0.0, "sharpening", "Of what upscaling shows, where neighbors differ little; its history stays as it is.",
-        low=0.0, high=1.0, flag="--sharpening", needs="upscale",
-    )  # fmt: skip
+        0.0,
+        "sharpening",
+        "Sharpening of upscaled frames where neighbors differ little; the history is not sharpened.",
+        low=0.0,
+        high=1.0,
+        flag="--sharpening",
+        needs="upscale",
+    )
     overlays: bool = _option(
-        True, "overlays", "Pixels that stay in place, effects and user interface, where rendered frames bring them.",
+        True,
+        "overlays",
+        "Overlays of rendered frames, effects and user interface, that stay in place; off: they are ignored.",
         flag="--no-overlays",
-    )  # fmt: skip
+    )
     shading_inputs: bool = _option(
-        False, "inputs of shading correction", "Make them where shading correction is off, too.", remembered=False
+        False,
+        "inputs of shading correction",
+        "Inputs of shading correction: make them even where it is off.",
+        remembered=False,
     )
     shading_correction: bool | None = _option(
-        None, "shading correction", "A network moves shadows and reflections to where they belong.", kind=bool,
-        off=False, automatic="auto: if there are weights", flag="--scn/--no-scn",
-    )  # fmt: skip
+        None,
+        "shading correction",
+        "Shading correction: a network moves shadows and reflections to where they belong.",
+        kind=bool,
+        off=False,
+        automatic="auto: if there are weights",
+        flag="--scn/--no-scn",
+    )
     focus_mask: bool = _option(
         True,
         "focus mask",
-        "Only what the network says is wrong; off: the network's whole image.",
+        "Changes only where the network finds the shading wrong; off: the network's whole image.",
         flag="--no-focus-mask",
         needs="shading_correction",
     )
     scn_model: str | None = _option(
-        None, "network", "Shading correction network of your own, ONNX.", kind=str,
-        automatic="auto: the package's own", flag="--scn-model", remembered=False,
-    )  # fmt: skip
+        None,
+        "network",
+        "Shading correction network of your own, an ONNX file.",
+        kind=str,
+        automatic="auto: the package's own",
+        flag="--scn-model",
+        remembered=False,
+    )
     scn_provider: str = _option(
-        "cpu", "network's provider", f"What runs the network: {', '.join(network.PROVIDERS)}, or"
-        f" {network.AUTO}: the fastest that gives the CPU's results.", flag="--scn-provider", remembered=False,
-    )  # fmt: skip
+        "cpu",
+        "network's provider",
+        f"Execution provider of the network: {', '.join(network.PROVIDERS)}, or"
+        f" {network.AUTO}: the fastest whose results match the CPU's.",
+        flag="--scn-provider",
+        remembered=False,
+    )
 
     def __post_init__(self):
         for name, option in OPTIONS.items():

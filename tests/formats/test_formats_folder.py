@@ -336,7 +336,7 @@ def test_flow_to_the_next_frame(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(color=1), "unknown key \"color\""),
+        (lambda d: d.update(hue=1), "unknown key \"hue\""),
         (lambda d: d["depth"].update(near=3, far=1), "0 < near < far"),
         (lambda d: d["depth"].update(encoding="z"), "depth, encoding must be one of linear"),
         (lambda d: d["depth"].update(encoding="device"), "device depth needs a projection"),

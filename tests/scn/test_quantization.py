@@ -55,6 +55,7 @@ def test_equalized_channels_say_the_same(network):
     assert largest.max() / largest.min() > 3 * was.max() / was.min()  # what is small is read with more weight
 
 
+@pytest.mark.long
 def test_rounding_changes_little(network):
     before = copy.deepcopy(network.convolutions)
     quantize(network.convolutions, inputs())

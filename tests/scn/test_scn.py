@@ -532,7 +532,7 @@ def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
     assert all(math.isfinite(value) for value in figures.values())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_in_integers_a_network_is_taught_by_that_in_floats(data, tmp_path):
     """By what it was begun with, which stays; and only then."""
     assert started(tmp_path / "floats", data, Recipe(seed=3, steps=1, batch=2)).teacher is None
@@ -563,7 +563,7 @@ def fixed_loss(training, crops):
     return terms | {"loss": sum(factors[name] * value for name, value in terms.items())}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_equal_seeds_agree_and_slices_make_no_difference(data, tmp_path):
     recipe = Recipe(seed=3, steps=4, batch=1)
     whole = started(tmp_path / "whole", data, recipe)

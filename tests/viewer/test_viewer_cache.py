@@ -292,7 +292,6 @@ def test_new_frames_of_a_sequence_appear(computed, session, tmp_path):
     filled(session)
     assert {slot for slot, _ in computed} == {6, 7, 8, 9, 10, 11} and model.slot == 11
     kept = shown(session)
-    model.open(str(longer))
     (longer / "sequence.json").write_bytes(whole)
     source = model.source
     model.open(str(longer))

@@ -18,6 +18,7 @@ from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.evaluation.report import error_image
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
+from gffe_cl.viewer.panels.picture_frames import uncovered
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
@@ -645,6 +646,43 @@ def test_upload_and_draw_speed(canvas, context):
     upload, draw = (min(t) * 1e3 for t in zip(*times, strict=True))
     print(f"\n{context.info['GL_RENDERER']}: 1280×720 half ×4 uploads in {upload:.1f} ms, draws in {draw:.1f} ms")
     close(read(canvas.draw(view, (1280, 720)))[::90, ::160, :3] / 255, to_display(image[::90, ::160, :3]))
+
+
+@pytest.mark.parametrize("compare", ["off", "split", "difference"])
+def test_a_window_shows_the_same_where_it_is_drawn_into(canvas, context, compare):
+    spec = LayerSpec("n", "N", "g", "color", components=tuple("RGB"))
+    size, window_size, origin = (40, 30), (64, 50), (9, 6)
+    canvas.frame = FrameInfo((12, 8))
+    for name in ("n", "m"):
+        canvas.upload(name, RNG.uniform(0, 1, (8, 12, 3)).astype(np.float32), replace(spec, name=name))
+    shown = {"a_display": Display(), "b": "m", "b_display": Display(), "split": 0.4, "line": 2.0}
+    view = View("n", center=(6.2, 3.9), zoom=4.5, compare=compare, **shown)
+    expected = read(canvas.draw(view, size))[..., :3]
+    window = context.simple_framebuffer(window_size, 4)
+    window.clear(1.0, 0.0, 1.0, 1.0)
+    clips = [(0, 5, 40, 12), (10, 12, 40, 21)]
+    canvas.draw_into(window, view, origin, size, clips)
+    pixels = np.frombuffer(window.read(components=3), np.uint8).reshape(*window_size[::-1], 3)[::-1]
+    window.release()
+    whole = np.full(pixels.shape, (255, 0, 255), np.uint8)
+    inside = whole[origin[1] : origin[1] + size[1], origin[0] : origin[0] + size[0]]
+    for left, top, right, bottom in clips:
+        inside[top:bottom, left:right] = expected[top:bottom, left:right]
+    if compare == "split":  # the line goes through the whole picture
+        inside[:, 15:17] = 255
+    np.testing.assert_array_equal(pixels, whole)
+
+
+def test_uncovered_rectangles_and_covers_are_the_whole():
+    covers = [(2, 1, 9, 4), (12, 1, 20, 4), (-3, 8, 5, 14), (4, 3, 7, 9)]
+    counted = np.zeros((12, 18), int)
+    for left, top, right, bottom in uncovered((18, 12), covers):
+        assert 0 <= left < right <= 18 and 0 <= top < bottom <= 12
+        counted[top:bottom, left:right] += 1
+    hidden = np.zeros_like(counted)
+    for left, top, right, bottom in covers:
+        hidden[max(top, 0) : bottom, max(left, 0) : right] = 1
+    np.testing.assert_array_equal(counted, 1 - hidden)
 
 
 # ---- a real pipeline -----------------------------------------------------------------------------------

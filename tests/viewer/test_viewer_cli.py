@@ -148,7 +148,7 @@ def test_asking_for_shading_correction_without_weights(tmp_path):
     assert "no trained weights" in child.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_measuring(gffe, screen, tmp_path):
     code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
     figures = json.loads((tmp_path / "figures.json").read_text())
@@ -160,6 +160,7 @@ def test_measuring(gffe, screen, tmp_path):
     assert figures["first_pass"]["frames_per_second"] > 0 and figures["first_pass"]["kernels_ms_per_frame"] > 0
     cached = figures["cached"]
     assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
+    assert cached["interface_frames_per_second"] < cached["frames_per_second"]  # between two, the picture alone
     code, out, err = gffe(
         "in", "--measure", "0.3", "--json", "figures.json", "--cache", "0", "--layer", "frame.depth", "--with", "truth",
         "--compare", "difference",

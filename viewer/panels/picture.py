@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.panels import overview, widgets
+from gffe_cl.viewer.panels.picture_frames import Spot
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.captions import frame_text
 from gffe_cl.viewer.state.presets import told
+
+if TYPE_CHECKING:
+    from gffe_cl.viewer.picture.canvas import Rectangle
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
@@ -30,6 +35,7 @@ _USUAL_LETTERS = 15.0  # screen pixels
 
 def draw(app) -> None:
     model = app.model
+    app.picture_frames.spot = None
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
@@ -59,12 +65,14 @@ def draw(app) -> None:
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
     if model.arrows:
         _arrows(model, place, marks)
-    _numbers(model, place, marks)
+    marked = _numbers(model, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
     _rectangle(model, place, marks)
     marks.pop_clip_rect()
-    _caption(model, origin, width, height, marks)
+    covers = _caption(model, origin, width, height, marks)
+    if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
+        app.picture_frames.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers)
 
 
 class Placement:
@@ -188,11 +196,11 @@ def _texels(model, spec, image) -> tuple[tuple[float, float], tuple[float, float
     return (wide / image.shape[1], high / image.shape[0]), (-x0 * wide, -y0 * high)
 
 
-def _numbers(model, place, marks) -> None:
-    """Values of the layer A in its pixels, where these are large enough for them."""
+def _numbers(model, place, marks) -> bool:
+    """Write values of the layer A into its pixels, where these are large enough; return whether they are."""
     spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None:
-        return
+        return False
     display = model.looks.of(spec.name)
     image = image[min(display.plane, spec.planes - 1)] if spec.planes > 1 else image
     if display.channel in spec.components:
@@ -203,7 +211,7 @@ def _numbers(model, place, marks) -> None:
     wide, high = (along * place.view.zoom for along in scale)
     size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
     if size < _LEAST_LETTERS * _unit():
-        return
+        return False
     left, top = place.to_display(place.origin)
     right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
     top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, model.source.height)))
@@ -217,6 +225,7 @@ def _numbers(model, place, marks) -> None:
             at = place.to_screen(column * scale[0] + start[0], row * scale[1] + start[1])
             for offset, color in ((1, shade), (0, ink)):
                 marks.add_text(font, size, ImVec2(at.x + edge + offset, at.y + edge + offset), color, text)
+    return True
 
 
 def short(value: float, letters: int) -> str:
@@ -285,32 +294,39 @@ def _rectangle(model, place, marks) -> None:
     marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * _unit())
 
 
-def _caption(model, origin, width, height, marks) -> None:
-    """Layer names and what changes their look, in the corners."""
-    view = model.view
+def _caption(model, origin, width, height, marks) -> list[Rectangle]:
+    """Write layer names and what changes their look into the corners; return where, in the picture's pixels."""
+    view, covers = model.view, []
+
+    def label(text: str, x: float, y: float, right: bool = False) -> None:
+        left, top, end, bottom = _label(marks, text, origin.x + x, origin.y + y, right)
+        inside = left - origin.x, top - origin.y, end - origin.x + 1, bottom - origin.y + 1
+        covers.append(tuple(map(int, inside)))
+
     if model.comparison.flipped and view.b:
-        _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + 10, origin.y + 8)
+        label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
         settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
         texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
         a, b = (widgets.shortened(text, width / 2 - 24) for text in texts)
-        _label(marks, a, origin.x + 10, origin.y + 8)
-        _label(marks, b, origin.x + width - 10, origin.y + 8, right=True)
+        label(a, 10, 8)
+        label(b, width - 10, 8, right=True)
     else:
-        _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
+        label(_layer_text(model, view.a), 10, 8)
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
     if model.follows and model.contents.result is not None:
         kind = frame_text(model.contents.result.moment)
     kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
-    _label(marks, kind, origin.x + 10, origin.y + height - line)
+    label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):
         state = "computing …"
     if state:
         state = widgets.shortened(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
-        _label(marks, state, origin.x + width - 10, origin.y + height - line * (1 if beside else 2.4), right=True)
+        label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
+    return covers
 
 
 def _layer_text(model, name: str) -> str:
@@ -333,10 +349,11 @@ def _layer_text(model, name: str) -> str:
     return text
 
 
-def _label(marks, text: str, x: float, y: float, right: bool = False) -> None:
+def _label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[float, float, float, float]:
+    """Write text on a dark ground; return the ground's left, top, right and bottom, window's pixels."""
     size = imgui.calc_text_size(text)
     x = x - size.x if right else x
-    marks.add_rect_filled(
-        ImVec2(x - 5, y - 3), ImVec2(x + size.x + 5, y + size.y + 3), imgui.get_color_u32((0, 0, 0, 0.6)), 4
-    )
+    ground = x - 5, y - 3, x + size.x + 5, y + size.y + 3
+    marks.add_rect_filled(ImVec2(*ground[:2]), ImVec2(*ground[2:]), imgui.get_color_u32((0, 0, 0, 0.6)), 4)
     marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
+    return ground

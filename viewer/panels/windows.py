@@ -116,6 +116,7 @@ def messages(app) -> None:
     shown = [message for message in lately if message.kind != "note" and not message.dismissed]
     if not shown:
         return
+    app.picture_frames.spot = None
     x, y = app.foot or imgui.get_main_viewport().get_center()
     imgui.set_next_window_pos((x, y - hello_imgui.em_size(_ABOVE_FOOT)), imgui.Cond_.always.value, (0.5, 1.0))
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
@@ -134,11 +135,12 @@ def messages(app) -> None:
     imgui.end()
 
 
-def progress(model) -> None:
+def progress(app) -> None:
     """The export that is under way, with a button to stop it."""
-    work = model.export
+    work = app.model.export
     if work is None:
         return
+    app.picture_frames.spot = None
     center = imgui.get_main_viewport().get_center()
     imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
     flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking

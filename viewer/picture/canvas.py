@@ -35,6 +35,9 @@ _SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rende
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
 
+Rectangle = tuple[int, int, int, int]  # left, top, right, bottom, pixels of what is drawn
+
+
 @dataclass(frozen=True)
 class Tile:
     """Where an overview shows a layer: a rectangle in its pixels, from the upper left corner."""
@@ -163,6 +166,17 @@ class Canvas:
             self._draw(view, (0, 0), framebuffer)
         return self._texture(framebuffer)
 
+    def draw_into(
+        self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size, clips: Iterable[Rectangle]
+    ) -> None:
+        """Draw `view` at `size` into a window, whose first row is the bottom one: the upper left corner at `origin`,
+        and only within `clips`, in the picture's pixels. The background around the display is left as it is."""
+        corner = origin[0], window.height - origin[1] - size[1]
+        with self.ctx.scope(window, moderngl.NOTHING):
+            whole, window.viewport = window.viewport, (*corner, *size)
+            self._draw(view, corner, window, tuple(clips), bottom_up=True)
+            window.viewport = whole
+
     def overview(
         self,
         tiles: Sequence[tuple[str, Display]],
@@ -207,37 +221,53 @@ class Canvas:
         self._targets[name] = self.ctx.framebuffer([texture])
         return self._targets[name]
 
-    def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
+    def _draw(
+        self,
+        view: View,
+        corner: tuple[int, int],
+        framebuffer: moderngl.Framebuffer,
+        clips: Sequence[Rectangle] = (),
+        bottom_up: bool = False,
+    ) -> None:
         """Into the framebuffer's viewport, which has its `corner` there and is full of background."""
         a, b = (view.a, view.a_display), (view.b, view.b_display)
         size = framebuffer.viewport[2:]
+        clips = clips or ((0, 0, *size),)
+
+        def draw(layers: Sequence[tuple[str | None, Display | None]], part: Rectangle) -> None:
+            parts = [overlap for clip in clips if (overlap := _overlap(part, clip)) is not None]
+            if not parts:
+                return
+            program = self._prepare(view, layers, corner, size, bottom_up)
+            for left, top, right, bottom in parts:
+                lowest = size[1] - bottom if bottom_up else top
+                framebuffer.scissor = corner[0] + left, corner[1] + lowest, right - left, bottom - top
+                program.triangle.render(moderngl.TRIANGLES, vertices=3)
+            whole: Any = None  # which the stub leaves out
+            framebuffer.scissor = whole
+
         left, top, right, bottom = self._display_rectangle(view, size)
         if view.compare != "split":
             mixed = b if view.compare in _MIXING else (None, None)
-            self._draw_part(view, (a, mixed), (left, top, right, bottom), corner, framebuffer)
+            draw((a, mixed), (left, top, right, bottom))
             return
         line, width = round(view.split * size[0]), max(round(view.line), 1)
         middle = min(max(line, left), right)
-        self._draw_part(view, (a, (None, None)), (left, top, middle, bottom), corner, framebuffer)
-        self._draw_part(view, (b, (None, None)), (middle, top, right, bottom), corner, framebuffer)
+        draw((a, (None, None)), (left, top, middle, bottom))
+        draw((b, (None, None)), (middle, top, right, bottom))
         first, last = max(line - width // 2, 0), min(line - width // 2 + width, size[0])
         if first < last:
             framebuffer.clear(1.0, 1.0, 1.0, 1.0, viewport=(corner[0] + first, corner[1], last - first, size[1]))
 
-    def _draw_part(
+    def _prepare(
         self,
         view: View,
         layers: Sequence[tuple[str | None, Display | None]],
-        part: tuple[int, int, int, int],
         corner: tuple[int, int],
-        framebuffer: moderngl.Framebuffer,
-    ) -> None:
-        """Two layers where the second is mixed with the first, else one; only `part` of the viewport: left, top, right,
-        bottom."""
-        left, top, right, bottom = part
-        if left >= right or top >= bottom:
-            return
-        size = framebuffer.viewport[2:]
+        size: Size,
+        bottom_up: bool,
+    ) -> _Program:
+        """The program that draws two layers where the second is mixed with the first, else one, with its uniforms."""
         shown = [self._shown(name, display, view.zoom) for name, display in layers]
         contrast = self._grid_contrast(view, shown[0])
         compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
@@ -256,6 +286,7 @@ class Canvas:
         values |= {
             "corner": corner,
             "size": size,
+            "bottom_up": bottom_up,
             "grid_contrast": contrast,
             "difference_gain": view.gain,
             "error_squared": view.error == "squared",
@@ -265,10 +296,7 @@ class Canvas:
             "has_regions": regions is not None,
         }
         program.set("", values)
-        framebuffer.scissor = corner[0] + left, corner[1] + top, right - left, bottom - top
-        program.triangle.render(moderngl.TRIANGLES, vertices=3)
-        whole: Any = None  # which the stub leaves out
-        framebuffer.scissor = whole
+        return program
 
     def _grid_contrast(self, view: View, shown: _Shown) -> float:
         """Of the lines between pixels; 0: there are none."""
@@ -367,3 +395,8 @@ def _grid(count: int, size: Size, picture: Size, caption: int, gap: int) -> list
     left = max((size[0] - best_columns * (width + gap) + gap) // 2, 0)
     steps = ((index % best_columns, index // best_columns) for index in range(count))
     return [(left + i * (width + gap), gap + j * (height + caption + gap), width, height) for i, j in steps]
+
+
+def _overlap(a: Rectangle, b: Rectangle) -> Rectangle | None:
+    left, top, right, bottom = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
+    return (left, top, right, bottom) if left < right and top < bottom else None

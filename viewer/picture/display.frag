@@ -58,6 +58,7 @@ uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_center;
 
 uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
+uniform bool bottom_up;         /* the first row of the framebuffer is the bottom one, as in windows */
 uniform vec2 center, display_size;
 uniform float zoom;
 uniform vec3 background;
@@ -307,6 +308,7 @@ vec3 with_grid(const vec3 c, const vec2 uv) {
 
 void main() {
     vec2 frag = gl_FragCoord.xy - corner;
+    if (bottom_up) frag.y = size.y - frag.y;
     vec2 uv = (center + (frag - 0.5 * size) / zoom) / display_size;
     vec3 c = background;
     if (inside(uv)) {
