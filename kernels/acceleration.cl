@@ -14,6 +14,8 @@
 #define IN_VIEW 0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of
                             that in the world ... */
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
+#define SHAKEN 0.004f    /* a mover begins to be carried only where its velocity in the world has changed by more than this share
+                            of its distance: without a shake nothing tells it from others */
 #define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* What a cell's fragments of one mover have in common. */
@@ -148,8 +150,10 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
     bool carried = false;
     if (frame.camera_fixed) {
         const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
-        const float change = squared_length(mover.view_velocity - seen), most = was_carried ? STILL_IN_VIEW : IN_VIEW;
-        carried = change < most * squared_length(now - was);
+        const float change = squared_length(mover.view_velocity - seen), in_world = squared_length(now - was);
+        const float shaken = SHAKEN * mover.depth;
+        carried = was_carried ? change < STILL_IN_VIEW * in_world
+                              : change < IN_VIEW * in_world && in_world > shaken * shaken;
         if (carried) {
             now = mover.view_velocity;
             was = seen;

@@ -7,7 +7,7 @@ import twins
 from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SceneFrames, SceneRenderer
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scenes.parts.motions import Bounce, Carry, Motion, Place, Spin, Swing, rotation, translation
 from gffe_cl.scenes.scene_types import Air, Box, Capsule, Group, Light, Material, Scene, Sphere, wave
 from gffe_cl.stages.frame_block import polynomial_weights, reprojection
@@ -134,6 +134,16 @@ def test_what_the_camera_carries_moves_on_in_view_space(device):
     assert not now[3][..., 3][mover > 1.5].any()
     world, view = 10 * np.log10(np.mean(errors, 0))
     assert view < world - 2, (world, view)
+
+
+def test_a_camera_that_does_not_shake_carries_nothing(device):
+    """A path that fits as well in view space as in the world is one in the world: the next camera may turn."""
+    size, scene = (160, 90), load_scene("gallery")
+    pipeline = Pipeline(device, *size, Options(shading_correction=False))
+    for frame in SceneFrames(SceneRenderer(device, scene, *size)).sequence(6):
+        pipeline.submit(frame)
+    stage = pipeline.stages["acceleration"]
+    assert (stage.read("velocity")[..., 3] > 0).sum() > 10 and not stage.read("view_velocity")[..., 3].any()
 
 
 def _require_twins(pipeline, frame, past, to, time, now, before):

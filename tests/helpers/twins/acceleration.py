@@ -101,8 +101,12 @@ def track_acceleration(
             continue
         was, seen = ratio * rotate(was / weights, from_previous), ratio * (seen / weights)
         if camera_fixed:
-            most = ACCELERATION.STILL_IN_VIEW if was_carried else ACCELERATION.IN_VIEW
-            carried = ((v_seen - seen) ** 2).sum() < F(most) * ((v - was) ** 2).sum()
+            change, in_world = ((v_seen - seen) ** 2).sum(), ((v - was) ** 2).sum()
+            if was_carried:
+                carried = change < F(ACCELERATION.STILL_IN_VIEW) * in_world
+            else:
+                shaken = F(ACCELERATION.SHAKEN) * z
+                carried = change < F(ACCELERATION.IN_VIEW) * in_world and in_world > shaken * shaken
         if carried:
             v, was = v_seen, seen
             view_velocity[y, x, 3] = 1
