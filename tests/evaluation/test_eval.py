@@ -120,6 +120,7 @@ def test_eval(gffe, tmp_path, monkeypatch):
     html = (report / "index.html").read_text()
     assert html.count("data:image/webp;base64,") == 2 * 3 + 2 * 14 and "plaza<b>" not in html
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", html)
+    assert "prefers-color-scheme: dark" in html and "@media print" in html
     csv = (report / "results.csv").read_text().splitlines()
     assert csv[0] == "sequence,method,region,metric,value"
     assert f"forest:2,gffe,whole,psnr,{best['psnr']!r}" in csv
