@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from datetime import date
 from html import escape
+from importlib.metadata import version
 from io import BytesIO
 
 import numpy as np
@@ -23,7 +24,8 @@ _STYLE = """main { max-width: 1800px; }
 table { width: 100%; }
 .words { text-align: left; } td.words { white-space: normal; } td { vertical-align: top; }
 .fault, .note, .unknown { font-weight: 600; }
-.fault { color: light-dark(#c4342a, #ff7b6b); } .note { color: light-dark(#9a6700, #e0a63a); } .unknown { color: var(--blue); }
+.fault { color: light-dark(#c4342a, #ff7b6b); }
+.note { color: light-dark(#9a6700, #e0a63a); } .unknown { color: var(--blue); }
 .pictures { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); }
 """
 
@@ -127,16 +129,10 @@ def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{report_style()}{_STYLE}</style></head><body><main>"
-        f"<h1>{escape(title)}</h1><p>gffe check, gffe-cl {_version()}, {date.today().isoformat()}</p>"
+        f"<h1>{escape(title)}</h1><p>gffe check, gffe-cl {version('gffe-cl')}, {date.today().isoformat()}</p>"
         f"<h2>Findings</h2>{_findings(diagnosis)}<h2>Fit</h2>{lines}{_pictures(clip, diagnosis, exposure)}"
         "</main></body></html>\n"
     )
-
-
-def _version() -> str:
-    import gffe_cl
-
-    return gffe_cl.__version__
 
 
 def _findings(diagnosis: Diagnosis) -> str:
