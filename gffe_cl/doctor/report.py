@@ -125,11 +125,12 @@ def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -
     """Return one self-contained page: the findings, how well all fits, and residuals of one frame as given and as
     repaired."""
     lines = "".join(f"<p>{escape(line)}</p>" for line in summary(diagnosis))
+    made_by = f"gffe check, gffe-cl {version('gffe-cl')}, {date.today().isoformat()}"
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{report_style()}{_STYLE}</style></head><body><main>"
-        f"<h1>{escape(title)}</h1><p>gffe check, gffe-cl {version('gffe-cl')}, {date.today().isoformat()}</p>"
+        f"<h1>{escape(title)}</h1><p>{made_by}</p>"
         f"<h2>Findings</h2>{_findings(diagnosis)}<h2>Fit</h2>{lines}{_pictures(clip, diagnosis, exposure)}"
         "</main></body></html>\n"
     )
