@@ -31,7 +31,7 @@ NEAR, FAR = 0.2, 3000  # of the example's lens
 
 @dataclass
 class Mistake:
-    """What is done wrong to a rendered frame, given the one before (None at first)."""
+    """Mistake applied to a rendered frame, given the one before (None at first)."""
 
     name: str
     make: Callable[[gffe.RenderedFrame, gffe.RenderedFrame | None], gffe.RenderedFrame]

@@ -111,7 +111,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def model_source(path: Path | str) -> str | bytes:
-    """What to give onnxruntime for the model at `path`, which takes names in UTF-8 only: the name, else the bytes."""
+    """Return the argument for onnxruntime for the model at `path`: the name if it is UTF-8, else the bytes."""
     try:
         str(path).encode("utf-8")
     except UnicodeError:

@@ -56,7 +56,8 @@ def _next_best(diagnosis: Diagnosis) -> str:
 
 
 def changes(chosen: Diagnosis) -> list[str]:
-    """What mending `chosen` changes: a line for each finding, and one for each buffer with an example."""
+    """Return the changes that repairing `chosen` makes: a line for each finding, and one for each buffer with an
+    example."""
     known = set(fixed_by(chosen))
     lines = [f"{f.id}: {f.fix}" for f in chosen.findings if f.id in known]
     looks = [look for look in chosen.looks if PREVIOUS in look.neighbors]
