@@ -81,7 +81,8 @@ def test_commands_that_prose_names_exist():
 def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
     others |= {"--cases", "--minutes", "--arguments", "--measure"}  # of scripts in docs
-    others |= {"--offscreen", "--samples", "--rate", "--shown"}  # of the live examples
+    others |= {"--offscreen", "--rate", "--shown"}  # of the live examples
+    others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
     others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from", "--no-deps"}  # of uvx and pip
     others |= {"--build", *RENAMED}  # of CMake; older names

@@ -1,4 +1,4 @@
-"""What a user can do, written down once: menus, shortcuts, help and the command palette all come from `Actions`."""
+"""Actions of the user, defined once: menus, shortcuts, help and the command palette all come from `Actions`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be done: the action table, which menus, help and the command palette come from."""
+"""Table of actions, for menus, help and the command palette."""
 
 from __future__ import annotations
 
@@ -72,7 +72,15 @@ def register(app) -> None:
         tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
-    add("play", "Play / stop", "Playback", "Space", play, opened, tooltip="Freezes what a running program shows")
+    add(
+        "play",
+        "Play / stop",
+        "Playback",
+        "Space",
+        play,
+        opened,
+        tooltip="Play or stop; freezes the picture of a running program",
+    )
     add("step", "Next frame", "Playback", "Right", playback("step", 1), opened, repeat=True)
     add("step_back", "Previous frame", "Playback", "Left", playback("step", -1), opened, repeat=True)
     add(
@@ -103,7 +111,7 @@ def register(app) -> None:
         checked=lambda: model.overview)  # fmt: skip
     add("disocclusions", "Disocclusions", "View", "X",
         lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
-        tooltip="Over the picture: what generated frames had no pixels for, out of screen or hidden")  # fmt: skip
+        tooltip="Over the picture: pixels of generated frames that were out of screen or hidden")  # fmt: skip
     add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
@@ -156,7 +164,7 @@ def _comparing(app, add, opened) -> None:
         tooltip="Modules, parameters, kernels, network and window are B now; A goes on being changed")  # fmt: skip
     add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", lambda: copy(model.setup), opened,
-        tooltip="gffe run … with what is chosen now")  # fmt: skip
+        tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
     add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
         lambda: copy(model.kept.b.setup(model.n)), lambda: opened() or no_second())  # fmt: skip
     add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
@@ -182,7 +190,7 @@ def _finding(app, add, opened) -> None:
         ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
         ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),
         ("most_different", "Largest A–B difference", "Ctrl+J", survey.most_different,
-         "Where A's and B's settings differ most in what is plotted; again: the next one"),
+         "Frame where the plotted figure of A's and B's settings differs most; again: the next one"),
     ):  # fmt: skip
         difference = id == "most_different"
         add(id, text, "Find", key, partial(app.find, find),

@@ -122,7 +122,7 @@ class _Stopwatch:
 
 
 class _Pass:
-    """What was shown from `start` on."""
+    """Displayed frames from `start` on."""
 
     def __init__(self, start: float, model, real_time: bool = False):
         self.start = self._end = start

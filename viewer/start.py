@@ -25,7 +25,7 @@ REPORT_SIZE = (1600, 900)  # of the window for screenshots and measuring
 
 @dataclass(frozen=True)
 class Look:
-    """What is looked at: `layer`, compared in the way `compare` with the layer `other`."""
+    """Displayed layers: `layer`, compared in the way `compare` with the layer `other`."""
 
     layer: str = "final"
     compare: str = "off"

@@ -1,4 +1,4 @@
-"""What a script of the viewer can do, a step a line: how each is written, checked and done (`gffe view --script`)."""
+"""Steps of a viewer's script, one per line: how each is written, checked and done (`gffe view --script`)."""
 
 from __future__ import annotations
 
@@ -350,8 +350,8 @@ COMMANDS: dict[str, Command] = {
     "seek": Command(
         "seek SLOT: a frame, generated ones counted", _slot, lambda app, slot: app.model.playback.seek(slot), _slot_fits
     ),
-    "layer": Command("layer NAME: what is shown", _text, _layer, _layer_fits),
-    "with": Command("with NAME: what it is compared with", _text, _with, _layer_fits),
+    "layer": Command("layer NAME: the displayed layer", _text, _layer, _layer_fits),
+    "with": Command("with NAME: the layer to compare with", _text, _with, _layer_fits),
     "compare": Command("compare WAY: off, split, difference, error or flip error", _way, _compare),
     "split": Command(
         "split SHARE: where the line of the wipe is, 0 to 1", _share,

@@ -7,7 +7,7 @@ void main() {
     if (texel.a < 0.5) discard;
     vec3 n = normalize(gl_FrontFacing ? normal : -normal), to_lamp = lamp - world;
     float light = 0.35 + 0.4 * max(n.z, 0) + 60 * max(dot(n, normalize(to_lamp)), 0) / (20 + dot(to_lamp, to_lamp));
-    color = vec4(depth > 500 ? vec3(0.35, 0.5, 0.7) : pow(texel.rgb, vec3(2.2)) * light, 1);  // linear
+    color = vec4(pow(texel.rgb, vec3(2.2)) * light, 1);  // linear
     vec2 motion = (old_clip.xy / old_clip.w - clip.xy / clip.w) * 0.5 * size * vec2(1, -1);  // pixels, y down
     geometry = vec4(depth, motion, 1);
 }

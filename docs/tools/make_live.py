@@ -31,7 +31,7 @@ NEAR, FAR = 0.2, 3000  # of the example's lens
 
 @dataclass
 class Mistake:
-    """What is done wrong to a rendered frame, given the one before (None at first)."""
+    """Mistake applied to a rendered frame, given the one before (None at first)."""
 
     name: str
     make: Callable[[gffe.RenderedFrame, gffe.RenderedFrame | None], gffe.RenderedFrame]
@@ -62,6 +62,16 @@ MISTAKES = (
 )
 
 
+class Rigid(Game):
+    """The example with a skin whose old vertices are taken to be those of now."""
+
+    def draw(self, now, camera):
+        super().draw(now, camera)
+        if not self.cut:
+            self.kept = self.latest[0], *self.kept[1:]
+        return super().draw(now, camera)
+
+
 class Jittered(Game):
     """The example with a camera that is jittered, while gffe-cl is given the one without jitter."""
 
@@ -72,9 +82,9 @@ class Jittered(Game):
         return super().draw(now, gffe.Jitter(16).camera(camera, self.count))
 
 
-def stretch(game: Game) -> list[gffe.RenderedFrame]:
-    """Return rendered frames that follow each other."""
-    game.cut = True
+def stretch(game: Game, kind: type[Game] = Game) -> list[gffe.RenderedFrame]:
+    """Return rendered frames that follow each other, of the game as `kind` draws it."""
+    game.__class__, game.cut = kind, True
     return [game.render(k / RATE) for k in range(FIRST, FIRST + FRAMES)]
 
 
@@ -92,11 +102,7 @@ def mistakes(game: Game) -> None:
     right = stretch(game)
     camera = game.look(time)
     truth = gffe.to_display(game.draw(time, camera)[0])
-    game.panda.setShaderInput("skinned", 0.0)
-    rigid = stretch(game)
-    game.panda.setShaderInput("skinned", 1.0)
-    game.__class__ = Jittered
-    jittered = stretch(game)
+    rigid, jittered = stretch(game, Rigid), stretch(game, Jittered)
     game.__class__ = Game
     tiles, rows = [("really rendered", truth)], []
     for mistake in MISTAKES:
@@ -130,9 +136,8 @@ def film(game: Game) -> None:
     shown = []
     for k in range(FILM_FRAMES):
         frame = game.render(k / RATE)
-        game.pipeline.submit(frame)
         moment = (k + 0.5) / RATE
-        for color in (frame.color, game.pipeline.extrapolate(game.look(moment), moment).numpy("color")):
+        for color in (frame.color, game.generated(moment, game.look(moment))):
             pair = np.hstack([gffe.to_display(frame.color), gffe.to_display(color)])
             shown.append(Image.fromarray((255 * pair + 0.5).astype(np.uint8)))
     first, *others = shown

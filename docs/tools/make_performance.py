@@ -131,7 +131,7 @@ def methods_table() -> str:
 
 
 def regions_table() -> str:
-    """What the methods are worth by region: where the error of a remap is, and what GFFE makes of it."""
+    """Return the table of methods by region: the error of a remap, and of GFFE there."""
     remap, flow, gae, full = (_method(name) for name in (REMAP, "dis-medium", "no-scn", "gffe"))
     heads = (f"`{row['method']}`, {_milliseconds(row['milliseconds'])} ms" for row in (remap, flow, gae, full))
     rows = []
@@ -143,7 +143,7 @@ def regions_table() -> str:
 
 
 def methods_text() -> str:
-    """What the other milliseconds buy, step by step and by region, and where they buy nothing."""
+    """Return the gain of the additional milliseconds, step by step and by region, and where there is none."""
     record, shares = recorded("methods")["sizes"][0], _shares()
     remap, gae, full = (_method(name) for name in (REMAP, "no-scn", "gffe"))
     removed, ahead = [], []
@@ -273,7 +273,7 @@ def _bold(part: str) -> str:
 
 
 def _runtime(device: str) -> str:
-    """What to call a device by, of "name (platform)"."""
+    """Return the short name of a device, from "name (platform)"."""
     known = {"Intel(R) OpenCL": "Intel's runtime", "Portable Computing Language": "PoCL"}
     return next((short for platform, short in known.items() if f"({platform})" in device), device)
 

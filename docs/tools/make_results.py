@@ -164,9 +164,15 @@ def unseen_table(found: dict) -> str:
         before = (_psnr_of(one, cell["sequence"], cell["method"]) for one in earlier)
         figures = (column.text(cell[column.name]) for column in columns)
         rows.append((f"`{cell['sequence']}`", titles[cell["method"]], *before, *figures))
-    heads = (f"PSNR {one['label']} ({one['commit']}), dB" for one in earlier)
+    heads = (f"PSNR {one['label']} ({_commits(one)}), dB" for one in earlier)
     made = table(("sequence", "method", *heads, *(c.title for c in columns)), rows)
-    return f"{made}\n\nMeasured at {latest['commit']} ({latest['label']}), {latest['date']}, on {latest['machine']}."
+    occasions: dict[tuple[str, str, str], list[str]] = {}
+    for one in latest["sequences"]:
+        occasions.setdefault((one["commit"], one["date"], one["machine"]), []).append(f"`{one['name']}`")
+    measured = [
+        f"{', '.join(names)} at {commit}, {date}, on {machine}" for (commit, date, machine), names in occasions.items()
+    ]
+    return f"{made}\n\nMeasured ({latest['label']}): {'; '.join(measured)}."
 
 
 TABLES: dict[str, Callable[[dict], str]] = {
@@ -192,6 +198,10 @@ def with_tables(text: str, found: dict | None = None) -> str:
 def _method_row(found: dict, mean: dict, columns: list) -> tuple[str, ...]:
     figures = (column.text(mean.get(column.name), column.name == "against").replace("-", "−") for column in columns)
     return (_title(found, mean), *figures)
+
+
+def _commits(found: dict) -> str:
+    return ", ".join(dict.fromkeys(one["commit"] for one in found["sequences"]))
 
 
 def _psnr_of(found: dict, sequence: str, method: str) -> str:

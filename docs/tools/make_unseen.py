@@ -1,10 +1,10 @@
 """Make the unseen sequences, which no constant was chosen on, and measure gffe-cl on them.
 
     python docs/tools/make_unseen.py OUT                     all of them, 5 to 10 minutes; NAME …: only these
-    python docs/tools/make_unseen.py --measure OUT --json docs/measured/unseen.json --label after
+    python docs/tools/make_unseen.py --measure OUT --json docs/measured/unseen.json --label after; NAME …: only these
     python docs/tools/make_results.py                        the table in docs/results.md
 
-The two `panda_` sequences need Panda3D (the extra `examples`). All need OpenGL 3.3; a software renderer will do.
+The `panda_` sequences need Panda3D (the extra `examples`). All need OpenGL 3.3; a software renderer will do.
 Never tune anything on these sequences: they are there to judge what was tuned elsewhere.
 """
 
@@ -24,6 +24,8 @@ from unseen.recording import record
 SEQUENCES = {
     "panda_environment": ("unseen.panda_environment", "PandaEnvironment"),
     "panda_city": ("unseen.panda_city", "PandaCity"),
+    "panda_live": ("unseen.panda_live", "PandaLive"),
+    "panda_live_antialiased": ("unseen.panda_live", "PandaLiveAntialiased"),
     "cockpit": ("unseen.cockpit", "Cockpit"),
     "raymarched": ("unseen.raymarched", "Raymarched"),
 }
@@ -39,9 +41,9 @@ def make(out: Path, name: str) -> None:
     generator.close()
 
 
-def measure(out: Path, path: Path, label: str) -> None:
-    """Run `gffe eval` on the sequences in `out` and store the figures at `path`, replacing those of `label`."""
-    folders = [str(out / name) for name in SEQUENCES if (out / name).is_dir()]
+def measure(out: Path, names: list[str], path: Path, label: str) -> None:
+    """Run `gffe eval` on the sequences `names` in `out`; put their figures of `label` into the record at `path`."""
+    folders = [str(out / name) for name in names]
     report = out / "report"
     command = [sys.executable, "-m", "gffe_cl", "eval", *folders, "--methods", ",".join(METHODS), "--out", str(report)]
     subprocess.run(command, check=True)
@@ -49,14 +51,21 @@ def measure(out: Path, path: Path, label: str) -> None:
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, check=True, capture_output=True, text=True
     )
-    found = {"label": label, "commit": commit.stdout.strip()} | {
-        key: results[key] for key in ("date", "machine", "methods")
+    about = {"commit": commit.stdout.strip()} | {key: results[key] for key in ("date", "machine")}
+    sequences = [{key: one[key] for key in ("name", "size", "moments")} | about for one in results["sequences"]]
+    cells = [{key: cell[key] for key in ("sequence", "method", *FIGURES)} for cell in results["cells"]]
+    entries = {one["label"]: one for one in (json.loads(path.read_text("utf-8")) if path.exists() else [])}
+    before = entries.pop(label, {"sequences": [], "cells": []})
+    sequences += [one for one in before["sequences"] if one["name"] not in names]
+    cells += [cell for cell in before["cells"] if cell["sequence"] not in names]
+    order = list(SEQUENCES)
+    entries[label] = {
+        "label": label,
+        "methods": results["methods"],
+        "sequences": sorted(sequences, key=lambda one: order.index(one["name"])),
+        "cells": sorted(cells, key=lambda cell: order.index(cell["sequence"])),
     }
-    found["sequences"] = [{key: one[key] for key in ("name", "size", "moments")} for one in results["sequences"]]
-    found["cells"] = [{key: cell[key] for key in ("sequence", "method", *FIGURES)} for cell in results["cells"]]
-    earlier = json.loads(path.read_text("utf-8")) if path.exists() else []
-    kept = [one for one in earlier if one["label"] != label]
-    path.write_text(json.dumps([*kept, found], indent=1, ensure_ascii=False) + "\n", "utf-8")
+    path.write_text(json.dumps([*entries.values()], indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
 def main() -> None:
@@ -72,7 +81,7 @@ def main() -> None:
     if given.measure:
         if given.json is None:
             parser.error("--measure needs --json FILE")
-        measure(given.out, given.json, given.label)
+        measure(given.out, given.names or list(SEQUENCES), given.json, given.label)
     elif len(given.names) == 1:
         make(given.out, given.names[0])
     else:

@@ -105,7 +105,7 @@ class Program:
 
 
 def measure(program: Program, viewer: Viewer, turns: int) -> dict[str, list[tuple[float, float]]]:
-    """What `Program.run` gives, by case, for each turn."""
+    """Return the results of `Program.run`, by case, for each turn."""
     taken: dict[str, list[tuple[float, float]]] = {case: [] for case in CASES}
     for turn in range(turns + 1):
         for case in list(CASES)[:: 1 if turn % 2 else -1]:

@@ -1,4 +1,4 @@
-"""What each compression of EXRs costs, on an extrapolated frame with all its channels.
+"""Cost of each compression of EXRs, on an extrapolated frame with all its channels.
 
     python docs/tools/measure_compression.py                    of plaza at 1920×1080, rendered for it
     python docs/tools/measure_compression.py --sequence SEQ     of a recorded sequence

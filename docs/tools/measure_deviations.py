@@ -1,4 +1,4 @@
-"""What each deviation from the paper is worth on the built-in scenes.
+"""Gain of each deviation from the paper on the built-in scenes.
 
     python docs/tools/measure_deviations.py             prints the tables of docs/deviations.md
     python docs/tools/measure_deviations.py --write     puts them there
@@ -262,7 +262,7 @@ def scn_table(device: Device, setting: argparse.Namespace) -> str:
 
 
 def parts_table(device: Device, setting: argparse.Namespace) -> str:
-    """What each part beyond the paper is worth by scene and α, PSNR of the whole frame."""
+    """Return the gain of each part beyond the paper by scene and α, PSNR of the whole frame."""
     changes = {"": Change()} | {name: GAE[name] for name in PARTS}
     rows = []
     for scene in setting.scenes:

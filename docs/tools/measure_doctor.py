@@ -64,7 +64,7 @@ def render(name: str, seed: int) -> Kept:
 
 
 def measure(good: Kept, names: tuple[str, ...]) -> dict:
-    """What the doctor says of `good` with the faults `names`, and whether its fix restores the buffers."""
+    """Return the doctor's findings on `good` with the faults `names`, and whether its fix restores the buffers."""
     bad = broken(good, list(names))
     diagnosis = examine(bad, bad.exposure)
     chosen = selected(diagnosis, fixed_by(diagnosis))  # display values as well

@@ -1,4 +1,4 @@
-"""What temporal upscaling is worth on the built-in scenes: the tables of docs/upscaling.md.
+"""Gain of temporal upscaling on the built-in scenes: the tables of docs/upscaling.md.
 
     python docs/tools/measure_upscaling.py                  measures, writes docs/measured/upscaling.json and the tables
     python docs/tools/measure_upscaling.py --only cost …    these parts only: scenes by name, cost, defects

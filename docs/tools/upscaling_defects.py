@@ -1,4 +1,4 @@
-"""What upscaling leaves wrong: ghosts, shimmer and thin bars, measured where the truth is exact.
+"""Defects of upscaling: ghosts, shimmer and thin bars, measured where the truth is exact.
 
 `measure_upscaling.py` calls this. Scenes are rectangles (`tests/helpers/synthetic.py`), and built-in ones held still.
 """

@@ -260,7 +260,7 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     if (power := growth(results)) is not None:
         out.print(f"GAE grows as pixels^{power:.2f}.")
     shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())
-    out.print(f"Must move: what the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
+    out.print(f"Must move: as the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
     sizes = ", ".join(f"{stage} {nbytes / 2**20:.1f}" for stage, nbytes in last.memory_by_stage.items())
     out.print(f"Device memory there, MiB: {sizes}; two rendered frames beside, motion of one.")
 
@@ -325,4 +325,4 @@ def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffi
     sums = [sum(getattr(moved, field) for moved in gae.values()) for field in ("declared", "loaded", "stored")]
     table.add_row("GAE", *(f"{n:.1f}" for n in sums), f"{sum(sums[1:]) / sums[0]:.1f}", style="bold")
     out.print(table)
-    out.print("Loaded and stored: counted by Oclgrind, without caches; must move: what the stages declare.")
+    out.print("Loaded and stored: counted by Oclgrind, without caches; must move: the declarations of the stages.")

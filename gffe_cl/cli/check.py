@@ -67,7 +67,7 @@ def check(
     require_findings(only or (), "--only")
     require_findings(without or (), "--except")
     if fix is None and (only or without):
-        raise GffeError("--only and --except choose what --fix mends (expected --fix FOLDER)")
+        raise GffeError("--only and --except select findings for --fix (expected --fix FOLDER)")
     opened, mended = open_for_check(sequence)
     diagnosis = examine(opened, opened.exposure)
     diagnosis.findings[:0] = mended

@@ -1,4 +1,4 @@
-"""What the commands share: the application, its consoles, options and helpers."""
+"""Shared parts of the commands: the application, its consoles, options and helpers."""
 
 from __future__ import annotations
 

@@ -341,9 +341,7 @@ def _print_regions(results: dict) -> None:
 def _print_gains(results: dict) -> None:
     if not results["gains"]:
         return
-    table = Table(
-        "what a part is worth, dB", "whole frame", "in its region", "", "paper", box=None, header_style="bold"
-    )
+    table = Table("gain of a part, dB", "whole frame", "in its region", "", "paper", box=None, header_style="bold")
     for gain in results["gains"]:
         figures = [_db(gain[key]) for key in ("mean", "in_region")]
         table.add_row(gain["title"], *figures, gain["region"], _db(gain["paper"]))

@@ -1,4 +1,4 @@
-"""What ends a command, in one line."""
+"""Endings of commands in one line: errors and interrupts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
 
 
 def _notes(error: BaseException) -> list[str]:
-    """What those through whose hands an interrupt went have to say about what is kept."""
+    """Return the notes that the handlers of an interrupt added about saved results."""
     seen, notes = set(), []
     link: BaseException | None = error
     while link is not None and id(link) not in seen:
@@ -47,7 +47,7 @@ def _notes(error: BaseException) -> list[str]:
 
 
 def _drop_unwritable_output() -> None:
-    """What is left of the output goes nowhere if the reader is gone or the disk full: Python would try again at its
+    """Discard the remaining output if the reader is gone or the disk full: Python would try again at its
     end, and complain."""
     try:
         sys.stdout.flush()

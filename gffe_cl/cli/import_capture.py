@@ -29,7 +29,7 @@ def formats(json_path: JsonOption = None) -> None:
     """List the forms of captures that every command opens, with an example of each."""
     from gffe_cl.formats import FORMATS
 
-    table = Table("form", "what it is", "the folder, for example", box=None, header_style="bold")
+    table = Table("form", "description", "the folder, for example", box=None, header_style="bold")
     for one in FORMATS.values():
         table.add_row(one.name, plain(one.sentence), "\n".join(plain(line) for line in one.example.splitlines()))
         table.add_row()

@@ -158,7 +158,7 @@ def _print_report(report: RunReport, output: Path) -> None:
     if report.bad_pixels:
         warn(f"bad pixels in the input, survived: {report.bad_pixels}")
     for file in report.cuts:
-        out.print(plain(f"cut at {file}: what was before is not used"))
+        out.print(plain(f"cut at {file}: earlier frames are not used"))
     if 1 < len(report.cuts) > _MANY_CUTS * report.rendered:
         warn(f"{len(report.cuts)} of {report.rendered} rendered frames look like cuts: do the motion vectors fit?")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)

@@ -170,7 +170,7 @@ def view(
     if film is not None:
         require_film(film)
         if script is None:
-            raise GffeError("--film needs a --script that says what is filmed")
+            raise GffeError("--film needs a --script with the steps to film")
     steps = [] if script is None else parse(script)
     if measure is not None and not 0 < measure <= 3600:
         raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")

@@ -8,6 +8,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
+from importlib.resources import files
 from pathlib import Path
 from typing import BinaryIO
 
@@ -110,7 +111,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def model_source(path: Path | str) -> str | bytes:
-    """What to give onnxruntime for the model at `path`, which takes names in UTF-8 only: the name, else the bytes."""
+    """Return the argument for onnxruntime for the model at `path`: the name if it is UTF-8, else the bytes."""
     try:
         str(path).encode("utf-8")
     except UnicodeError:
@@ -194,3 +195,8 @@ def require_moderate(nbytes: int, pixels: int, label: str) -> None:
         raise GffeError(
             f"{label}: {nbytes / 2**20:.4g} MiB to decode (expected at most {most / 2**20:.4g} MiB for {pixels} pixels)"
         )
+
+
+def report_style() -> str:
+    """Return the CSS that all HTML reports share: light and dark, narrow and wide, and print."""
+    return files("gffe_cl.core").joinpath("report.css").read_text("utf-8")

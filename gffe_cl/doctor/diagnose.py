@@ -38,7 +38,7 @@ _SKY_STILL = 0.05  # pixels
 
 @dataclass
 class Diagnosis:
-    """What was found.
+    """Result of a diagnosis.
 
     `findings`: faults, notes, and what cannot be told; `reading`: how the buffers are to be read; `given`, `best`:
     verdicts on what is given and on `reading`; `others`: on the next best; `order`: of the frames; `residuals`: pixels
@@ -259,7 +259,7 @@ def _judge_colors(found: Diagnosis) -> None:
 
 
 def _tell_unknown(found: Diagnosis, search: Search) -> None:
-    """What a camera that stands still, or only turns, leaves open."""
+    """Report the properties that a static or only turning camera leaves open."""
     reading, bench = found.reading, search.full
     still = np.zeros(len(bench.px))
     reach = bench.reach(reading.camera, PREVIOUS)

@@ -1,4 +1,4 @@
-"""What the doctor says: findings in plain words, with what speaks for them."""
+"""Findings of the doctor: plain sentences with their evidence."""
 
 from __future__ import annotations
 

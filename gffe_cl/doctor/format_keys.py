@@ -1,4 +1,4 @@
-"""What to change in a capture's own description: keys of a `gffe-folder`."""
+"""Changes to a capture's own description: keys of a `gffe-folder`."""
 
 from __future__ import annotations
 

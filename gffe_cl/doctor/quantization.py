@@ -79,7 +79,7 @@ def motion_finding(steps: np.ndarray, looks: list[Look], added: bool) -> Finding
     sentence += ", and sums of two" if added else ""
     figures = {name: float(step) for name, step in zip(_CLASSES, steps, strict=True) if np.isfinite(step)}
     figures |= {"distinct_x": distinct[0], "distinct_y": distinct[1], "code": code, "added": added}
-    return Finding(NOTE, "motion", "quantized", f"{sentence}: what moves slowly shakes a little", figures=figures)
+    return Finding(NOTE, "motion", "quantized", f"{sentence}: slow objects shake a little", figures=figures)
 
 
 def _fraction(step: float) -> str:

@@ -1,4 +1,4 @@
-"""What `gffe check --fix` writes: the sequence as the doctor reads it."""
+"""Repair of sequences (`gffe check --fix`): the sequence as the doctor reads it."""
 
 from __future__ import annotations
 

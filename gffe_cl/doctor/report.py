@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import base64
+from datetime import date
 from html import escape
+from importlib.metadata import version
 from io import BytesIO
 
 import numpy as np
 
+from gffe_cl.core.files import report_style
 from gffe_cl.doctor.choosing import fixed_by
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.hypotheses.cameras import CAMERA_AS_GIVEN
@@ -16,11 +19,15 @@ from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Clip, Look
 from gffe_cl.doctor.repair import Repair, static_motion
 from gffe_cl.frame.rendered_frame import RenderedFrame
 
-_MOST_WIDTH = 640  # pixels of a picture
-_STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1340px;margin:2em auto;padding:0 1em}
-body{background:#18181a;color:#ddd}
-h1{font-size:1.3em}li{margin:.4em 0}.fault b{color:#ff7b6b}.note b{color:#ffd166}.unknown b{color:#8ab4f8}
-figure{display:inline-block;margin:0 12px 12px 0}img{max-width:100%}figcaption,p.fine{color:#999;font-size:.9em}"""
+_MOST_WIDTH = 960  # pixels of a picture
+_STYLE = """main { max-width: 1800px; }
+table { width: 100%; }
+.words { text-align: left; } td.words { white-space: normal; } td { vertical-align: top; }
+.fault, .note, .unknown { font-weight: 600; }
+.fault { color: light-dark(#c4342a, #ff7b6b); }
+.note { color: light-dark(#9a6700, #e0a63a); } .unknown { color: var(--blue); }
+.pictures { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); }
+"""
 
 
 def summary(diagnosis: Diagnosis) -> list[str]:
@@ -49,7 +56,8 @@ def _next_best(diagnosis: Diagnosis) -> str:
 
 
 def changes(chosen: Diagnosis) -> list[str]:
-    """What mending `chosen` changes: a line for each finding, and one for each buffer with an example."""
+    """Return the changes that repairing `chosen` makes: a line for each finding, and one for each buffer with an
+    example."""
     known = set(fixed_by(chosen))
     lines = [f"{f.id}: {f.fix}" for f in chosen.findings if f.id in known]
     looks = [look for look in chosen.looks if PREVIOUS in look.neighbors]
@@ -115,18 +123,30 @@ def as_json(diagnosis: Diagnosis) -> dict:
 
 
 def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -> str:
-    """One self-contained page: the findings, and residuals of one frame as given and as read."""
-    items = "".join(
-        f'<li class="{f.kind.split()[-1] if f.kind != "cannot tell" else "unknown"}"><b>{f.kind}</b>'
-        f" {escape(str(f))}{f' <i>({escape(f.fix)})</i>' if f.fix else ''}</li>"
+    """Return one self-contained page: the findings, how well all fits, and residuals of one frame as given and as
+    repaired."""
+    lines = "".join(f"<p>{escape(line)}</p>" for line in summary(diagnosis))
+    made_by = f"gffe check, gffe-cl {version('gffe-cl')}, {date.today().isoformat()}"
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{report_style()}{_STYLE}</style></head><body><main>"
+        f"<h1>{escape(title)}</h1><p>{made_by}</p>"
+        f"<h2>Findings</h2>{_findings(diagnosis)}<h2>Fit</h2>{lines}{_pictures(clip, diagnosis, exposure)}"
+        "</main></body></html>\n"
+    )
+
+
+def _findings(diagnosis: Diagnosis) -> str:
+    if not diagnosis.findings:
+        return "<p>None: motion vectors, depth and cameras fit together.</p>"
+    rows = "".join(
+        f'<tr><td><span class="{"unknown" if f.kind == "cannot tell" else f.kind.split()[-1]}">{f.kind}</span></td>'
+        f'<td class="words">{escape(str(f))}</td><td class="words">{escape(f.fix) or "–"}</td></tr>'
         for f in diagnosis.findings
     )
-    lines = "".join(f"<p>{escape(line)}</p>" for line in summary(diagnosis))
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
-        f"<h1>{escape(title)}</h1>{lines}<ul>{items or '<li>nothing to complain of</li>'}</ul>"
-        f"{_pictures(clip, diagnosis, exposure)}</html>\n"
-    )
+    heads = '<th>kind</th><th class="words">finding</th><th class="words">repair by gffe check --fix</th>'
+    return f'<div class="scroll"><table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div>'
 
 
 def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
@@ -141,17 +161,24 @@ def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
     read = _residual(*mended) if mended else given
     top = max(float(np.nanquantile(given, 0.98)), 1e-3)
     figures = [
-        ("color", np.clip(np.nan_to_num(here.color[..., :3].astype(np.float32)) * exposure, 0, 1) ** (1 / 2.2)),
-        (f"residual as given, 0 (black) to {top:.3g} px (white)", _heat(given / top)),
+        (
+            "color, display values",
+            np.clip(np.nan_to_num(here.color[..., :3].astype(np.float32)) * exposure, 0, 1) ** (1 / 2.2),
+        ),
+        (f"residual as given, pixels: 0 (black) to {top:.3g} (white)", _heat(given / top)),
     ]
     if mended and diagnosis.faults:
-        figures.append((f"residual mended, 0 to {top:.3g} px", _heat(read / top)))
+        figures.append((f"residual repaired, pixels: 0 (black) to {top:.3g} (white)", _heat(read / top)))
     made = "".join(
-        f'<figure><img src="data:image/png;base64,{_png(image)}"><figcaption>{escape(text)}</figcaption></figure>'
+        f'<figure><img alt="" src="data:image/png;base64,{_png(image)}">'
+        f"<figcaption>{escape(text)}</figcaption></figure>"
         for text, image in figures
     )
-    fine = "the residual is between motion vectors and what depth and cameras say; what moves by itself stays bright"
-    return f'<p class="fine">{escape(entries[index].file)}: {fine}</p>{made}'
+    fine = (
+        "The residual is the distance between a motion vector and the motion that depth and cameras give a static"
+        " point. Moving objects stay bright."
+    )
+    return f'<h2>{escape(entries[index].file)}</h2><p>{fine}</p><div class="pictures">{made}</div>'
 
 
 def _mended_pair(clip: Clip, diagnosis: Diagnosis, file: str) -> tuple[RenderedFrame, RenderedFrame] | None:

@@ -1,4 +1,4 @@
-"""What each stage costs, in milliseconds and in bytes per pixel (`gffe bench`).
+"""Cost of each stage, in milliseconds and in bytes per pixel (`gffe bench`).
 
 Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is what copying reaches in between the timed
 frames, so the figure means the same on every machine. Stage times are sums of kernel event times; the wall
@@ -116,7 +116,7 @@ class Copier:
 
 @dataclass
 class _Samples:
-    """What the counted turns took: milliseconds by part and by kernel, wall time, and GB/s of the copies in between."""
+    """Times of the counted turns: milliseconds by part and by kernel, wall time, and GB/s of the copies in between."""
 
     parts: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     kernels: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))

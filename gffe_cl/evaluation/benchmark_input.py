@@ -1,4 +1,4 @@
-"""What is timed: rendered frames played in a loop in which each one follows the frame that its motion refers to.
+"""Timed footage: rendered frames in a loop in which each one follows the frame that its motion refers to.
 
 Two frames of a built-in scene go back and forth; frames of a sequence go forward, and start again with a reset that is
 not counted.

@@ -261,7 +261,7 @@ def _resets_of_its_own(a: Sequence, b: Sequence) -> list[str]:
     if not found:
         return []
     more = f" and {len(found) - 1} more" if found[1:] else ""
-    return [f"{found[0].file}{more}: reset in {a.path}, not in {b.path}; the means leave out what follows it directly"]
+    return [f"{found[0].file}{more}: reset in {a.path}, not in {b.path}; the means leave out the frames right after it"]
 
 
 def _require_same_size(a: Sequence, b: Sequence) -> None:

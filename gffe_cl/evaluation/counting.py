@@ -121,7 +121,7 @@ def _joined(made: dict, blocks: list[tuple[str, int, int]], pixels: int) -> dict
     blocks = blocks[len(blocks) - len(launched) :]
     stages = {kernel: stage for stage, kernel in launched}
     if sorted(kernel for _, kernel in launched) != sorted(kernel for kernel, _, _ in blocks):
-        raise GffeError("oclgrind: what it counted is not what was launched")
+        raise GffeError("oclgrind: the counted kernels are not the launched ones")
     counted: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
     for kernel, *moved in blocks:
         of = counted[f"{stages[kernel]}.{kernel}"]
@@ -183,7 +183,7 @@ def _make(folder: Path) -> None:
 
 
 def report(by_lanes: dict[int, dict[str, KernelTraffic]], footage: Footage) -> dict:
-    """What `gffe bench --traffic --json` writes, and what tests compare with."""
+    """Return the document that `gffe bench --traffic --json` writes and tests compare with."""
     return {
         "of": footage.name,
         "size": [footage.width, footage.height],

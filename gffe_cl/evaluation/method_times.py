@@ -60,7 +60,7 @@ class Clip(Footage):
 
 
 def subject_of(text: str | None, size: tuple[int, int] | None, frame: int | None) -> Subject:
-    """What `gffe bench` is given, as `gffe eval` takes it: `MOMENTS` new frames of a scene, the first one after
+    """Return the subject of `gffe bench` as `gffe eval` takes it: `MOMENTS` new frames of a scene, the first one after
     rendered frame `frame`, or a sequence with ground truth, from its start. Raises GffeError."""
     if is_sequence(text):
         if size or frame is not None:

@@ -29,7 +29,7 @@ def group(stage: str) -> str:
 
 
 def part(stage: str, when: str) -> str:
-    """What the work of a stage after `submit` ("rendered") or in `extrapolate` ("extrapolated") is called in tables."""
+    """Return the name in tables of a stage's work after `submit` ("rendered") or in `extrapolate` ("extrapolated")."""
     if stage == "background":
         return f"background, {'collection' if when == 'rendered' else 'projection'}"
     return SCN.get(stage, stage)
@@ -47,7 +47,7 @@ Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, 
 
 
 def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:
-    """What `work` makes the pipeline launch."""
+    """Return the launches of the pipeline during `work`."""
     for stage in pipeline.stages.values():
         stage.launches = []
     try:

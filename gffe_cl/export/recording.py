@@ -1,4 +1,4 @@
-"""What the stages launch, taken down from the stages themselves, which run while nothing is enqueued.
+"""Recorder of the stages' launches: the stages run while nothing is enqueued.
 
 Launches name their grids, and numbers that change from frame to frame are members of the frame block. So the same is
 launched for images of any size and in all circumstances: `record` compares several.
@@ -49,7 +49,7 @@ class Given:
 
 @dataclass(frozen=True)
 class Operation:
-    """What a stage enqueues: `kind` is "LAUNCH" of a `kernel` over a `grid` with `arguments`, "FILL" of a buffer with a
+    """Enqueued operation: `kind` is "LAUNCH" of a `kernel` over a `grid` with `arguments`, "FILL" of a buffer with a
     `byte`, as many of its texels as `grid` has, "COPY" from `source`, or "NETWORK", where the network runs."""
 
     kind: str
@@ -68,7 +68,7 @@ class Operation:
 
 @dataclass
 class Plan:
-    """What is to be done, by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
+    """Operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
     without a frame before, "extrapolated", "present", "cut", "leave_out" and "compose" likewise; the `buffers` by their
     full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the stages in
     order."""
@@ -139,7 +139,7 @@ class _Rehearsal:
                 correction.upload("head", load_network(options.scn_model or default_model()).head)
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
-        """What is enqueued on each occasion, in one set of circumstances."""
+        """Return the operations of each occasion, in one set of circumstances."""
         step, composition = self._step(number, first), self.all[Composition.name]
         shown = self.board.device.buffer(1)
         self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
@@ -206,7 +206,7 @@ class _Rehearsal:
 
 
 def record(device: Device, options: Options, int64: bool) -> Plan:
-    """What a pipeline of these options enqueues, `int64`: with 64-bit atomics.
+    """Return the operations of a pipeline with these options; `int64`: with 64-bit atomics.
 
     Raises GffeError where that depends on the size of images or changes from frame to frame.
     """
@@ -254,7 +254,7 @@ def _difference(take: list[Operation], expected: list[Operation]) -> str:
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
-    """What small buffers hold from the start, if that is not zeros."""
+    """Return the initial values of small buffers that are not zero."""
     found = {}
     for name, stage in rehearsal.stages.items():
         for spec in stage.buffers:

@@ -182,7 +182,7 @@ def _exact(found: dict[str, list[str]]) -> str | None:
 
 
 def _unlike_picture(name: str, data: str | None) -> tuple[bool, bool]:
-    """What sorts view layers: those of data and what the compositor made come last."""
+    """Return the sort key of view layers: data layers and the compositor's output come last."""
     return name.lower() == _COMPOSITED, name == data or name.lower() == _DATA_LAYER
 
 

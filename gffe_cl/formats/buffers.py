@@ -72,7 +72,7 @@ class Buffer:
 
 
 def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
-    """What all buffers have; `default` are the channels, one for each component."""
+    """Common part of all buffers; `default` are the channels, one for each component."""
     count = len(default)
     pattern = keys.text("file")
     if pattern is None or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):

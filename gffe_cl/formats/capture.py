@@ -1,4 +1,4 @@
-"""What readers of foreign captures share: JSON, frames in order, windows."""
+"""Shared parts of readers of foreign captures: JSON, frames in order, windows."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], labe
 
 
 def shown_part(image: np.ndarray, part: ExrPart, label: str) -> np.ndarray:
-    """What of an image (H, W, …), stored in the data window of `part`, lies in its display window. GffeError if some
-    of that was not stored."""
+    """Return the part of an image (H, W, …), stored in the data window of `part`, in its display window. GffeError if
+    some of that was not stored."""
     x0, y0, x1, y1 = part.display_window
     left, top = x0 - part.data_window[0], y0 - part.data_window[1]
     width, height = x1 - x0 + 1, y1 - y0 + 1

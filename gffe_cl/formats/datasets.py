@@ -221,7 +221,7 @@ def open_tartanair(folder: Path) -> Sequence:
         read_flow = None if flow is None else (lambda flow=flow: read_planes(flow, "01", flow.name, size))
         read_depth = lambda depth=depth: _within(read_planes(depth, "0", depth.name, size)[..., 0])  # noqa: E731
         frames.append(_Frame(path, read_depth, read_flow, camera, (depth,) if flow is None else (depth, flow)))
-    note = "TartanAir's flow is the camera's: what moves by itself has wrong motion; 30 frames per second are assumed"
+    note = "TartanAir's flow is the camera's: moving objects have wrong motion; 30 frames per second are assumed"
     return _opened(folder, frames, size, 30.0, notes=(note,))
 
 

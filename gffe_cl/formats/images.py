@@ -118,7 +118,7 @@ def _npz(path, names, label, size, array, decode):
 
 
 def _array(file: IO[bytes], names, label, size, decode):
-    """What an NPY stream holds; not more is read of it than an image of `size` has."""
+    """Return the array of an NPY stream; no more is read than an image of `size` has."""
     shape, fortran, dtype = _array_header(file, label)
     if len(shape) not in (2, 3) or dtype.kind not in "fiub" or dtype.itemsize > 8:
         raise GffeError(f"{label}: an array of {dtype} and shape {shape} (expected numbers, (H, W) or (H, W, C))")

@@ -34,7 +34,7 @@ _GRID = 4  # every so many pixels
 
 
 class _Meaning(NamedTuple):
-    """What the numbers mean: motion's factor, and whether depth is along the rays."""
+    """Return the meaning of the numbers: motion's factor, and whether depth is along the rays."""
 
     scale: float
     along_rays: bool
@@ -145,7 +145,7 @@ def _said(file: str, meaning: _Meaning, residuals: dict) -> str:
     words = f"motion vectors have a scale of {meaning.scale:g}" + (
         ", depth is along the rays" if meaning.along_rays else ""
     )
-    return f"{file}: {words} (what stands still: {residuals[meaning]:.2g} px off, as usual {residuals[_USUAL]:.2g} px)"
+    return f"{file}: {words} (static pixels: {residuals[meaning]:.2g} px off, as usual {residuals[_USUAL]:.2g} px)"
 
 
 def _numbered(folder: Path) -> list[tuple[int, str]]:

@@ -129,7 +129,7 @@ def _lasting_change(motion: Vectors, steps: list[float], changes: Vectors, k: in
 
 
 def _inputs(speeds: Vectors, changes: Vectors, k: int) -> Vectors:
-    """What the regression predicts the change after `changes[k]` from, beside that."""
+    """Return the further inputs from which the regression predicts the change after `changes[k]`."""
     return [speeds[k], changes[k], [a - b for a, b in zip(changes[k], changes[k + 1], strict=True)]]
 
 

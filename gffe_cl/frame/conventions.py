@@ -28,7 +28,7 @@ _SAME = 1e-9
 
 
 class Pinhole(NamedTuple):
-    """What a view and a projection matrix say: (4, 4) world → x right, y down, z forward; pixels."""
+    """Return the camera of a view and a projection matrix: (4, 4) world → x right, y down, z forward; pixels."""
 
     world_to_view: np.ndarray
     fx: float

@@ -51,7 +51,7 @@ class Jitter:
         return x, y
 
     def camera(self, camera: Camera, number: int) -> Camera:
-        """What frame `number` is rendered through, where `camera` (render pixels) is what it would be without."""
+        """Return the jittered camera of frame `number`; `camera` (render pixels) is the one without jitter."""
         require_kind(camera, Camera, "jitter: camera")
         x, y = self.offset(number)
         return replace(camera, cx=camera.cx - x, cy=camera.cy - y) if x or y else camera

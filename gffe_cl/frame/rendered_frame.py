@@ -33,7 +33,7 @@ KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motio
 
 @dataclass
 class Overlays:
-    """What lies over the picture and is not warped with it; NumPy arrays or device buffers, each of them optional.
+    """Layers that lie over the picture and are not warped; NumPy arrays or device buffers, each of them optional.
 
     Colors are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
     shown. The frame's own color has neither effects nor user interface in it; pixels of `fixed_mask` it has.
@@ -210,7 +210,7 @@ class HostArrays:
         return replace(self, color=color, motion=motion)
 
     def packed(self) -> HostArrays:
-        """What `pack_frame` returns."""
+        """Result of `pack_frame`."""
         return replace(self.in_device_layout(), known_bad=self.bad)
 
 

@@ -11,7 +11,7 @@ SRGB_TOE = np.float32(0.0031308)
 
 
 def to_display(color: ArrayLike, exposure: float = 1.0) -> np.ndarray:
-    """What is shown of linear scene-referred `color` (H, W, 3): sRGB(clip(exposure · color, 0, 1)), float32.
+    """Return display values of linear scene-referred `color` (H, W, 3): sRGB(clip(exposure · color, 0, 1)), float32.
 
     NaN counts as 0. GffeError for an exposure not within 1e-6 and 1e6, or no array. Metrics are taken of such values:
 

@@ -47,7 +47,7 @@ HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the
 
 
 class Window(NamedTuple):
-    """What is rendered, ⊇ (−1, −1, 1, 1), what is shown. `clamped`: a predicted frustum does not fit, because of the
+    """Rendered area, ⊇ the displayed one (−1, −1, 1, 1). `clamped`: a predicted frustum does not fit, because of the
     maximum enlargement or because a corner of it points behind the virtual plane."""
 
     u0: float

@@ -85,7 +85,7 @@ def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Ne
 
 
 def take_remarks() -> list[str]:
-    """What a user should know of what ran the networks that were asked for since this was last called: providers that
+    """Return notes for the user on the providers that ran networks since the last call: providers that
     "auto" refused, or that failed, and the CPU went on."""
     remarks = [network.remark for network in _asked_for if network.remark]
     _asked_for.clear()

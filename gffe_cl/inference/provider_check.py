@@ -39,7 +39,7 @@ _TOLD = ("VK_", "ORT_", "DXVK_", "LIBVA_")  # variables that drivers and onnxrun
 
 @dataclass
 class Verdict:
-    """What the comparison of a provider with the CPU found.
+    """Result of comparing a provider with the CPU.
 
     Attributes
     ----------

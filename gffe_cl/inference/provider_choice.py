@@ -21,8 +21,8 @@ class Choice:
 
 
 def choose(path: Path, wanted: str) -> Choice:
-    """What runs the network in the file `path`: the provider of the name `wanted`, if it gives the CPU's results;
-    "auto": the fastest of those that do. Raises NetworkError."""
+    """Return the provider that runs the network in the file `path`: the one named `wanted`, if it gives the CPU's
+    results; "auto": the fastest of those that do. Raises NetworkError."""
     if wanted.lower() != AUTO:
         provider = find_provider(wanted)
         if provider != CPU and (problem := verdict(path, provider).problem):

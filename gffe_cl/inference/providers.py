@@ -172,6 +172,6 @@ def _register(provider: Provider) -> None:
 
 
 def one_line(error: Exception) -> str:
-    """What it says, in one line of at most 200 characters: the end, which is what onnxruntime comes to at last."""
+    """Return the end of onnxruntime's message, which names the cause, in one line of at most 200 characters."""
     text = " ".join(str(error).replace("\\n", " ").split())
     return text if len(text) <= 200 else f"… {text[-198:]}"

@@ -73,7 +73,7 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
 
 @dataclass
 class Opened:
-    """What all `Device`s of one OpenCL device have in common in this process: drivers keep some KiB of every program
+    """Shared state of all `Device`s of one OpenCL device in this process: drivers keep some KiB of every program
     that is loaded, even when it is released, so what is opened again finds what is there."""
 
     context: cl.Context

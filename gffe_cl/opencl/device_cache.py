@@ -1,5 +1,5 @@
-"""What probing found, kept for later processes: it takes half a second, and its figures hang on what else the machine
-does.
+"""Device cache: results of probing, stored between processes. Probing takes half a second, and its figures depend on
+the load.
 
 There is one file for each state of drivers and machine (`fingerprint`). A folder that cannot be read or written is no
 error.
@@ -51,7 +51,7 @@ def fingerprint() -> str:
 
 
 def recall(key: str) -> Probed | None:
-    """What was kept as `key`; None if nothing was. What did not work is tried again after an hour, and everything after
+    """Return the entry stored as `key`, or None. Failures are tried again after an hour, and everything after
     a day where drivers cannot be told apart by their files."""
     folder = kept_folder()
     if folder is None:

@@ -1,4 +1,4 @@
-"""What a device that fails at work means to the user: no memory left, or lost (reset, unplugged, driver gone)."""
+"""Explanation of a device's failure to the user: no memory left, or lost (reset, unplugged, driver gone)."""
 
 from __future__ import annotations
 

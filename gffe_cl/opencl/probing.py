@@ -31,7 +31,7 @@ _PROBED = "probed"  # last line of a child: what happens after it is no device's
 
 @dataclass
 class DeviceInfo:
-    """What probing found out about one OpenCL device."""
+    """Result of probing one OpenCL device."""
 
     # "platform:device"; "–" of a driver that crashes before it has told its devices, and of `Device.from_context`.
     index: str
@@ -49,7 +49,7 @@ class DeviceInfo:
 
 @dataclass
 class Probed:
-    """What probing found: `devices` as they can be listed once the vendors `crashing`, by the names of their `.icd`
+    """Result of probing: `devices` that can be listed once the vendors `crashing`, by the names of their `.icd`
     files, are hidden."""
 
     devices: list[DeviceInfo] = field(default_factory=list)
@@ -133,12 +133,12 @@ def _list_vendor(icd: Path) -> tuple[str, str]:
 
 
 def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
-    """What this module prints as a program, and how it failed ("" if it did not)."""
+    """Return the output of this module run as a program, and how it failed ("" if it did not)."""
     return run_child("gffe_cl.opencl.probing", arguments, seconds, variables)
 
 
 def describe(index: str, platform: cl.Platform, device: cl.Device) -> DeviceInfo:
-    """What the driver says of a device; nothing is tried out."""
+    """Return the properties of a device that its driver reports; nothing is tried."""
     kind = "gpu" if device.type & cl.device_type.GPU else "cpu" if device.type & cl.device_type.CPU else "other"
     return DeviceInfo(
         index,

@@ -57,7 +57,7 @@ def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | No
 
 
 def _processor() -> list[str]:
-    """What code for CPUs hangs on: homes are shared between machines."""
+    """Return the CPU features that compiled code depends on: home folders are shared between machines."""
     with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
         first, *_ = file.read(1 << 14).split("\n\n")
         return [line for line in first.splitlines() if line.startswith(("model name", "flags", "Features"))]

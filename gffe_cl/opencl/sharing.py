@@ -39,7 +39,7 @@ _P, _INT, _UINT, _SIZE = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t
 
 @dataclass(frozen=True)
 class SharingSupport:
-    """What the driver of a device can share with graphics APIs.
+    """Sharing with graphics APIs that a device's driver supports.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def sharing_support(device: Device) -> SharingSupport:
 
 
 class _Sharing:
-    """What both kinds have in common: buffers are acquired before OpenCL uses them, and released before the other API
+    """Common part of both kinds: buffers are acquired before OpenCL uses them, and released before the other API
     does."""
 
     _commands: ClassVar[tuple[str, str]]

@@ -13,8 +13,8 @@ HANGS = "driver hangs"  # how a failure begins where time was up
 def run_child(
     module: str, arguments: list[str], seconds: float, variables: dict[str, str] | None = None
 ) -> tuple[str, str]:
-    """What a module prints as a program, and how it failed ("" if it did not): within `seconds`, with these
-    environment variables beside our own."""
+    """Return the output of a module run as a program, and how it failed ("" if it did not): within `seconds`, with
+    these environment variables beside our own."""
     # Without the working folder on the path, where a file may have the name of a module of Python's.
     run = f"runpy.run_module({module!r}, None, '__main__', True)"
     start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"

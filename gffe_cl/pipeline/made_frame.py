@@ -22,7 +22,7 @@ _LIKE = {"gae": "color"}  # what is described like another buffer
 
 @dataclass(frozen=True)
 class MadeFrame:
-    """What the pipeline made, on the device: buffers that hold it until the next one is made.
+    """Result of the pipeline, on the device: buffers that hold it until the next frame is made.
 
     `camera` in display pixels, `time` in seconds; `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky)
     and `motion` (float ×2, pixels). `event` (pyopencl.Event) is complete when the buffers hold the frame: wait for it,
@@ -83,7 +83,7 @@ class MadeFrame:
 
 
 class PresentedFrame(MadeFrame):
-    """What is shown of the rendered frame at t: its display part, in display pixels; `motion` t → t−1 between the
+    """Displayed rendered frame at t: its display part, in display pixels; `motion` t → t−1 between the
     displayed images. The buffers are the rendered frame's own where all of it is shown."""
 
 

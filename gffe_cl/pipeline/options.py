@@ -1,4 +1,4 @@
-"""What the pipeline can be told, described once: the command line, the viewer's panel, palette and settings, and the
+"""Options of the pipeline, described once: the command line, the viewer's panel, palette and settings, and the
 documentation come from `OPTIONS`."""
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Option:
         return self.off is not None
 
     def words(self, value: Any) -> list[str]:
-        """What says `value` on the command line; nothing for the default, or for an option without a flag."""
+        """Return the command-line words for `value`; none for the default, or for an option without a flag."""
         if self.flag is None or value == self.default:
             return []
         if self.kind is bool:
@@ -92,7 +92,7 @@ class Option:
 
     @property
     def expected(self) -> str:
-        """What `checked` takes, in words."""
+        """Return the values that `checked` accepts, in words."""
         either = f", or {self.automatic}" if self.automatic else ""
         if self.choices:
             return ", ".join(self.choices) + either
@@ -115,7 +115,7 @@ def _option(default: Any, label: str, sentence: str, **about: Any) -> Any:
 
 @dataclass(frozen=True)
 class Options:
-    """What the pipeline does; the defaults are the recommended settings. `OPTIONS` describes each field.
+    """Settings of the pipeline; the defaults are recommended. `OPTIONS` describes each field.
 
     Raises GffeError for values that make no sense.
     """

@@ -18,7 +18,7 @@ _SAME = 1e-3  # of a refresh: times closer than that are one
 
 @dataclass(frozen=True)
 class Plan:
-    """What to show at a refresh.
+    """Frame to show at a refresh.
 
     `refresh`: when it is, seconds of the caller's clock; `time`: of the frame, on the renderer's clock, for
     `Pipeline.extrapolate`; `alpha`: the same in intervals from the last rendered frame on, 0 for that one itself;
@@ -104,8 +104,8 @@ class Pacer:
         self._newest, self._is_new = time, True
 
     def plan(self, now: float) -> Plan:
-        """What to show at the next refresh for which a frame can be ready. Raises GffeError before the first rendered
-        frame."""
+        """Return the frame to show at the next refresh for which one can be ready. Raises GffeError before the first
+        rendered frame."""
         now = require_number(now, "pacer: now")
         if self._newest is None:
             raise GffeError("pacer: nothing to show (expected a rendered frame first)")
@@ -130,7 +130,7 @@ class Pacer:
         return self._last
 
     def ready(self, now: float) -> None:
-        """What was planned last is ready `now`: made and handed to the display."""
+        """Note that the frame planned last is ready `now`: made and handed to the display."""
         now = require_number(now, "pacer: now")
         if self._last is None:
             raise GffeError("pacer: nothing was planned")

@@ -337,9 +337,9 @@ class Pipeline:
 
     @telling_device_faults
     def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
-        """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
-        frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`, and
-        for events that cannot be waited for."""
+        """Return the displayed last submitted frame; it is resampled where it was rendered through a window, or where
+        the frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`,
+        and for events that cannot be waited for."""
         self._need_frame()
         self._wait(adopted_events(wait_for, self.device.context, "present: wait_for"))
         frame, picture = self._shown, self._picture("rendered")
@@ -534,7 +534,7 @@ class Pipeline:
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:
-        """What makes the final image of the last frame, if that still waits for the network."""
+        """Return the stage that makes the final image of the last frame, if that still waits for the network."""
         correction = self.stages.get(ShadingCorrection.name)
         return correction.finish if correction and correction.is_begun else None
 
@@ -543,7 +543,7 @@ class Pipeline:
             finish()
 
     def _picture(self, occasion: str) -> cl.Buffer | None:
-        """What the last stage that makes a picture then has made."""
+        """Return the result of the last stage that makes a picture then."""
         makers = [stage for stage in self.stages.values() if occasion in stage.pictures]
         return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
 
@@ -586,8 +586,8 @@ class Pipeline:
             yield from ((composition, spec) for spec in composition.held())
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
-        """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes
-        and another one writes too."""
+        """Return the results that `keep` can keep: the stages' names, and the buffers of the extrapolated frame that
+        each writes and another one writes too."""
         writers = [(stage.name, name) for stage in self.stages.values() for name in stage.outputs()]
         several = {name for name, count in Counter(name for _, name in writers).items() if count > 1}
         for stage, name in writers:

@@ -30,7 +30,7 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 
 @dataclass
 class RunReport:
-    """What a run did: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
+    """Summary of a run: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
     wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
     "network", and "codec_cpu", CPU time for reading and writing EXRs; how many frames were rendered ones, and the files
     of those that were found to be cuts."""
@@ -146,7 +146,7 @@ def run_sequence(
 
 
 def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
-    """What is written of a rendered frame that was upscaled: as displayed, with motion between displayed images."""
+    """Return the channels of an upscaled rendered frame: as displayed, with motion between displayed images."""
     entry = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
     dtype = np.float32 if color_dtype == np.float32 else np.float16
     color = shown.numpy("color").astype(dtype, copy=False)

@@ -1,4 +1,4 @@
-"""What a run extrapolates from: a sequence on disk, or a built-in scene that is rendered meanwhile."""
+"""Source of a run: a sequence on disk, or a built-in scene that is rendered meanwhile."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Source(Protocol):
         ...
 
     def number_of(self, entry: FrameEntry) -> str:
-        """What tells the rendered frame's file from others."""
+        """Return the identity of the rendered frame's file."""
         ...
 
     def refuse(self, output: Path) -> None:
@@ -226,7 +226,7 @@ class Live:
 def jittered_renderer(
     device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int | None = None
 ) -> tuple[SceneRenderer, Jitter]:
-    """What renders frames of `scene` for upscaling to a display of `size`: small ones of a sample per pixel, with
+    """Return a renderer of `scene` for upscaling to a display of `size`: small frames with one sample per pixel, with
     textures as fine as the display, and jitter. With `upscale` 0 frames of the display's size, without."""
     if not upscale:
         return SceneRenderer(device, scene, *size, samples or 8), Jitter()

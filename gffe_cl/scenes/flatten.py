@@ -13,7 +13,7 @@ CASTS_SHADOW = GEOMETRY["CASTS_SHADOW"]
 
 
 class FlatScene:
-    """What does not change with time.
+    """Static part of a scene.
 
     Attributes
     ----------

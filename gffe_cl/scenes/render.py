@@ -120,7 +120,7 @@ def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
 def _written(
     job: _Job, made: SceneFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
 ) -> Iterator[tuple[FrameEntry, dict]]:
-    """What is written of frame `k`, rendered after `before`: itself, and the truth after it."""
+    """Return the written frames for frame `k`, rendered after `before`: the frame and the truth after it."""
     halves = made.half_motions(frame, before) if before and job.encoding.looks_up_twice else None
     stored = job.encoding.frame(frame, job.scene.exposure, halves)
     yield rendered_entry(k, stored, job.size), named_channels(stored.color, stored.depth, stored.motion)

@@ -38,7 +38,7 @@ class Flicker:
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface is made of.
+    """Material of a surface.
 
     Parameters
     ----------

@@ -23,13 +23,14 @@ def require_frames(count: int, fps: float) -> None:
 
 
 def smaller_renderer(device: Device, scene: Scene, size: tuple[int, int], scale: float, samples: int) -> SceneRenderer:
-    """What renders `scene` `scale` times smaller, each way, than a display of `size`, with textures as fine as that."""
+    """Return a renderer of `scene` that is `scale` times smaller, each way, than a display of `size`, with textures as
+    fine."""
     width, height = (max(round(n / scale), 1) for n in size)
     return SceneRenderer(device, scene, width, height, samples, 1 / scale)
 
 
 class SceneFrames:
-    """What `renderer` makes of its scene: rendered frames, and the truth at any time.
+    """Frames of a scene by `renderer`: rendered frames, and the truth at any time.
 
     Parameters
     ----------
@@ -59,12 +60,12 @@ class SceneFrames:
         self._truths = truths or renderer
 
     def display_camera(self, time: float) -> Camera:
-        """What the scene shows at `time` (seconds), in display pixels."""
+        """Return the scene's camera at `time` (seconds), in display pixels."""
         return self.scene.camera(time, *self.size)
 
     def render_camera(self, shown: Camera, before: RenderedFrame | None, number: int = 0) -> Camera:
-        """What to render frame `number` through after the rendered frame `before` (None: after a reset), so that
-        `shown` is seen."""
+        """Return the camera to render frame `number` with, after the rendered frame `before` (None: after a reset), so
+        that `shown` is seen."""
         window = self.windows.choose(shown, before and before.shown_camera)
         return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
 
@@ -84,8 +85,8 @@ class SceneFrames:
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
     def unrendered(self, time: float, number: int = 0) -> RenderedFrame:
-        """What another frame needs of frame `number`, at `time`: its cameras, without buffers; not for adaptive
-        windows, which follow from what was rendered before."""
+        """Return the cameras of frame `number` at `time`, without buffers, as another frame needs them; not for
+        adaptive windows, which follow from what was rendered before."""
         shown = self.display_camera(time)
         return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
 
@@ -99,7 +100,8 @@ class SceneFrames:
         return first, second
 
     def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
-        """What is shown at `time`, wherever rendered frames are; motion into what was rendered of `before`."""
+        """Return the displayed image at `time`, between rendered frames or at one; motion leads into the rendered frame
+        `before`."""
         assert self.size == (self._truths.width, self._truths.height)
         return self._truths.render(time, self.display_camera(time), before and before.time, before and before.camera)
 

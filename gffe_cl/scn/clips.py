@@ -43,7 +43,7 @@ _CROPS_PER_FRAME = 6  # times the number that would cover the frame once
 
 @dataclass(frozen=True)
 class ClipPlan:
-    """What clip number `index` of the data with `seed` shows; depends on nothing else."""
+    """Plan of clip number `index` of the data with `seed`; depends on nothing else."""
 
     seed: int
     index: int
@@ -129,7 +129,7 @@ def crops_of(sample: np.ndarray, rng: np.random.Generator) -> list[tuple[int, in
 
 
 def _opened(mask: np.ndarray) -> np.ndarray:
-    """What of a mask (H, W) is covered by squares of 3×3 that lie in it."""
+    """Return the part of a mask (H, W) that is covered by squares of 3×3 inside it."""
     for within in (np.all, np.any):
         mask = within(sliding_window_view(np.pad(mask, 1), (3, 3)), axis=(2, 3))
     return mask
@@ -200,7 +200,7 @@ def make_clips(
 
 
 def _made(indices, seed, device, cluster, until, least) -> Iterator[tuple[int, tuple]]:
-    """What `clip_data` gives for each, in order, as far as there is time."""
+    """Yield the result of `clip_data` for each, in order, as far as time allows."""
     plans = {str(index): (ClipPlan.draw(seed, index),) for index in indices}
     if cluster:
         results = cluster.compute(_clip_on_worker, plans, in_order=True)
@@ -218,8 +218,8 @@ def _clip_on_worker(plan: ClipPlan) -> tuple:
 
 
 def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, dict]:
-    """What is kept of a clip: samples, the same at half resolution (`make_clip`, `halve`) with their trends, and their
-    description."""
+    """Return the stored data of a clip: samples, the same at half resolution (`make_clip`, `halve`) with trends, and
+    their description."""
     samples, trends, alphas = make_clip(device, plan)
     rng = np.random.default_rng([plan.seed, plan.index, 2])
     crops = [crops_of(sample, rng) for sample in samples]

@@ -137,7 +137,7 @@ def load_batch(crops: list[Crop], halved: bool = False) -> Batch:
 
 
 def _read(crop: Crop, path: Path, channels: int, scale: int) -> np.ndarray:
-    """What `path`, at 1/`scale` of the resolution, has of a crop."""
+    """Return the part of `path`, at 1/`scale` of the resolution, that belongs to a crop."""
     shape, y, x = (channels, CROP // scale, CROP // scale), crop.y // scale, crop.x // scale
     try:
         part = np.load(path, mmap_mode="r")[crop.sample, :, y : y + shape[1], x : x + shape[2]]

@@ -19,7 +19,8 @@ _LONGEST = 2.0  # pixels of a step
 
 
 def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Tensor]:
-    """What is at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides multiples of 8.
+    """Return the flow: the content at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides multiples of
+    8.
 
     Returns the flow, (N, 2, h, w) in pixels, and (N, 4, h, w) mean squared differences around: of `now` from `before`
     as it is and along the flow, and of that change from the one of the interval before, `repeated` (N, 1, h, w), as it

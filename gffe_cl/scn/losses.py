@@ -1,4 +1,4 @@
-"""What the shading correction network is trained for (paper: appendix, 'Loss Functions'); all in the encoded space."""
+"""Losses of the shading correction network (paper: appendix, 'Loss Functions'); all in the encoded space."""
 
 from __future__ import annotations
 

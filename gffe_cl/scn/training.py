@@ -43,7 +43,7 @@ _CALIBRATION_STEPS = 24
 
 @dataclass(frozen=True)
 class Recipe:
-    """What determines the result, the data apart.
+    """Recipe of a training: everything that determines the result, except the data.
 
     Learning rates are the paper's (appendix, 'Training'); a step takes `batch` crops, in all processes together.
     `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` counts the error of the frame as it
@@ -90,7 +90,7 @@ class Recipe:
 
 @dataclass
 class Progress:
-    """What a step, or the end of a slice, reports."""
+    """Report of a step, or of the end of a slice."""
 
     step: int
     terms: dict[str, float]

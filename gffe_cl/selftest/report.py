@@ -82,7 +82,7 @@ class NetworkResult:
 
 @dataclass
 class SelfTest:
-    """What was found: on devices, and on providers of the network."""
+    """Results of the self-test, by device and by provider of the network."""
 
     devices: list[DeviceResult]
     networks: list[NetworkResult]
@@ -162,7 +162,7 @@ def _network(provider: str, seconds: float) -> NetworkResult:
 
 
 def _told(output: str) -> list[dict[str, Any]]:
-    """What a worker said, whatever else drivers print."""
+    """Return the worker's answer, without other output of drivers."""
     return [json.loads(line.removeprefix(MARK)) for line in output.splitlines() if line.startswith(MARK)]
 
 
@@ -175,7 +175,7 @@ def _listed(worst: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 
 def machine() -> dict[str, Any]:
-    """What a report tells of the machine: system, versions, OpenCL drivers, variables that drivers read."""
+    """Return the machine's description: system, versions, OpenCL drivers, variables that drivers read."""
     versions = {}
     for name in _PACKAGES:
         try:

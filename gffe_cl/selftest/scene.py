@@ -1,4 +1,4 @@
-"""What the self-test's frames show: textured rectangles before a sky, some of which move, and a cut to others.
+"""Scene of the self-test: textured rectangles before a sky, some of them moving, and a cut to others.
 
 Made on the host, of +, −, ×, ÷ and floor alone, which every machine rounds alike: kernels that draw may differ between
 devices.

@@ -1,4 +1,4 @@
-"""What copying and GAE reach on a device, in passing: `gffe bench` measures with more care."""
+"""Quick measurement of copy bandwidth and GAE on a device; `gffe bench` measures with more care."""
 
 from __future__ import annotations
 

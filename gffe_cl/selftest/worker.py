@@ -1,4 +1,4 @@
-"""What the self-test runs in a child process: all of the workload on one device, or the network on one provider.
+"""Child process of the self-test: the whole workload on one device, or the network on one provider.
 
     python -m gffe_cl.selftest.worker device 0:0 '{"forms": null, "cases": null, "until": null, "speed": true}'
     python -m gffe_cl.selftest.worker network cpu
@@ -36,7 +36,7 @@ def say(**told: Any) -> None:
 
 
 def facts_of(device: cl.Device) -> dict[str, Any]:
-    """What a driver tells of a device, as far as it tells."""
+    """Return the properties of a device that its driver reports."""
     found: dict[str, Any] = {}
     for name in _FACTS:
         try:

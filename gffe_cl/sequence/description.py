@@ -1,4 +1,4 @@
-"""What `sequence.json` says: frames and cameras, checked on the way in. No other file is touched here."""
+"""Content of `sequence.json`: frames and cameras, validated when read. No other file is touched here."""
 
 from __future__ import annotations
 
@@ -227,7 +227,7 @@ def _leaves(file: str) -> bool:
 
 
 def _on_disk(name: str) -> str | None:
-    """What Python calls the file whose name is that UTF-8 text, whatever the locale; None where no file can be called
+    """Return Python's name of the file whose name is that UTF-8 text, in any locale; None where no file can be called
     so: half a surrogate pair has no bytes."""
     try:
         return os.fsdecode(name.encode("utf-8", sys.getfilesystemencodeerrors()))
@@ -357,7 +357,7 @@ def _whole(value, label, what) -> int:
 
 
 def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:
-    """What describes a rendered frame in a sequence on disk, for a display of `size`."""
+    """Return the entry of a rendered frame in a sequence on disk, for a display of `size`."""
     height, width = np.shape(frame.depth)
     render_size = (width, height) if (width, height) != size else None
     cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}

@@ -24,7 +24,8 @@ _PREFIX = re.compile(r"^.*?: \(EXR_ERR_\w+\) |^ojph \w+ \w+ at [^:]*:\d+: |^Warn
 
 
 def quietly(work: Callable[[], Any]) -> Any:
-    """What `work` returns. Raises what `work` raises; the first line that the library printed meanwhile is its note.
+    """Return the result of `work`. Its exceptions pass; the first line that the library printed meanwhile is their
+    note.
 
     `work` must leave no file open, and return nothing that has one: its number would mean another file elsewhere.
     """

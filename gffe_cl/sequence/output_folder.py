@@ -38,7 +38,7 @@ def why_unfinished(folder: Path) -> str | None:
     with contextlib.suppress(OSError), open_regular(journal) as file:
         if not lock(file, shared=True):
             return f"is still being written, {_writer(journal)} (expected to wait for its end)"
-        return f"is unfinished, what wrote it was cut off (expected {FILE_NAME}: write it again)"
+        return f"is unfinished: its writer was stopped (expected {FILE_NAME}: write it again)"
     return None
 
 

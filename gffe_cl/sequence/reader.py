@@ -128,7 +128,7 @@ class Sequence:
 
     @property
     def settings(self) -> Any:
-        """What the capture's description says of its buffers, for forms that have one that can be changed; or None."""
+        """Return the buffers' part of the capture's description, for formats with an editable one; or None."""
         return self._pixels.settings
 
     def rendered_before(self, time: float) -> int | None:
@@ -143,8 +143,8 @@ class Sequence:
         """Legal but suspicious: an unfinished sequence, frame times, what has been met in the frames read so far."""
         met = [f"{file}: {text}" for text, file in self._suspicions.items()]
         outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
-        cut = [f"{outside[0]}: the display reaches beyond what was rendered (display_camera)"] if outside else []
-        few = [f"{self.path}: unfinished, what wrote it was interrupted after {len(self.frames)} frames"]
+        cut = [f"{outside[0]}: the display reaches beyond the rendered area (display_camera)"] if outside else []
+        few = [f"{self.path}: unfinished: its writer was interrupted after {len(self.frames)} frames"]
         times = time_warnings(self.rendered, self.fps)
         said = (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
         return [printable(text) for text in said]
@@ -254,7 +254,7 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
         raise GffeError(f"{folder}: {unfinished}")
     text = read_text(json_path)
     if mend is not None:
-        text = require_kind(mend(text), str, "open_sequence: what mend gives", "a text")
+        text = require_kind(mend(text), str, "open_sequence: the result of mend", "a text")
     description = parse_description(text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.

@@ -50,7 +50,7 @@ class Acceleration(Stage):
             np.float32,
             ("x", "y", "z", "trust"),
             _CELLS,
-            "what of that acceleration goes on, as it will be: α (α + 1) of it is added to positions",
+            "part of that acceleration that continues: α (α + 1) times it is added to positions",
             "world",
             kept=True,
             packing=TRUSTED,

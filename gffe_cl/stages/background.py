@@ -231,7 +231,7 @@ class Background(NearestStage):
 
 
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
-    where = "where it is remembered; what is shown is in the rendered frame" if level == 0 else "where it is remembered"
+    where = "where remembered; visible surfaces are in the rendered frame" if level == 0 else "where it is remembered"
     about = f"background level {level}"
     known = {"known_where": (f"state_{level}", REMEMBERED)}
 
@@ -246,7 +246,7 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
         spec(
             "px", np.float32, XY, "where its fragment lies in the rendered image, px", "place", packing=OFFSET, **known
         ),
-        spec("state", np.uint8, (), "what the level knows there", "label", labels=STATES),
+        spec("state", np.uint8, (), "state of the level there", "label", labels=STATES),
     )
 
 

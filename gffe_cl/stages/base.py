@@ -50,7 +50,7 @@ def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambd
 
 @dataclass(frozen=True)
 class Access:
-    """What a kernel reads or writes through one argument.
+    """Access of a kernel through one argument.
 
     `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, a
     number or counted in the frame; `planes` of how many planes, None for all.
@@ -88,7 +88,7 @@ class Kernel:
 
 
 class Output(Owner):
-    """What a stage left in the buffers of the extrapolated frame, kept where somebody asks for it."""
+    """Copy of a stage's result in the buffers of the extrapolated frame, kept on request."""
 
     def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
         super().__init__(stage.device, stage.sizes)
@@ -107,7 +107,7 @@ class Output(Owner):
 
 @dataclass
 class Step:
-    """What a stage works on: a rendered frame (after `submit`), or a new frame extrapolated from it.
+    """Input of a stage: a rendered frame (after `submit`), or a new frame extrapolated from it.
 
     Attributes
     ----------
@@ -316,7 +316,7 @@ class Stage(Owner):
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
-        """What was made becomes what is kept of the frame before; for all stages, before any works on a new one."""
+        """Make the results those of the frame before; called for all stages before any works on a new frame."""
         for name, buffer in self.before.items():
             self.before[name], self.buffer[name] = self.buffer[name], buffer
 
@@ -396,7 +396,7 @@ class Stage(Owner):
         return self.program.constants[number] if isinstance(number, str) else number
 
     def _check(self) -> None:
-        """What the kernels declare must be what their source says."""
+        """Check that the declarations of kernels match their source."""
         for kernel in self.kernels:
             where = f"kernels/{self.name}.cl, {kernel.name}"
             assert kernel.name in self.program.arguments, f"{where}: there is no such kernel"

@@ -202,8 +202,8 @@ class BufferSpec:
         return np.moveaxis(flat, 0, -1), flat
 
     def values(self, stored: np.ndarray, known: np.ndarray | None, x: int = 0, y: int = 0) -> np.ndarray:
-        """What a block (…, H, W, channels) from pixel (x, y) on means, as it was read from the device; `known` (H, W):
-        the buffer of `known_where` there."""
+        """Return the values of a block (…, H, W, channels) from pixel (x, y) on, as read from the device; `known` (H,
+        W): the buffer of `known_where` there."""
         if self.packing:
             stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
         if self.known_where:
@@ -227,7 +227,7 @@ EXTRAPOLATED = (
     BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)", "motion"),
     BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),
     BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands", "mask"),
-    BufferSpec("filled_by", np.uint8, (), "target", "what the pixel comes from", "label", labels=FILLED_BY),
+    BufferSpec("filled_by", np.uint8, (), "target", "source of the pixel", "label", labels=FILLED_BY),
 )
 
 

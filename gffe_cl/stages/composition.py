@@ -26,7 +26,7 @@ class Composition(Stage):
     name = "composition"
     buffers = (
         BufferSpec(
-            "depth", np.float32, (), "source", "depth of the rendered frame without what stays in place", "depth",
+            "depth", np.float32, (), "source", "depth of the rendered frame without overlays that keep place", "depth",
             kept=True,
         ),
         BufferSpec("fixed_mask", np.uint8, (), "source", "1 where the rendered pixel stays in place", "mask"),
@@ -75,7 +75,7 @@ class Composition(Stage):
         return [spec for spec in self.buffers if spec.name in own | {"color"}]
 
     def prepared(self, overlays: Overlays | None) -> dict[str, np.ndarray | cl.Buffer]:
-        """What there is of them, as `take` wants it. Raises GffeError for wrong shapes."""
+        """Return the given overlays in the form that `take` expects. Raises GffeError for wrong shapes."""
         arrays = {name: getattr(overlays, name) for name in OVERLAYS} if overlays else {}
         ready = {name: self._ready(name, array) for name, array in arrays.items() if array is not None}
         if "effects_motion" in ready and "effects" not in ready:

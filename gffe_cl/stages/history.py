@@ -31,7 +31,7 @@ class HistoryTracking(Stage):
             np.uint8,
             (),
             "source",
-            "where the static test failed (M^dyn), and what is fixed to the camera",
+            "where the static test failed (M^dyn), and camera-fixed fragments",
             "label",
             labels=((STATIC, "static"), (DYNAMIC, "dynamic"), (FIXED_TO_CAMERA, "fixed to the camera")),
         ),

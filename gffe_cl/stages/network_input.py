@@ -25,7 +25,7 @@ class NetworkInput(Stage):
     name = "network_input"
     buffers = (
         BufferSpec(
-            "frames", np.float32, (), "network", "what the network sees: encoded GAE color (1–3), encoded warped"
+            "frames", np.float32, (), "network", "inputs of the network: encoded GAE color (1–3), encoded warped"
             " previous frame (4–6), inverse depth (7), input mask (8); half resolution",
             planes=INPUT_PLANES, mapped=True,
         ),

@@ -74,7 +74,7 @@ def present(
     size: tuple[int, int] | None = None,
     device: Device | None = None,
 ) -> RenderedFrame:
-    """What is shown of a rendered frame: its display part, at display resolution.
+    """Displayed rendered frame: its display part, at display resolution.
 
     Parameters
     ----------

@@ -77,7 +77,8 @@ class SceneCuts(Stage):
 
 
 def counts_say_cut(counts: dict[str, int], jumped: bool = False) -> bool:
-    """What the counts of `COUNTED` say; `jumped`: whether the camera's step is `TELEPORT` times the one before."""
+    """Return the decision from the counts of `COUNTED`; `jumped`: the camera's step is over `TELEPORT` times the one
+    before."""
     valid, inside, compared = counts["valid"], counts["inside"], counts["compared"]
     if valid < LEAST_SAMPLES:
         return False

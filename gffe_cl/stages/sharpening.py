@@ -12,7 +12,7 @@ from gffe_cl.stages.buffers import RGBA, BufferSpec
 
 
 class Sharpening(Stage):
-    """What is shown of a rendered frame, and of a new one, with more contrast between neighbors that differ little."""
+    """Sharpening of displayed frames, rendered and new: more contrast between neighbors that differ little."""
 
     name = "sharpening"
     pictures: ClassVar[Mapping[str, str]] = {"rendered": "rendered", "extrapolated": "color"}

@@ -390,7 +390,7 @@ def test_a_display_beyond_what_was_rendered_is_warned_about(gffe, scene, tmp_pat
             frame["display_camera"] = frame["render_camera"] | {"cx": frame["render_camera"]["cx"] + 5}
     (scene / "sequence.json").write_text(json.dumps(document))
     code, _, err = gffe("run", scene, tmp_path / "out")
-    assert code == 0 and "beyond what was rendered" in err
+    assert code == 0 and "beyond the rendered area" in err
 
 
 def test_options_of_scenes_are_refused_for_sequences(gffe, scene, tmp_path):
@@ -754,7 +754,7 @@ def test_an_unfinished_sequence_says_so(gffe, scene, tmp_path):
             writer.link(entry, scene / entry.file)
         raise KeyboardInterrupt
     code, _, err = gffe("run", tmp_path / "cut", tmp_path / "out")
-    assert code == 0 and "unfinished, what wrote it was interrupted after 4 frames" in err
+    assert code == 0 and "unfinished: its writer was interrupted after 4 frames" in err
     document = json.loads((tmp_path / "out" / "sequence.json").read_text())
     (tmp_path / "out" / "sequence.json").write_text(json.dumps(document | {"unfinished": True}))
     code, _, err = gffe("compare", tmp_path / "out", scene)

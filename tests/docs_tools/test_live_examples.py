@@ -1,6 +1,7 @@
 """Live examples: an engine's frames, generated frames, a resized window, a cut, a lost frame."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import gffe_cl as gffe
 from gffe_cl.cli.commands import invoke
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -16,6 +18,14 @@ EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 def _run(name, *words):
     command = [sys.executable, str(EXAMPLES / name), "--offscreen", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize(("name", "lines", "lines_with_gffe"), [("panda3d", 200, 15), ("moderngl", 120, 19)])
+def test_examples_stay_short(name, lines, lines_with_gffe):
+    text = (EXAMPLES / f"{name}_live.py").read_text()
+    code = re.sub(r'""".*?"""', "", text, flags=re.DOTALL).splitlines()
+    assert len(text.splitlines()) <= lines
+    assert 10 < sum(bool(re.search(r"\bgffe\.|gffe_cl|pipeline|pacer", line)) for line in code) <= lines_with_gffe
 
 
 @pytest.mark.long
@@ -37,6 +47,9 @@ def test_panda3d_plays():
 
 _EVENTS = """
 import sys
+from types import SimpleNamespace
+import numpy as np
+import pytest
 sys.path.insert(0, sys.argv[1])
 import gffe_cl as gffe
 import panda3d_live
@@ -49,6 +62,12 @@ def frames(*moments):
 
 
 assert gffe.check(frames(0, 1, 2)) is None
+nobody, path = game.base.mouseWatcherNode, game.look(0.2)
+game.base.mouseWatcherNode = SimpleNamespace(hasMouse=lambda: True, getMouseX=lambda: 0.5, getMouseY=lambda: 0.25)
+moved = game.look(0.2)
+assert moved.position[2] == pytest.approx(path.position[2] + 0.5, abs=1e-4)  # z is up
+assert moved.position[0] == pytest.approx(9 * np.sin(1), abs=1e-4)
+game.base.mouseWatcherNode = nobody
 game.switch("lose")
 assert frames(3) == []
 assert gffe.check(frames(4, 5, 6)) is None  # the first of them leads to frame 2
@@ -61,9 +80,7 @@ assert wide[2].camera.fx < wide[2].display_camera.fx and gffe.check(wide) is Non
 game.resize((200, 100))
 resized = frames(13, 14)
 assert resized[0].reset and resized[1].color.shape == (100, 200, 3)
-for frame in resized:
-    game.pipeline.submit(frame)
-image = game.pipeline.extrapolate(game.look(14.5 / 15), 14.5 / 15).numpy("color")
+image = game.generated(14.5 / 15, game.look(14.5 / 15))
 for game.layer in range(1 + len(list(game.pipeline.named_buffers()))):
     game.show(image)
 for name in ("generate", "network"):
@@ -71,9 +88,9 @@ for name in ("generate", "network"):
 assert game.cut  # the new pipeline begins anew
 later = game.base.taskMgr.doMethodLater
 later(0.3, lambda task: game.switch("network"), "network")
-later(0.6, lambda task: [game.switch("lose"), game.resize((160, 90))] and None, "resize")
+later(0.6, lambda task: [game.switch("lose"), game.base.win.setSize(120, 70)] and None, "resize")
 panda3d_live.play(game, 15, 30, 45)
-assert game.pipeline.sizes.target == (160, 90)
+assert game.pipeline.sizes.target == (120, 70)
 """
 
 
@@ -85,29 +102,18 @@ def test_panda3d_survives_what_happens_in_games():
     assert found.returncode == 0, found.stderr
 
 
-_RECORD = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import gffe_cl as gffe
-import panda3d_live
-
-game = panda3d_live.Game((320, 180), offscreen=True)
-with gffe.SequenceWriter(sys.argv[2], 320, 180, 15) as writer:
-    for k in range(6):
-        frame = game.render(k / 15)
-        entry = gffe.FrameEntry(f"frame_{k:06d}.exr", time=frame.time, reset=k == 0, render_camera=frame.camera)
-        color = frame.color.astype("float16")
-        writer.add(entry, gffe.named_channels(color, frame.depth, None if frame.reset else frame.motion))
-"""
-
-
 @pytest.mark.long
-def test_doctor_finds_nothing_wrong_with_panda3d(tmp_path):
+def test_the_recipe_for_panda3d_records_what_the_doctor_finds_sound(tmp_path):
     pytest.importorskip("panda3d")
-    command = [sys.executable, "-c", _RECORD, str(EXAMPLES), str(tmp_path / "recorded")]
-    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    page = (EXAMPLES.parent / "formats.md").read_text()
+    (recipe,) = re.findall(r"^```py\n(import gffe_cl.*?panda3d_live.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    shutil.copytree(EXAMPLES, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "record.py").write_text(recipe)
+    command = [sys.executable, "record.py"]
+    found = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert found.returncode == 0, found.stderr
-    assert invoke(["check", str(tmp_path / "recorded")]) in (None, 0)
+    assert len(gffe.open_sequence(tmp_path / "out" / "panda").rendered) == 16
+    assert invoke(["check", str(tmp_path / "out" / "panda")]) in (None, 0)
 
 
 @pytest.mark.long

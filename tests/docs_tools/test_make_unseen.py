@@ -1,5 +1,6 @@
 """Generators of unseen sequences: what they write is sound."""
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -27,3 +28,26 @@ def test_a_small_sequence_is_sound(module, name, size, tmp_path, monkeypatch):
     frame = sequence.read(sequence.rendered[2])
     assert np.isfinite(frame.color).all() and np.isfinite(frame.motion).all()
     assert invoke(["check", str(tmp_path / module)]) in (None, 0)
+
+
+_PANDA = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from unseen.panda_live import PandaLiveAntialiased
+from unseen.recording import record
+
+record(PandaLiveAntialiased(160, 90, frames=4), Path(sys.argv[2]))
+"""
+
+
+@pytest.mark.long
+def test_the_live_game_is_sound_with_antialiasing(tmp_path):
+    pytest.importorskip("panda3d")
+    command = [sys.executable, "-c", _PANDA, str(TOOLS), str(tmp_path / "live")]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0, found.stderr
+    sequence = gffe.open_sequence(tmp_path / "live")
+    frame = sequence.read(sequence.rendered[2])
+    assert frame.color.shape == (90, 160, 3) and frame.camera.cx == 80
+    assert invoke(["check", str(tmp_path / "live")]) in (None, 0)

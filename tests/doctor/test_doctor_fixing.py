@@ -33,6 +33,8 @@ def test_the_command(gffe, tmp_path):
     assert document["residuals"]["given_median"] > 1 > 0.05 > document["residuals"]["read_median"]
     page = (tmp_path / "page.html").read_text()
     assert page.count("data:image/png;base64,") == 3 and "http" not in page
+    assert all(rule in page for rule in ("prefers-color-scheme: dark", "@media print", "minmax(min(420px, 100%)"))
+    assert re.search(r"residual as given, pixels: 0 \(black\) to [\d.]+ \(white\)", page)
     fixed = open_sequence(tmp_path / "fixed")
     assert_restored([fixed.read(entry) for entry in fixed.rendered])
 

@@ -3,11 +3,13 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -120,6 +122,7 @@ def test_eval(gffe, tmp_path, monkeypatch):
     html = (report / "index.html").read_text()
     assert html.count("data:image/webp;base64,") == 2 * 3 + 2 * 14 and "plaza<b>" not in html
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", html)
+    assert "prefers-color-scheme: dark" in html and "@media print" in html
     csv = (report / "results.csv").read_text().splitlines()
     assert csv[0] == "sequence,method,region,metric,value"
     assert f"forest:2,gffe,whole,psnr,{best['psnr']!r}" in csv
@@ -259,3 +262,16 @@ def test_a_cluster_gives_the_same_cells(tmp_path):
         )
         assert other["errors"]["pixels"] == cell.document["errors"]["pixels"]
     assert fill(order, tmp_path / "far").computed == 0
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js to run the page's script")
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (23.7, 31.2), (-0.3, 0.02), (1e-4, 3.1e-3), (0.5, 0.5001), (3, 9e5)])
+def test_ticks_are_round_numbers(low, high):
+    script = files("gffe_cl.evaluation.table").joinpath("page.js").read_text("utf-8")
+    function = re.search(r"^function roundTicks.*?^}", script, re.DOTALL | re.MULTILINE)[0]
+    program = f"{function} console.log(JSON.stringify(roundTicks({low}, {high}, 5)))"
+    ticks, digits = json.loads(subprocess.run(["node", "-e", program], capture_output=True, check=True).stdout)
+    step = ticks[1] - ticks[0]
+    assert 2 <= len(ticks) <= 6 and low <= ticks[0] + 1e-9 * step and ticks[-1] <= high + 1e-9 * abs(high)
+    assert f"{step:.0e}"[0] in "125" and step == pytest.approx(float(f"{step:.0e}"), rel=1e-6)
+    assert len({f"{tick:.{digits}f}" for tick in ticks}) == len(ticks)

@@ -1,1 +1,1 @@
-"""What computes: the engine thread, where its frames come from, and what its buffers hold."""
+"""Computation: the engine thread, its sources of frames, and its buffers."""

@@ -1,4 +1,4 @@
-"""What the device holds of one slot: whole layers, and the values at a pixel."""
+"""Device buffers of one slot: whole layers, and the values at a pixel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gffe_cl.viewer.engine.layers import FRAME_BUFFERS, named_images
 
 @dataclass(frozen=True)
 class Moment:
-    """What a slot shows: when, and through which cameras.
+    """Moment of a slot: its time and cameras.
 
     Attributes
     ----------
@@ -60,15 +60,15 @@ class DeviceLayer:
     known: DeviceLayer | None = None
 
     def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
-        """What is stored, (planes?, H, W, channels), on the host, valid after the event."""
+        """Return the stored values, (planes?, H, W, channels), on the host, valid after the event."""
         stored, flat = self.spec.host_array(self.size)
         return stored, cl.enqueue_copy(queue, flat, self.buffer, is_blocking=False)
 
     def read_block(
         self, queue: cl.CommandQueue, x: int, y: int, width=1, height=1
     ) -> tuple[np.ndarray, list[cl.Event]]:
-        """What is stored, (planes, height, width, channels), from pixel (x, y) on, all inside; valid after the
-        events."""
+        """Return the stored values, (planes, height, width, channels), from pixel (x, y) on, all inside; valid after
+        the events."""
         planes, channels = self.spec.planes, self.spec.stored_channels
         if self.spec.planar:
             planes, channels = channels, 1
@@ -85,7 +85,8 @@ class DeviceLayer:
     def read_known(
         self, queue: cl.CommandQueue, x=0, y=0, width=0, height=0
     ) -> tuple[Callable[[], np.ndarray | None], list[cl.Event]]:
-        """What gives `BufferSpec.values` its `known` for a block, by default the whole layer, after the events."""
+        """Return the function that gives `BufferSpec.values` its `known` for a block, by default the whole layer, after
+        the events."""
         if self.known is None:
             return lambda: None, []
         block = x, y, width or self.size[0], height or self.size[1]

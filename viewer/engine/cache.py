@@ -67,7 +67,7 @@ class FrameCache:
         self._playhead = Playhead()
 
     def use(self, recipes: Iterable[Recipe], playhead: Playhead) -> None:
-        """What is looked at now: these recipes, from the playhead on."""
+        """Set the current view: these recipes, from the playhead on."""
         with self._lock:
             self._in_use, self._playhead = frozenset(recipes), playhead
 
@@ -144,7 +144,7 @@ class FrameCache:
         return True
 
     def _victim(self) -> FrameKey:
-        """What is needed least."""
+        """Return the entry that is needed least."""
         idle = next((recipe for recipe in self._kept if recipe not in self._in_use), None)
         candidates = [idle] if idle is not None else list(self._kept)
         distance = self._playhead.distance

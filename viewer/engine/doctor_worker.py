@@ -1,4 +1,4 @@
-"""What the doctor says of the sequence that is open (`gffe check`), beside everything else."""
+"""Diagnosis of the open sequence (`gffe check`), in the background."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class Engine(Exchange):
             self._thread.join(_CLOSE_SECONDS)
 
     def recipe(self, setup: Setup) -> Recipe:
-        """What slots made with `setup` depend on now. May be called from any thread."""
+        """Return everything that slots made with `setup` depend on now. May be called from any thread."""
         flight = self.source.flight if self.source is not None else 0
         kernels = setup.kernels or (self._kernels.identity if self._kernels is not None else "")
         return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, weights_of(setup.options))
@@ -140,7 +140,7 @@ class Engine(Exchange):
     def _fail(self, error: Exception, kind: str, content: Any) -> None:
         message = str(error) if isinstance(error, GffeError) else f"{type(error).__name__}: {error}"
         if isinstance(error, cl.Error):
-            message = f"the device failed ({error}): what is in the cache stays; if it does not recover, start anew"
+            message = f"the device failed ({error}): cached frames stay; if it does not recover, restart the viewer"
         serial = content.serial if isinstance(content, Request) else content[1] if kind == "source" else 0
         if kind == "device":
             self._problem, self.device_name = message, "no device"

@@ -1,4 +1,4 @@
-"""What can be shown: the images of a frame and of every stage, by name."""
+"""Layers: the images of a frame and of every stage, by name."""
 
 from __future__ import annotations
 
@@ -53,10 +53,17 @@ class LayerSpec:
 FRAME_BUFFERS: dict[str, BufferSpec] = {
     spec.name: spec
     for spec in (
-        BufferSpec(names.FINAL, np.float16, RGBA, "target", "what is shown at this time, linear RGB", "color"),
+        BufferSpec(names.FINAL, np.float16, RGBA, "target", "displayed image at this time, linear RGB", "color"),
         *(replace(spec, name=f"rendered.{spec.name}") for spec in RENDERED),
         BufferSpec(names.GAE, np.float16, RGBA, "target", "extrapolated, before shading correction", "color"),
-        BufferSpec(names.TRUTH, np.float16, RGBA, "target", "what a renderer makes at this time, linear RGB", "color"),
+        BufferSpec(
+            names.TRUTH,
+            np.float16,
+            RGBA,
+            "target",
+            "ground truth: the rendered image at this time, linear RGB",
+            "color",
+        ),
         *FocusMask.buffers,
     )
 }

@@ -1,4 +1,4 @@
-"""What the interface and the engine's thread leave for each other: orders on one side, answers on the other."""
+"""Mailbox between the interface and the engine's thread: orders on one side, answers on the other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _KINDS = {  # of what is posted, and the activity meanwhile
     "slot_b": "computing B",
     "inspection": "",
     "bandwidth": "measuring bandwidth",
-    "traffic": "counting what must move",
+    "traffic": "counting bytes that must move",
 }
 
 
@@ -73,7 +73,7 @@ class Exchange:
                 self._news.notify()
 
     def withdraw(self, role: str = "a") -> None:
-        """What was submitted last is not wanted any more, if it was not taken up yet."""
+        """Withdraw the last request, if it was not taken up yet."""
         with self._news:
             self._posted.pop("slot" if role == "a" else f"slot_{role}", None)
 
@@ -122,7 +122,7 @@ class Exchange:
         self._post("traffic", request)
 
     def poll(self, role: str = "a") -> Result | EngineError | None:
-        """What went wrong, oldest first, else the newest result of a role; each once. Errors are told with "a"."""
+        """Return the oldest error, else the newest result of a role; each once. Errors are returned with role "a"."""
         with self._news:
             if self._errors and role == "a":
                 return self._errors.popleft()
@@ -141,7 +141,8 @@ class Exchange:
     # ---- on the engine's thread ----------------------------------------------------------------------------
 
     def _next(self, last: str, watch_at: float) -> tuple[str, Any]:
-        """What to do next, kinds taking turns; "watch" from `watch_at` on (of time.monotonic); an empty kind to end."""
+        """Return the next order, kinds taking turns; "watch" from `watch_at` on (of time.monotonic); an empty kind to
+        end."""
         kinds = list(_KINDS)
         turns = kinds[kinds.index(last) + 1 :] + kinds if last in kinds else kinds
         with self._news:

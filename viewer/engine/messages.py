@@ -1,4 +1,4 @@
-"""What the engine and the interface tell each other; all of it immutable."""
+"""Messages between the engine and the interface, all immutable."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from gffe_cl.viewer.engine.layers import LayerSpec
 
 @dataclass(frozen=True)
 class Setup:
-    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7; `kernels`:
-    a build that was in use since the viewer started, by its `Kernels.identity`; empty: the newest."""
+    """Setup of the computation. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7;
+    `kernels`: a build that was in use since the viewer started, by its `Kernels.identity`; empty: the newest."""
 
     options: Options = field(default_factory=Options)
     window: str | None = None
@@ -111,7 +111,7 @@ class Result:
 
 @dataclass(frozen=True)
 class EngineError:
-    """What went wrong with the request `serial`; `during`: "device", "source", "kernels", "slot", "inspection",
+    """Failure of the request `serial`; `during`: "device", "source", "kernels", "slot", "inspection",
     "bandwidth", "metrics"; "network": of shading correction, while a slot was made."""
 
     message: str
@@ -121,7 +121,7 @@ class EngineError:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What the slot last computed holds at display pixel `pixel`.
+    """Values of the slot last computed at display pixel `pixel`.
 
     `values` are (planes?, channels) by layer: on grid "target" those of the pixel, on "source" and "level l" those of
     `source`, the position in the rendered image (pixels) that the warp's motion points to.

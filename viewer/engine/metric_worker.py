@@ -33,7 +33,7 @@ class Scorer:
         self._measured = [metric for metric in METRICS.values() if not metric.slow]
 
     def score(self, metrics: Metrics, moment: Moment, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:
-        """What is known of the slot of `metrics` as `moment`; the rest will be measured."""
+        """Return the known metrics of the slot of `metrics` as `moment`; the rest will be measured."""
         key = (metrics.slot, metrics.setup, moment.camera.world_to_view.tobytes(), moment.camera.intrinsics)
         with self._news:
             known = self._known.get(key, metrics)

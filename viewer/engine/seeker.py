@@ -116,7 +116,7 @@ class Seeker:
         return self.shot
 
     def _count_launches(self) -> traffic.Launches:
-        """What was launched since this was called last."""
+        """Return the launches since the last call."""
         stages = self._running.stages
         launched = {name: stage.launches or [] for name, stage in stages.items()}
         for stage in stages.values():

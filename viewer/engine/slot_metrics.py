@@ -1,4 +1,4 @@
-"""What is measured of a generated slot against ground truth: figures for the plot, and the regions of its errors."""
+"""Metrics of a generated slot against ground truth: figures for the plot, and the regions of its errors."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ class SlotMaker:
         return traffic.bytes_per_pixel(pipeline, self._seeker.launched, traffic.counters(pipeline))
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
-        """What the slot made last holds at display pixel (x, y); None outside, and where there is no slot."""
+        """Return the values of the last slot at display pixel (x, y); None outside, and where there is no slot."""
         seeker = self._seeker
         if not (seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
             return None
@@ -146,7 +146,7 @@ class SlotMaker:
 
 
 def weights_of(options: Options) -> str:
-    """What tells the weights of shading correction from others; empty where it is off."""
+    """Return the identity of the weights of shading correction; empty where it is off."""
     path = options.weights
     if path is None:
         return ""

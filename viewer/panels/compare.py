@@ -67,7 +67,7 @@ def _second(model, layers: dict[str, str]) -> None:
 
 
 def _settings(app) -> None:
-    """What is kept, and what is done with it."""
+    """Draw the kept settings, and the actions on them."""
     model, kept = app.model, app.model.kept.b
     widgets.heading("Settings A and B")
     for name, icon in (("keep", icons.ICON_FA_BOOKMARK), ("swap", icons.ICON_FA_RIGHT_LEFT),

@@ -17,7 +17,7 @@ def draw(app) -> None:
     widgets.action_button(app.actions, "doctor", icons.ICON_FA_STETHOSCOPE)
     imgui.same_line()
     if doctor is None:
-        widgets.hint("Examine motion, depth, cameras and colors: what does not fit, and what would mend it")
+        widgets.hint("Examine motion, depth, cameras and colors for faults, and propose repairs")
         return
     if not doctor.done:
         widgets.hint("examining motion, depth, cameras and colors …")

@@ -107,7 +107,7 @@ class Palette:
             else:
                 return ""
         imgui.text(f"{option.label}: {now}")
-        widgets.hint(self._problem or f"{option.sentence} Enter takes what is typed, the arrows step.")
+        widgets.hint(self._problem or f"{option.sentence} Enter applies the typed value, the arrows step.")
         return None
 
 

@@ -330,7 +330,7 @@ def _caption(model, origin, width, height, marks) -> list[Rectangle]:
 
 
 def _layer_text(model, name: str) -> str:
-    """What the layer is called, and what changes its look, or why it is not there."""
+    """Return the layer's name and its display settings, or the reason why it is missing."""
     spec = model.contents.spec(name)
     if spec is None:
         return f"{names.plain(name)}: not made with these options"

@@ -59,7 +59,7 @@ def _beside(something: bool) -> None:
 
 
 def parts(model) -> list[str]:
-    """What is open, how long it took, and what is under the pointer."""
+    """Status bar: the open sequence, its times, and the values under the pointer."""
     told = [model.engine.device_name or "opening the device …"]
     if model.follows:
         told = [f"attached to '{model.program.name}' (process {model.program.about.pid}), {model.program.about.device}"]

@@ -100,7 +100,7 @@ def _combo(name: str, value, texts: dict, change, width: float, told: dict | Non
 
 
 def _status(model) -> tuple[str, str]:
-    """What is shown and when it is due, or how it plays; and the same in fewer letters."""
+    """Return the displayed frame and its time, or the state of playback; and the same in fewer letters."""
     playback = model.playback
     seconds = f"{playback.time_of(playback.slot):.3f} s"
     if playback.playing:
@@ -152,7 +152,7 @@ def _bar(model) -> None:
 
 
 def _cached(model, draw, origin, step: float, height: float) -> None:
-    """What is in the cache as the picture needs it: a line below the slots."""
+    """Draw the cached slots that the picture can use: a line below the slots."""
     ink, bottom = imgui.get_color_u32(CACHED), origin.y + height
     for start, end in runs(model.filling.cached):
         corner = ImVec2(origin.x + end * step, bottom + _CACHED_HEIGHT)

@@ -57,7 +57,7 @@ def draw(app) -> None:
 
 
 def _pacing(told: list) -> None:
-    """What the program's pacer counted, and how it went over the frames that were seen."""
+    """Draw the statistics of the program's pacer, and their plot over the frames that were seen."""
     last = told[-1]
     imgui.text_wrapped(
         f"paced: {last.rendered} rendered, {last.extrapolated} extrapolated, {last.held} held; {last.late} late,"

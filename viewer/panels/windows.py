@@ -43,7 +43,7 @@ class Help:
         imgui.pop_style_var()
         imgui.text_disabled(
             "Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel."
-            "  Shift+drag: statistics of a rectangle.  Escape: close what is on top."
+            "  Shift+drag: statistics of a rectangle.  Escape: close the topmost window."
         )
         focused = imgui.is_window_focused()
         imgui.end()
@@ -110,7 +110,7 @@ class OpenPath:
 
 
 def messages(app) -> None:
-    """What went wrong lately, and a script's title, at the foot of the picture; a click takes it away, as Escape does
+    """Draw recent errors and a script's title at the foot of the picture; a click dismisses them, as Escape does
     where no window is open."""
     lately = app.model.lately(app.clock(), _OVER_PICTURE)
     shown = [message for message in lately if message.kind != "note" and not message.dismissed]

@@ -1,1 +1,1 @@
-"""What is drawn: layers by OpenGL, and the files made from them."""
+"""Drawing: layers by OpenGL, and the files made from them."""

@@ -128,7 +128,7 @@ class Canvas:
 
     @property
     def layers(self) -> dict[str, LayerSpec]:
-        """What has been uploaded."""
+        """Return the uploaded layers."""
         return {name: layer.spec for name, layer in self._layers.items() if layer.spec is not None}
 
     @property

@@ -1,4 +1,4 @@
-"""What there is to show: the source that is open, and the slot that was computed last."""
+"""Displayed content: the open source, and the slot that was computed last."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Contents:
         return [spec for spec in self.layers if self.why_not(spec.name) is None]
 
     def frame_info(self, result: Result | None = None) -> FrameInfo:
-        """What the layers of the result refer to, for displaying them; by default of A's."""
+        """Return the frame of reference of the result's layers, for display; by default of A's."""
         result = result or self.result
         assert result is not None
         source, moment, rendered = self.source, result.moment, result.render_size

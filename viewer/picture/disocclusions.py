@@ -73,7 +73,7 @@ class Disocclusions:
         return Share(*np.mean(self._shares, 0).tolist()) if self._shares else None
 
     def text(self) -> str:
-        """What is known, in words; empty where nothing is."""
+        """Return the result in words; empty where there is none."""
         parts = [f"disoccluded {self.share}"] if self.share else []
         if len(self._shares) > 1:
             parts.append(f"last {len(self._shares)} frames {self.mean}")

@@ -85,7 +85,7 @@ def _makes_sense(name: str, value: Any, default: Any) -> bool:
 
 @dataclass(frozen=True)
 class FrameInfo:
-    """What the layers of one slot refer to.
+    """Frame of reference of the layers of one slot.
 
     Attributes
     ----------

@@ -9,7 +9,9 @@ from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.picture.latest import Latest
 
 NAME = "flip error"
-SPEC = LayerSpec(NAME, "FLIP error", "compare", "scalar", description="what people see when A and B alternate, 0 to 1")
+SPEC = LayerSpec(
+    NAME, "FLIP error", "compare", "scalar", description="visible difference when A and B alternate, 0 to 1"
+)
 
 
 class FlipMaps:

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Latest:
-    """What was made of the latest order; one thing is made at a time, on a thread."""
+    """Result of the latest order; one is computed at a time, on a thread."""
 
     def __init__(self, name: str):
         self._pool = ThreadPoolExecutor(1, thread_name_prefix=f"gffe-viewer-{name}")
@@ -28,7 +28,7 @@ class Latest:
             self._future = self._pool.submit(make, *arguments)
 
     def take(self) -> Any:
-        """What was made, when something was since the last call, else None; raises what went wrong."""
+        """Return a result finished since the last call, else None; raises its error."""
         if self._future is None or not self._future.done():
             return None
         future, self._future, self._made = self._future, None, self._coming

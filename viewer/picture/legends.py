@@ -1,4 +1,4 @@
-"""What the colors of a layer mean, and its values in words."""
+"""Legends: the meaning of a layer's colors, and its values in words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gffe_cl.viewer.picture.displays import Display, shown_as
 
 @dataclass(frozen=True)
 class Legend:
-    """What a legend shows.
+    """Content of a legend.
 
     `kind` is "none", "ramp" (`ticks` from 0, low, to 1, high, along `color_table(display.color_map)`) or "wheel"
     (`ticks` in turns, see `wheel_color`); each tick is (position, text, color). `labels` are (text, color) of single

@@ -1,4 +1,4 @@
-"""What a canvas shows, and which part of it."""
+"""View of a canvas: the layers it shows, and which part of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Size = tuple[int, int]
 
 @dataclass
 class View:
-    """What a canvas shows.
+    """Layers and display settings of a canvas.
 
     Attributes
     ----------

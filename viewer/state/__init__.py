@@ -1,1 +1,1 @@
-"""What the viewer knows and what the user has chosen; no ImGui here."""
+"""State of the viewer and choices of the user; no ImGui here."""

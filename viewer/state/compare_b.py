@@ -56,7 +56,7 @@ class Second:
         return self.kept is not None and self.asked is not None and self._shown != self.asked
 
     def request(self, first: Request, layers: frozenset[str]) -> Request:
-        """What is asked of B where `first` is asked of A."""
+        """Return the request to B for the request `first` to A."""
         assert self.kept is not None  # there is a B
         return replace(first, setup=self.kept.setup(first.setup.n), layers=layers, role="b")
 

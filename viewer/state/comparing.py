@@ -159,7 +159,7 @@ class Comparison:
             self._view.error_high = error
 
     def scale_text(self) -> str:
-        """What the colors of a difference or an error mean; empty where layers are shown as they are."""
+        """Return the meaning of the colors of a difference or an error; empty where layers are shown as they are."""
         view = self._view
         if self.flipped or view.compare not in ("difference", "error", "flip error"):
             return ""
@@ -203,7 +203,7 @@ class Comparison:
         return None
 
     def drop_missing(self) -> None:
-        """What this sequence does not have is neither shown nor compared."""
+        """Stop showing and comparing layers that this sequence does not have."""
         view, why_not = self._view, self._contents.why_not
         if why_not(view.a):
             view.a = names.FINAL

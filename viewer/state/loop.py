@@ -121,7 +121,7 @@ class Loop:
             model.asking.take_pair()
 
     def take(self, result: Result, second: Result | None) -> None:
-        """What is shown from now on, of A and B."""
+        """Set the displayed results of A and B."""
         model = self._model
         model.contents.take(result, second)
         model.failure = None

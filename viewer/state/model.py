@@ -1,4 +1,4 @@
-"""What the viewer knows and decides, between the interface and the engine; no ImGui here."""
+"""State and decisions of the viewer, between the interface and the engine; no ImGui here."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Model:
 
     @property
     def source(self) -> Any:
-        """What is open, a FrameSource; None if nothing is."""
+        """Return the open FrameSource, or None."""
         return self.contents.source
 
     def open(self, target: str) -> None:
@@ -220,7 +220,7 @@ class Model:
 
     @property
     def metrics(self) -> dict[int, Metrics]:
-        """What was measured of the present recipe, by slot."""
+        """Return the metrics of the present recipe, by slot."""
         return self.scores.of(self.recipe)
 
     def metrics_of_second(self) -> dict[int, Metrics]:
@@ -278,7 +278,7 @@ class Model:
         self.say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))
 
     def command_line(self, setup: Setup) -> str:
-        """What gives the frames of `setup`, for a shell."""
+        """Return the shell command that makes the frames of `setup`."""
         return command_line(setup, self.source, self.plan.seed)
 
     def set(self, name: str, value: Any) -> None:

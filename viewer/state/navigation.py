@@ -70,7 +70,7 @@ _MOST = 50
 
 @dataclass(frozen=True)
 class _Place:
-    """What was looked at."""
+    """Return the remembered view."""
 
     slot: int
     layer: str
@@ -95,7 +95,7 @@ class Walk:
         if link.layer and self._contents.spec(link.layer) is None:
             return "this layer is not made with these options"
         if link.pixel is not None and not all(0 <= c < s for c, s in zip(link.pixel, self._contents.size, strict=True)):
-            return "outside of what is displayed"
+            return "outside of the display"
         return None
 
     def follow(self, link: Link) -> None:

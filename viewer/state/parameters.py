@@ -1,4 +1,4 @@
-"""What is computed, as the user has chosen it: the pipeline's options, and what the viewer adds to them."""
+"""Parameters of the computation, as chosen by the user: the pipeline's options, and the viewer's own."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ OWN = {
     option.name: option
     for option in (
         Option(
-            "window", True, "rendering window", "What was rendered beyond what is shown; off: the display part only.",
+            "window", True, "rendering window",
+            "Rendering window: the area rendered beyond the display; off: the display only.",
             off=False, remembered=False,
         ),
         Option(
-            "scene_window", "off", "rendering window", "What is rendered beyond what is shown, for turning cameras.",
+            "scene_window", "off", "rendering window",
+            "Rendering window: the area rendered beyond the display, for turning cameras.",
             kind=str, remembered=False,
             choices={
-                "off": "only what is shown",
+                "off": "the display only",
                 "adaptive": "as far as the prediction of the camera reaches",
                 "fixed:1.1": "1.1 times as wide and high",
                 "fixed:1.2": "1.2 times as wide and high",
@@ -114,7 +116,7 @@ class Parameters:
         return self._setup
 
     def offered(self) -> dict[str, Option]:
-        """What can be chosen in this sequence; texts without choices are the command line's."""
+        """Return the choices in this sequence; texts without choices are the command line's."""
         return {
             name: option
             for name, option in ALL.items()

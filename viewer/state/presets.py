@@ -35,7 +35,7 @@ class Kept:
 
     @property
     def suspicion(self) -> str:
-        """What is not as it was when the settings were kept; empty if nothing."""
+        """Return the differences from the kept settings; empty if none."""
         if self.weights != weights_of(self.options):
             return "the network's file has changed since these settings were kept"
         return ""
@@ -51,7 +51,7 @@ class Kept:
 
     @classmethod
     def from_json(cls, document: Any) -> Kept | None:
-        """What `to_json` returned once; None if it is damaged."""
+        """Return the settings that `to_json` returned once; None if damaged."""
         if not isinstance(document, dict) or not isinstance(document.get("options"), dict):
             return None
         name, window = document.get("name"), document.get("window")
@@ -123,7 +123,7 @@ class KeptSettings:
 
 
 def told(setup: Setup) -> str:
-    """What is not as usual, in a few words."""
+    """Return the deviations from the defaults, in a few words."""
     return ", ".join(_deviations(setup.options))[: _LONGEST - 5].rstrip(" ,") or "defaults"
 
 
@@ -143,7 +143,7 @@ def _deviations(options: Options) -> list[str]:
 
 
 def command_line(setup: Setup, source: FrameSource, seed: int) -> str:
-    """What gives the frames that the viewer shows with `setup`, for a shell; `seed`: of a built-in scene."""
+    """Return the shell command for the frames that the viewer shows with `setup`; `seed`: of a built-in scene."""
     target = source.target if source.live else str(place_of(source.target).absolute())
     words = ["gffe", "run", target, f"{source.name}_extrapolated"]
     words += ["-n", str(setup.n)] if setup.n != 1 else []

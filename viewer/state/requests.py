@@ -1,4 +1,4 @@
-"""What is asked of the engine: the slot that is due, the layers that are read back, and slots ahead for the cache."""
+"""Requests to the engine: the slot that is due, the layers that are read back, and slots ahead for the cache."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Prefetch:
         self._since = 0.0
 
     def find(self, recipe: Recipe, request: Request) -> Result | None:
-        """What was asked for, if it is there."""
+        """Return the requested result, if it is there."""
         return self._cache.get(FrameKey(recipe, request.slot), request.layers, request.metrics)
 
     def update(self, now: float, recipe: Recipe, request: Request, nbytes: int, beside: bool) -> None:
@@ -139,7 +139,7 @@ class Asking:
         return next(self._serial)
 
     def forget(self) -> None:
-        """What was asked for does not come, or is not the right thing any more."""
+        """Forget the request: it does not come, or is outdated."""
         self.asked = None
 
     def ask(self, request: Request, recipe: Recipe | None, second: Request | None, anew: bool, source) -> bool:

@@ -26,7 +26,7 @@ _PATIENCE = 5.0  # seconds for writing to end after it was cancelled
 
 @dataclass(frozen=True)
 class Subject:
-    """What is saved: the contents, as `view`, which `shown` gives as it is compared and displayed; `settled` says
+    """Saved content: the contents, as `view`, which `shown` gives as it is compared and displayed; `settled` tells
     whether what is shown is what was asked for."""
 
     contents: Contents

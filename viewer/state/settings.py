@@ -1,4 +1,4 @@
-"""What the viewer remembers from one start to the next: plain JSON in the user's configuration folder."""
+"""Settings that the viewer remembers between starts: plain JSON in the user's configuration folder."""
 
 from __future__ import annotations
 

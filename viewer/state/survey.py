@@ -228,7 +228,7 @@ class Survey:
 
     @property
     def place(self) -> str:
-        """What was gone to last, in words."""
+        """Return the last target of navigation, in words."""
         if self._found is None:
             return ""
         how, order, rank = self._found

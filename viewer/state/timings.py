@@ -1,4 +1,4 @@
-"""What the frames that were shown last took when they were computed."""
+"""Computation times of the frames that were shown last."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Framing:
 
 
 class Pointing:
-    """What is asked about single pixels, and what is known.
+    """Requests about single pixels, and their answers.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ GOOD, USABLE = 0.25, 1.0  # px, of the 90th percentile of static residuals
 
 @dataclass
 class Calibration:
-    """What was recovered, and how well it fits.
+    """Recovered cameras, and how well they fit.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is known of a pair of rendered frames without cameras: where samples of the one were seen in the other."""
+"""Correspondences of a pair of rendered frames without cameras: where samples of one were seen in the other."""
 
 from __future__ import annotations
 

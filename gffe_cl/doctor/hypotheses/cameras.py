@@ -109,7 +109,7 @@ def _four(axes) -> np.ndarray:
 
 
 def axes_in_words(axes) -> str:
-    """What the view axes of stored matrices are, if `axes` turns them into ours."""
+    """Return the view axes of stored matrices that `axes` converts to ours."""
     stored = np.array(axes).T  # rows: our axes by theirs
     words = []
     for letter, row in zip("xyz", stored.T.tolist(), strict=True):

@@ -33,7 +33,7 @@ SENTENCES = {
     "half as long as they are": "motion vectors are half as long as the motion is",
     "to the next frame": "motion vectors point to the next frame, not to the previous one",
     "one frame late": "motion vectors are one frame late: each frame holds those of the frame before it",
-    "without the camera": "motion vectors hold only what objects do: the camera's part is missing",
+    "without the camera": "motion vectors contain only the movement of objects: the camera's part is missing",
     "zero": "motion vectors are zero everywhere although the camera moves",
     "one frame early": "motion vectors are one frame early: each frame holds those of the frame after it",
 }

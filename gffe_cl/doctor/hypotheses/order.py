@@ -26,7 +26,7 @@ _WINDOW = 24  # frames before and after, among which the right one is looked for
 
 @dataclass
 class Order:
-    """What the pairs of frames say.
+    """Evidence from pairs of frames.
 
     `fits`: {frame → share of samples that agree with the frame before}; `misfits`: frames that do not follow the one
     before them; `order`: the frames in the order in which they follow each other, or None.

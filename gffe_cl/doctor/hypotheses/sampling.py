@@ -1,4 +1,4 @@
-"""What the doctor looks at: pixels of a few frames on a grid, with the images of the frames beside them."""
+"""Samples for the doctor: pixels of a few frames on a grid, with the images of the neighboring frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FAR = 1e9  # depths beyond this are nothing, as +inf
 
 
 class Clip(Protocol):
-    """What is examined: a `Sequence`, or anything that has its rendered frames."""
+    """Examined frames: a `Sequence`, or any object with its rendered frames."""
 
     @property
     def rendered(self) -> list[FrameEntry]: ...

@@ -55,7 +55,7 @@ class Reading:
 
 @dataclass
 class Verdict:
-    """What speaks for a reading: each score is from 0 to 1.
+    """Evidence for a reading: each score is from 0 to 1.
 
     `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colors;
     `edges`: colors with depth, from −1 to 1 (`edge_agreement`).

@@ -1,4 +1,4 @@
-"""What GFFE is compared with: methods of other kinds, in their plainest form, each a runner of the table.
+"""Baselines: other kinds of methods, in their plainest form, each a runner of the table.
 
 They stand for a way of doing it, not for somebody's product: published methods add what these leave out, networks above
 all. Runners take rendered frames by `submit(shot)` and make pictures of moments by `make(moment)`: linear (H, W, 3).

@@ -1,4 +1,4 @@
-"""What is evaluated: built-in scenes and sequences on disk, as rendered frames with the truth at moments in between.
+"""Subjects of evaluation: built-in scenes and sequences on disk, as rendered frames with the truth at moments between.
 
 A `SceneSubject` or `FolderSubject` is a description: it can be sent to another process, and its `identity` tells it
 from all others without rendering or decoding anything. `open_subject` makes `Footage` of it.

@@ -38,7 +38,7 @@ class Flicker:
         return change
 
     def cut(self) -> None:
-        """What follows is not shown right after what was added last."""
+        """Begin anew: the next frame is not shown right after the last one added."""
         self._before = None
 
     @property

@@ -31,7 +31,8 @@ _REGION_COLORS = np.array(
 
 @dataclass
 class Cell:
-    """What is kept of one: `document` for JSON, `pictures` (WebP) by name, `timing` apart, since it is of a machine."""
+    """Stored result of a cell: `document` for JSON, `pictures` (WebP) by name, and `timing`, which belongs to a
+    machine."""
 
     document: dict
     pictures: dict[str, bytes] = field(default_factory=dict)
@@ -64,7 +65,7 @@ def _footage(subject: Subject, device: str | None) -> Footage:
 
 
 def machine_of(device: str | None) -> str:
-    """What times belong to."""
+    """Return the machine that times belong to."""
     info = _device(device).info
     return f"{info.name} ({info.platform})"
 
@@ -196,7 +197,7 @@ def _videos(names: Iterable[str], frames: list[tuple], footage: Footage) -> tupl
 
 
 class _Clock:
-    """What submitting a rendered frame and making a new one takes, milliseconds of wall time and of kernels."""
+    """Times of submitting a rendered frame and making a new one, milliseconds of wall time and of kernels."""
 
     def __init__(self):
         self._submits, self._makes = [], []

@@ -86,13 +86,13 @@ class Method:
         if "windows" in self.needs and not footage.windows:
             return "windows can be chosen for built-in scenes only"
         if "upscale" in self.needs and not footage.upscale:
-            return "needs rendered frames smaller than what is shown (--upscale)"
+            return "needs rendered frames smaller than the display (--upscale)"
         if footage.upscale and self.window != GIVEN:
             return "takes rendered frames of the display's size, not --upscale's"
         return None
 
     def identity(self) -> dict:
-        """What it computes, for the cache: besides the sources of the program."""
+        """Return the identity of the computation for the cache, besides the sources of the program."""
         known = {"name": self.name, "window": self.window, "camera": self.camera}
         if self.options:
             known["options"] = asdict(self.options)
@@ -257,7 +257,7 @@ LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 @dataclass(frozen=True)
 class Gain:
-    """What a part of the method is worth: the rows `with_it` and `without`, the region for whose sake it is there, and
+    """Gain of a part of the method: the rows `with_it` and `without`, the region that it is for, and
     the name of the paper's row without it."""
 
     title: str

@@ -101,8 +101,16 @@ function regionTable(rows) {
   return make("div", {}, make("div", { className: "controls" }, make("label", {}, "figure ", choice)), holder, legend);
 }
 
-/** Lines over x: curves [{name, points: [[x, y]]}]. */
-function plot(title, label, curves, digits) {
+/** Round numbers within a … b, about `count` of them: multiples of 1, 2 or 5 times a power of ten; and their digits after the point. */
+function roundTicks(a, b, count) {
+  const power = 10 ** Math.floor(Math.log10((b - a) / count)), step = power * [1, 2, 5, 10].find(s => s * power * count >= b - a);
+  const ticks = [];
+  for (let k = Math.ceil(a / step - 1e-9); k <= b / step + 1e-9; k++) ticks.push(k * step);
+  return [ticks, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))];
+}
+
+/** Lines over x: curves [{name, points: [[x, y]]}]. Title and label name units. */
+function plot(title, label, curves) {
   const width = 520, height = 230, left = 52, right = 12, top = 22, bottom = 32, NS = "http://www.w3.org/2000/svg";
   const points = curves.flatMap(c => c.points);
   const range = k => { const v = points.map(p => p[k]), a = Math.min(...v), b = Math.max(...v), m = (b - a || 1) * 0.05; return [a - m, b + m]; };
@@ -115,11 +123,14 @@ function plot(title, label, curves, digits) {
     for (const [k, v] of Object.entries(attributes)) e.setAttribute(k, v);
     e.textContent = content; svg.append(e); return e;
   };
-  for (let k = 0; k <= 4; k++) {
-    const y = y0 + k / 4 * (y1 - y0), x = x0 + k / 4 * (x1 - x0);
+  const [xs, xDigits] = roundTicks(x0, x1, 6), [ys, yDigits] = roundTicks(y0, y1, 5);
+  for (const y of ys) {
     add("line", { class: "axis", x1: left, x2: width - right, y1: Y(y), y2: Y(y) });
-    add("text", { x: left - 6, y: Y(y) + 4, "text-anchor": "end" }, y.toFixed(digits));
-    add("text", { x: X(x), y: height - 16, "text-anchor": "middle" }, x.toFixed(2));
+    add("text", { x: left - 6, y: Y(y) + 4, "text-anchor": "end" }, text(y, yDigits));
+  }
+  for (const x of xs) {
+    add("line", { class: "axis", x1: X(x), x2: X(x), y1: height - bottom, y2: height - bottom + 4 });
+    add("text", { x: X(x), y: height - 16, "text-anchor": "middle" }, text(x, xDigits));
   }
   add("text", { x: left, y: 13 }, title);
   add("text", { x: width - right, y: height - 3, "text-anchor": "end" }, label);
@@ -140,10 +151,10 @@ function plots(cells) {
     const name = choice.value, column = columns[name], shown = cells.filter(c => wanted.has(c.method));
     const colored = shown.map((c, k) => ({ name: c.method, color: COLORS[k % COLORS.length], frames: c.frames.filter(f => f[name] !== null && f[name] !== undefined) }));
     const alphas = [...new Set(colored.flatMap(c => c.frames.map(f => Math.round(f.alpha * 1e4) / 1e4)))].sort((a, b) => a - b);
-    const drawn = [plot(`${column.title} over time`, "time, s", colored.map(c => ({ ...c, points: c.frames.map(f => [f.time, f[name]]) })), column.digits)];
+    const drawn = [plot(`${column.title} over time`, "time, s", colored.map(c => ({ ...c, points: c.frames.map(f => [f.time, f[name]]) })))];
     if (alphas.length > 1 && alphas.length <= 16) {
       const mean = (c, a) => { const v = c.frames.filter(f => Math.abs(f.alpha - a) < 1e-3).map(f => f[name]); return v.reduce((s, x) => s + x, 0) / v.length; };
-      drawn.push(plot(`${column.title} over α, mean`, "α, intervals", colored.map(c => ({ ...c, points: alphas.map(a => [a, mean(c, a)]) })), column.digits));
+      drawn.push(plot(`${column.title} over α, mean`, "α, intervals", colored.map(c => ({ ...c, points: alphas.map(a => [a, mean(c, a)]) }))));
     }
     const legend = make("div", { className: "legend" }, ...colored.map(c => make("span", {}, make("i", { style: `background:${c.color}` }), titles[c.name])));
     holder.replaceChildren(make("div", { className: "plots" }, ...drawn), legend);
@@ -236,7 +247,7 @@ function late() {
   const curves = names.map((name, k) => ({ name, color: COLORS[k], points: results.late.filter(r => r.method === name).map(r => [r.turn, r.psnr]) }));
   report.append(make("h2", {}, "Late warp"),
     make("p", {}, "A rendered frame shown at its own time, from a camera that has turned to the right since."),
-    plot("PSNR, dB, over the turn", "degrees", curves, 1),
+    plot("PSNR, dB, over the turn", "turn, degrees", curves),
     make("div", { className: "legend" }, ...curves.map(c => make("span", {}, make("i", { style: `background:${c.color}` }), title[c.name]))),
     sortable(heads, results.late.map(r => ({ cells: [
       { text: r.title }, { text: String(r.turn), value: r.turn },

@@ -6,6 +6,7 @@ import base64
 import json
 from importlib.resources import files
 
+from gffe_cl.core.files import report_style
 from gffe_cl.evaluation.table.results import PAPER
 from gffe_cl.evaluation.table.runner import Filled
 
@@ -36,7 +37,7 @@ def page(results: dict, filled: Filled) -> str:
         pictures[sequence][method] = _data(cell.pictures)
     return _FRAME.format(
         date=results["date"],
-        css=_resource("page.css"),
+        css=report_style() + _resource("page.css"),
         js=_resource("page.js"),
         results=_embedded(results | {"paper": PAPER}),
         pictures=_embedded(pictures),

@@ -42,7 +42,7 @@ class PipelineRunner:
         self._submitted = taken if self._submitted is None else self._submitted
 
     def present(self) -> np.ndarray:
-        """What is shown of the rendered frame: windows make it a little softer."""
+        """Return the displayed rendered frame; windows make it a little softer."""
         return self.pipeline.present().numpy("color")
 
     def make(self, moment: Moment) -> np.ndarray:

@@ -22,7 +22,7 @@ from gffe_cl.pipeline.pipeline import Pipeline
 
 # By label; where several would hold, the first does.
 REGIONS = {
-    "out of screen": "what it shows lies outside of the rendered frame",
+    "out of screen": "it shows something outside of the rendered frame",
     "static disocclusion": "hidden in the rendered frame behind something that stands still",
     "dynamic disocclusion": "hidden in the rendered frame behind something that moves",
     "silhouettes": "beside a step in depth",

@@ -1,4 +1,4 @@
-"""What a filled table says: one document, from which console, JSON, CSV, page and documentation are made."""
+"""Results of a filled table: one document, from which console, JSON, CSV, page and documentation are made."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def budget(errors: RegionErrors) -> list[dict]:
 
 
 def gains(filled: Filled) -> list[dict]:
-    """What each of `GAINS` is worth, pooled over the sequences that have both rows: by how much PSNR is higher with it,
+    """Return each of `GAINS`, pooled over the sequences that have both rows: by how much PSNR is higher with it,
     in dB, over the whole frame, over its region and in the mean of the frames, beside the paper's gain."""
     found = []
     for gain in GAINS:
@@ -254,7 +254,7 @@ def _finite(value: float) -> float | None:
 
 
 def columns_of(results: dict) -> list[Column]:
-    """What the table has figures of."""
+    """Return the columns that have figures."""
     return [COLUMNS[column["name"]] for column in results["columns"]]
 
 

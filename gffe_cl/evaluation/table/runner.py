@@ -53,7 +53,7 @@ class Filled:
 
 @dataclass(frozen=True)
 class Order:
-    """What is asked for. `methods`, `onnx` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`; `recompute`:
+    """Requested evaluation. `methods`, `onnx` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`; `recompute`:
     take no cell that is there; `network`: as of `chosen_methods`."""
 
     subjects: tuple[Subject, ...]

@@ -84,7 +84,7 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
 
 
 class Attachment:
-    """What `attach` returns; a context manager.
+    """Attachment of a pipeline, returned by `attach`; a context manager.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class _Viewer:
 
 
 class _Watcher:
-    """What the pipeline calls. All that goes wrong here sends the viewer away, and nothing else."""
+    """Hook of the pipeline. Any failure here disconnects the viewer, and has no other effect."""
 
     def __init__(self, pacer: Pacer | None):
         self.viewer: _Viewer | None = None
@@ -387,7 +387,7 @@ class _Watcher:
         viewer.channel.send(Inspection((ask.x, ask.y), 0, story.source, values, story))
 
     def _since_mark(self, stage: Stage) -> list[tuple[str, cl.Event]]:
-        """What the stage launched for this frame; the program's own `take_timings` find it, too."""
+        """Return the stage's launches for this frame; the program's own `take_timings` returns them, too."""
         found = []
         for launched in reversed(stage.events):
             if launched is self._marks.get(stage.name):

@@ -89,7 +89,7 @@ class RunningProgram:
         return seen, {name: np.array(place.array(self._block)) for name, place in seen.images.items()}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None, check: Callable[[], None]) -> Inspection:
-        """What the next frame holds at a pixel; as `see`."""
+        """Return the next frame's values at a pixel; as `see`."""
         self._send(Ask(x, y, layers))
         return self._wait("_inspection", check)
 

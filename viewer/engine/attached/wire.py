@@ -1,4 +1,4 @@
-"""What a program and the viewer that looks into it tell each other."""
+"""Protocol between a program and the viewer that is attached to it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class Look:
 
 @dataclass(frozen=True)
 class Ask:
-    """What does the next frame hold at display pixel (x, y)? `layers`: None for all. The answer is an `Inspection`."""
+    """Request for the next frame's values at display pixel (x, y). `layers`: None for all. The answer is an
+    `Inspection`."""
 
     x: int
     y: int

@@ -1,4 +1,4 @@
-"""What the story of a pixel consists of."""
+"""Types of a pixel's explanation."""
 
 from __future__ import annotations
 

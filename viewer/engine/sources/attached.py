@@ -1,4 +1,4 @@
-"""What a running program shows: its frames as they come, and its last ones, frozen."""
+"""Source of an attached program: its frames as they come, or its last frames, frozen."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class RemoteSlots:
         return {}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
-        """What the program's next frame holds at display pixel (x, y); None outside."""
+        """Return the values of the program's next frame at display pixel (x, y); None outside."""
         if not (0 <= x < self.source.width and 0 <= y < self.source.height):
             return None
         self._inspected = True

@@ -19,7 +19,7 @@ _IMAGES = (".exr", ".png", ".npy", ".npz", ".flo", ".flo5")
 
 @dataclass(frozen=True)
 class Preview:
-    """What can be shown of `target` without a device: `color` (H, W, 4) float16 is what slot 0 shows."""
+    """Preview of `target` without a device: `color` (H, W, 4) float16 is the picture of slot 0."""
 
     target: str
     color: np.ndarray

@@ -139,7 +139,7 @@ class _ReadAhead:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gffe-viewer-read")
 
     def get(self, key: tuple, read: Callable[[], Any]) -> Any:
-        """What was kept or comes, else what `read` returns; raises what reading raised, and tries again next time."""
+        """Return the stored or pending result, else that of `read`; raises its errors, and tries again next time."""
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]

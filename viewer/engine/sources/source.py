@@ -1,4 +1,4 @@
-"""What the viewer's frames come from: the contract of a source."""
+"""Interface of the viewer's sources of frames."""
 
 from __future__ import annotations
 
