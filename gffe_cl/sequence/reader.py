@@ -62,7 +62,7 @@ class Sequence:
     known_cameras : list[FrameEntry]
         Times without a picture whose camera is known, of kind "camera_only".
     unfinished : bool
-        Whether what wrote it was interrupted: the frames are those that were finished.
+        Whether its writer was interrupted: the frames are those that were finished.
 
     Raises
     ------

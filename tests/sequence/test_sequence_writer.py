@@ -258,7 +258,7 @@ def test_replaces_a_killed_output(tmp_path):
     writer._pool.shutdown()  # and then kill -9: no sequence.json, and no lock
     writer._folder._release()
     assert len(list(tmp_path.rglob("*.exr"))) == 3
-    with pytest.raises(GffeError, match=r"is unfinished, what wrote it was cut off"):
+    with pytest.raises(GffeError, match=r"is unfinished: its writer was stopped"):
         open_sequence(tmp_path)
     with SequenceWriter(tmp_path, W, H, 30) as writer:
         writer.add(rendered(1), named_channels(*pixels()))
