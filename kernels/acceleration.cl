@@ -1,6 +1,6 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's motion points
-   to, is its acceleration. What noise and bad vectors feign does not last, nor what a mover does that bounces or stops: only
+   to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop: only
    as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on, too. Cells without
    a mover are skipped.
    Some movers are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
@@ -26,7 +26,7 @@ typedef struct {
     float depth, depth_prev;
 } Mover;
 
-/* The rendered frame, and what history tracking found of its fragments. */
+/* The rendered frame, and the results of history tracking for its fragments. */
 typedef struct {
     __global const float *depth;
     __global const float2 *motion;
@@ -83,7 +83,7 @@ inline float squared_length(const float3 v) {
     return squares.x + squares.y + squares.z;
 }
 
-/* How much of an acceleration counts, 0 to 1: what of it there was an interval before, and that it bends the path gently. */
+/* Weight of an acceleration, 0 to 1: its share that existed an interval before, and less where it bends the path sharply. */
 inline float trust(const float3 velocity, const float3 acceleration, const float3 before) {
     const float3 va = velocity * velocity, aa = acceleration * acceleration, ab = acceleration * before;
     const float size = aa.x + aa.y + aa.z, speed = BEND_MOST * BEND_MOST * (va.x + va.y + va.z);
@@ -100,7 +100,7 @@ inline float3 carried_on(const float3 acceleration, const float3 before) {
 }
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
-   where it is not known. bend: what of it goes on, as it will be, and the same trust: after alpha intervals it has added
+   where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it has added
    alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are
    of view space there. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(const Frame frame, __global const float *depth, __global const float2 *motion,

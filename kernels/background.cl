@@ -79,7 +79,7 @@ inline float slope_at(const int src, const int source_width, __global const floa
     return most;
 }
 
-/* Whether the current frame allows a static fragment of depth z at pixel `src`: not in front of what is seen there (it would be
+/* Whether the current frame allows a static fragment of depth z at pixel `src`: not in front of the visible surface (it would be
    seen, so it is gone), behind it where that is dynamic. *behind: hidden by it. */
 INLINE bool may_be_at(const int src, const float z, const int source_width, __global const float *depth,
                       __global const uchar *dynamic_mask, __global const uchar *links, float *margin, bool *behind) {
@@ -94,7 +94,7 @@ INLINE bool may_be_at(const int src, const float z, const int source_width, __gl
     return !before && (*behind || !dynamic_mask[src]);
 }
 
-#define BEHIND (1.0f - 0.95f * SAME_SURFACE)  /* times the depth of a fragment: nearer than that is what it is behind */
+#define BEHIND (1.0f - 0.95f * SAME_SURFACE)  /* times the depth of a fragment: nearer surfaces hide it */
 #define TOUCHES 0.499f       /* of a texel's side: how far a fragment reaches to the texels beside its own */
 
 /* The current frame, what a level of it holds already (`taken`, and how deep), and whom fragments are offered to. */
@@ -112,9 +112,9 @@ inline bool lands(const float3 now, const int width, const int height) {
 }
 
 /* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or to the next
-   level if it lies behind what B_level holds (case 2: push_keys); of a single level its texel has room for that itself. And to
+   level if it lies behind the fragment in B_level (case 2: push_keys); of a single level its texel has room for that itself. And to
    the texels with room that it touches, where every fragment of their own goes before: without that, fragments that move by less
-   than half a pixel per frame would never get past the border of what the current frame shows, and fragments that met in one
+   than half a pixel per frame would never get past the border of the visible area of the current frame, and fragments that met in one
    texel would leave a gap beside it. */
 INLINE void offer_fragment(const float3 now, const uint texel, const Collection to) {
     if (!lands(now, to.width, to.height)) return;
@@ -279,13 +279,13 @@ typedef struct {
     __global int *px;
     __global uchar *state;
     int level, width;
-    int single;  /* the only level: what is SHOWN leaves room */
+    int single;  /* the only level: SHOWN texels have room */
 } Level;
 
 /* Whether texels have room for a remembered fragment. */
 inline bool has_room(const uchar state, const int single) { return state == EMPTY || (single && state == SHOWN); }
 
-/* Whether nobody was offered to any of LANES texels. */
+/* Whether no fragment was offered to any of LANES texels. */
 inline bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
 #if LANES == 1
     return winner_of(keys, winners, first) == NOBODY;
@@ -359,7 +359,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     }
 }
 
-/* RUN texels of a level from column x on. Not to `collect`: what the frame shows stays out. */
+/* RUN texels of a level from column x on. Not to `collect`: visible surfaces stay out. */
 INLINE void settle_run(const int x, const int y, const int collect, __global Key *keys, __global uint *winners,
                        const Texels old, const Reprojection to_current, const Level level) {
     const int width = level.width;
@@ -384,7 +384,7 @@ SCAN __kernel void settle_level(const Frame frame, const int level, __global Key
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
-/* The same, and begins the next level with what was pushed down. */
+/* The same, and begins the next level with the fragments pushed down. */
 SCAN __kernel void settle_and_push(const Frame frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
                                    __global Key *push_keys, __global uint *push_winners, __global const half *frame_color,
                                    __global const float *frame_depth, __global const uint *old_color,
@@ -445,7 +445,7 @@ inline void offer_to_pixels(const int x0, const int y0, const int x1, const int 
     }
 }
 
-/* Offers the remembered fragments of all levels, RUN texels per work-item; what lies between two levels is EMPTY. */
+/* Offers the remembered fragments of all levels, RUN texels per work-item; texels between two levels are EMPTY. */
 SCAN __kernel void project_levels(const Frame frame, const int pass, __global const float *levels_depth,
                                   __global const int *levels_px, __global const uchar *levels_state,
                                   __global const uchar *disoccluded, __global const uchar *mixed,

@@ -19,7 +19,7 @@
 #define LINK_LEFT 4
 #define LINK_UP 8
 
-/* Values of `filled_by`, what a pixel of an extrapolated frame shows; 1 + l is level l of the background; 252 is free. */
+/* Values of `filled_by`, the source of a pixel of an extrapolated frame; 1 + l is level l of the background; 252 is free. */
 #define BY_WARP 0
 #define BY_HIDDEN_PART 250
 #define BY_FIXED 251
@@ -106,7 +106,7 @@ inline bool is_same_surface(const float z, const float expected, const float tol
     return isinf(expected) ? isinf(z) : fabs(z - expected) <= tolerance;
 }
 
-/* The mean of what was summed up with weights. */
+/* The mean of a weighted sum. */
 inline float3 mean_of(const float3 sum, const float weight_sum) {
     return (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum));
 }

@@ -12,7 +12,7 @@
 
 #define APPROACHES 3  /* of the effects' position to where they come from */
 
-/* Depth without what stays in place: no stage splats, collects or meets it. */
+/* Depth without overlays that stay in place: no stage splats, collects or meets them. */
 __kernel void leave_out_fixed(const Frame frame, __global const float *depth, __global const uchar *fixed_mask,
                               __global float *out_depth) {
     const int source_width = frame.source_width, source_height = frame.source_height;
@@ -27,7 +27,7 @@ inline bool holds(const int width, const int height, const float2 px) {
     return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
 }
 
-/* A texel of a layer; what is no number is transparent. */
+/* A texel of a layer; NaN is transparent. */
 inline float4 load_layer(__global const half *layer, const int i) {
     const float4 c = vload_half4(i, layer);
     return (float4)(load_color(layer, i), isnan(c.w) ? 0.0f : clamp(c.w, 0.0f, 1.0f));
@@ -47,7 +47,7 @@ inline float4 layer_at(__global const half *layer, const float2 px, const int wi
 
 inline float3 over(const float4 layer, const float3 picture) { return layer.xyz + (1.0f - layer.w) * picture; }
 
-/* Effects go on along their own motion: what is at px at t + alpha was at s = px + alpha * motion[s] at t. */
+/* Effects continue along their own motion: the effect at px at t + alpha was at s = px + alpha * motion[s] at t. */
 inline float2 effects_origin(const float2 px, const float alpha, __global const float2 *motion, const int width,
                              const int height) {
     float2 origin = px;

@@ -158,7 +158,7 @@ typedef struct {
 } Collecting;
 
 /* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`: texels are
-   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them,
+   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and no fragment is offered to them,
    nor to level 1; of a `single` level to none. */
 INLINE void find(const Place p, const int collect, const bool single, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);

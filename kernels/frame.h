@@ -1,4 +1,4 @@
-/* The frame block: what kernels are given of a frame beside its buffers. gffe_cl/stages/frame_block.py reads this struct and
+/* The frame block: the arguments of kernels for a frame, besides its buffers. gffe_cl/stages/frame_block.py reads this struct and
    fills it for each rendered and each extrapolated frame; `gffe export` makes the same struct in C. The widest types
    come first: nothing is padded. Where there is no frame before, "previous" is the rendered frame itself; what is about the
    target is 0 while stages work on a rendered frame. */
@@ -20,21 +20,21 @@ typedef struct {
     float4 to_display;                /* source -> display */
     float4 to_previous_display;       /* previous -> its display */
     int4 level_starts;                /* first texels of background levels 1, 2 and 3, and the end of all levels */
-    float2 zoom;                      /* target pixels per source pixel of what is equally far from both cameras */
+    float2 zoom;                      /* target pixels per source pixel of points equally far from both cameras */
     float2 pixel_size;                /* of the source, display pixels */
     int source_width, source_height;
     int target_width, target_height;
     int network_width, network_height;
     int cells_width, cells_height;    /* of the grid on which shading trends are measured */
     int has_previous;
-    int order;                        /* of prediction: the option, or what the frames so far allow */
+    int order;                        /* of prediction: the option, or less if there are too few frames */
     float alpha;
     float interval_ratio;             /* the last interval between rendered frames, in that before it */
     float exposure;                   /* factor on color before display */
     float code_offset;                /* color_code.h, at this frame's exposure */
     float camera_step;                /* world units that the camera moved since the frame before */
     int has_overlays;                 /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
-    /* Facts: options, and what stages decide when they are made. */
+    /* Facts: options, and decisions of stages at construction. */
     int motion;                       /* whether motion is estimated */
     int camera_fixed;                 /* whether fragments that are fixed to the camera are told from movers */
     int positions;                    /* of history, that are kept */
@@ -59,4 +59,4 @@ inline int level_side(const int side, const int level) { return (side + (1 << le
 #define EMPTY 0
 #define SHOWN 1        /* of level 0: a static fragment of the frame itself: the warp projects it */
 #define REMEMBERED 2   /* of an earlier frame */
-#define BOTH 3         /* of a single level: SHOWN, and what that hides is REMEMBERED */
+#define BOTH 3         /* of a single level: SHOWN, and the surface hidden by it is REMEMBERED */

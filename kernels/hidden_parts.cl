@@ -1,4 +1,4 @@
-/* Hidden parts of movers: disocclusions that belong to a moving object, not to what is static behind it.
+/* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background.
    What would fill one moves as the dynamic fragments beside it do, so its place in the rendered frame is known; and as the
    warp brought nothing from there it was hidden, or its depth is invalid. Where that frame shows something at that place that
    is not nearer, the mover has no part there, and the hole is left to the background.
@@ -11,7 +11,7 @@
 #include "blocks.h"
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
-#define HIDES 0.95f       /* ... and times the depth of a mover: what is nearer is another one, and may hide it */
+#define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
 #define STANDS_BEFORE 0.97f  /* times the depth of a mover: its parts are looked for behind static pixels nearer than that */
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 

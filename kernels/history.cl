@@ -1,5 +1,5 @@
 /* History tracking (paper: 'Motion estimation', appendix Algorithm 1).
-   Positions are in the view space of the current rendered camera: P_0 is what depth gives. P_1 of what is dynamic is where its
+   Positions are in the view space of the current rendered camera: P_0 follows from depth. P_1 of a dynamic fragment is where its
    motion points to, at the depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
 #include "frame.h"
@@ -24,8 +24,8 @@
 
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
-#define DEPTH_PER_MOTION 2.0f    /* ... and what is added per unit of its sideways motion */
-#define FIXED_MOST 0.0625f       /* px by which what is fixed to the camera may move in the image ... */
+#define DEPTH_PER_MOTION 2.0f    /* ... and the addition per unit of its sideways motion */
+#define FIXED_MOST 0.0625f       /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f        /* ... and relative change of its depth */
 #define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighborhood of x' */
 
@@ -63,7 +63,7 @@ inline void count_residuals(__local int *histogram, const Ints counts, const Flo
     count_bins(histogram, counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1));
 }
 
-/* Adds 1 to the bins of differences of a component of motion, mv, between two places where what stands still would move into one
+/* Adds 1 to the bins of differences of a component of motion, mv, between two places where static points would move into one
    direction, and the vectors do: bin 0 none, 1 less than the least step, then eight per octave; of negative motion in the next
    histogram. */
 inline void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still, const Floats near_mv,
@@ -99,7 +99,7 @@ inline float bin_start(const int b) { return as_float((uint)(b + RESIDUAL_FIRST_
 /* epsilon from the residual, within [low, high] px: where the errors of static pixels end. From their lowest tenth on, bins
    belong to one population as long as the next two hold more than 1% of it: errors of rounding and of cameras are spread without a
    gap, whatever their size. At most 8 times the lower quartile, which belongs to static pixels as long as a quarter of the
-   frame is static: what moves is spread without a gap, too.
+   frame is static: moving objects are spread without a gap, too.
    If nearly all of the frame is off by more than a camera can be, and by the same, that is a mover that fills the frame, and
    the change of the residual is all the noise there is. */
 inline float noise_threshold_squared(__local const int *histogram, const float low, const float high) {
@@ -147,7 +147,7 @@ inline void find_steps(__local const int *histogram, const float threshold_squar
 }
 
 /* By how much residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not; NaN stays. Which way
-   vectors were rounded to 0 tells the motion of what stands still, mv + residual. */
+   vectors were rounded to 0 gives the motion of static points, mv + residual. */
 INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *of_classes) {
     const Floats error = times * (mv + residual < 0.0f ? (Floats)(of_classes[1]) : (Floats)(of_classes[0]));
     const Floats excess = fabs(residual) - error;
@@ -200,7 +200,7 @@ void find_threshold(const Frame frame, __global const float *depth, __global con
     find_steps(counts + 2 * RESIDUAL_BINS, *threshold_squared, motion_steps);
 }
 
-/* epsilon beside errors of quantization: where what exceeds them ends, as in noise_threshold_squared; of these errors few are
+/* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of these errors few are
    near the largest, so 0.5% is enough. */
 inline float excess_threshold_squared(__local const int *histogram) {
     int below, last = quantile_bin(histogram, 0.1f, &below);
@@ -302,7 +302,7 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
     return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
-/* The rendered frame and the one before, and what is found of dynamic fragments. */
+/* The rendered frame and the one before, and the results for dynamic fragments. */
 typedef struct {
     __global const float *depth;
     __global const float2 *motion;
@@ -328,7 +328,7 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
                                * from_previous.source_inverse.x * px_static.z;
         const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
         int nearest = 0;
-        /* At the depth of what stands or moves sideways; else at its own, as what travels with the camera. */
+        /* At the depth of a static or sideways moving point; else at its own, as of objects that travel with the camera. */
         float z_prev = px_static.z > 0.0f ? depth_met(px_prev, px_static.z, tolerance, source_width, frame->source_height,
                                                       f.depth_prev, &nearest) : -1.0f;
         if (frame->camera_fixed && !(z_prev > 0.0f))

@@ -1,4 +1,4 @@
-/* Hole filling: what is still invalid is continued from the far side of the disocclusion, or comes from the image
+/* Hole filling: pixels that are still invalid are continued from the far side of the disocclusion, or comes from the image
    downsampled 32 times (paper: 'Shading correction network').
    To be filled are the pixels that are labeled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
    at once, and the downsampled image is made only where a pixel asks for them. */
@@ -115,7 +115,7 @@ inline bool is_out_of_screen(const float3 px_source, const Frame *frame) {
              && px_source.y < (float)frame->source_height);
 }
 
-/* What lies out of screen goes on as the image's border does: the mean of what is beside the hole and of that border. */
+/* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
 inline float3 continued(const float3 beside, const float3 px_source, const Frame *frame, __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
     const float3 border = border_code(px_source.xy, frame, source_color);
@@ -147,7 +147,7 @@ inline bool far_side(const int dst_x, const int dst_y, const Frame *frame, const
     return true;
 }
 
-#define MIXED_REACH 16           /* px beyond which the far side says too little of what the background remembers */
+#define MIXED_REACH 16           /* px beyond which the far side does not represent the remembered surface */
 #define CONTRAST 0.4f            /* of the far side, relative to its mean, with which it counts half */
 
 inline float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
@@ -274,7 +274,7 @@ inline void fill_pixel(const int dst_x, const int dst_y, const float4 mean, cons
 
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
 
-/* Fills what is still invalid from the far side. RUN pixels per work-item. */
+/* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color, __global half *color,
                                  __global float *depth, __global float2 *motion) {
@@ -296,7 +296,7 @@ SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_
 
 /* ---- downsampled, as in the paper ------------------------------------------------------------------------------ */
 
-#define TILE 4               /* texels along the side of what one work-group fills: it needs those around them, too */
+#define TILE 4               /* texels along the side of a work-group's area: it needs those around them, too */
 #define RING (TILE + 2)
 #define GROUP 128            /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
 #define STRIP 8              /* rows of a texel that one work-item sums up */
@@ -388,7 +388,7 @@ inline void fill_or_ask(const bool fills, const int first_x, const int end_x, co
     }
 }
 
-/* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills what lies under TILE x TILE texels: it sums
+/* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills the pixels under TILE x TILE texels: it sums
    up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
 SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_far_side, __global const uchar *filled_by,
                                            __global const half *source_color, __global const float *source_depth,

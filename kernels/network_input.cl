@@ -78,7 +78,7 @@ inline Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
 #define RIGHT(a, b) {(b).part[0].x, (b).part[0].y, (b).part[0].z}
 #endif
 
-/* Means over 2x2 pixels, encoded, of what lifted_rows made of two strips side by side: three planes of the network's input. */
+/* Means over 2x2 pixels, encoded, of the result of lifted_rows for two strips side by side: three planes of the network's input. */
 inline void store_colors(const Strip a, const Strip b, const float4 law, const int plane_size, __global float *planes) {
     const WideRgb left = LEFT(a, b), right = RIGHT(a, b);
     const float scale = 0.25f * law.y;

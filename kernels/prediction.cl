@@ -1,8 +1,8 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
-   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; what is fixed
-   to the camera keeps its place in view space, what it carries moves on there; P_1 is where the fragment's
-   motion points to in the frame before, at the depth met there. What acceleration.cl trusts of a mover's acceleration is added to
-   the linear prediction. */
+   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed
+   to the camera keep their place in view space, those it carries move on there; P_1 is where the fragment's
+   motion points to in the frame before, at the depth met there. The trusted part of a mover's acceleration (acceleration.cl) is added
+   to the linear prediction. */
 
 #include "frame.h"
 #include "simd.h"
@@ -10,7 +10,7 @@
 
 #define NOWHERE -1.0e9f  /* px: far off any image */
 
-/* The rendered frame, and what is known of its fragments' motion; `velocity` and `bend` are of the movers' grid. */
+/* The rendered frame, and the known motion of its fragments; `velocity` and `bend` are of the movers' grid. */
 typedef struct {
     __global const float *depth;
     __global const float2 *motion;

@@ -10,7 +10,7 @@ INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     }
 }
 
-/* The same for what interpolates between them; `off` in rendered pixels. */
+/* The same for interpolation between them; `off` in rendered pixels. */
 INLINE void far_weights(const Floats off, Floats *weights) {
     const Floats within = wide_lesser(wide_greater(off, (Floats)(-1.0f)), (Floats)(1.0f));
     for (int k = 0; k < 3; ++k) {

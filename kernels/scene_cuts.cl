@@ -1,4 +1,4 @@
-/* Cuts: whether the frame before shows anything of what this frame shows (no part of the paper, which is told of cuts).
+/* Cuts: whether the frame before shares any content with this frame (not in the paper, whose cuts are given).
    A lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of color only the
    contrast between neighbors. */
 
@@ -8,7 +8,7 @@
 #define SAMPLES_Y 36
 #define DEPTH_AGREES 0.02f       /* relative difference of depths of one surface */
 #define STATIC_PX 1.0f           /* a vector is the camera's if it is as near as this to where the camera says ... */
-#define STATIC_SHARE 0.1f        /* ... and what is added per pixel of its length */
+#define STATIC_SHARE 0.1f        /* ... and the addition per pixel of its length */
 #define ARM 2                    /* px from a sample to those whose contrast is compared */
 #define CONTRAST_LEAST 0.06f     /* below it there is nothing to compare */
 #define CONTRAST_AGREES 0.5f     /* relative difference of contrasts of one surface */
@@ -41,7 +41,7 @@ inline float depth_before(const float2 px, const float2 px_prev, const float2 mv
     return px_static.z > 0.0f && dx * dx + dy * dy <= most * most ? px_static.z : z;
 }
 
-/* Adds what is found at one sample; px_prev is inside. */
+/* Adds the findings at one sample; px_prev is inside. */
 inline void compare_depth(const float2 px_prev, const float expected, const int width, const int height,
                           __global const float *depth_prev, bool *compared, bool *right) {
     const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
@@ -61,7 +61,7 @@ inline void compare_depth(const float2 px_prev, const float expected, const int 
            : nearest <= expected * (1.0f + DEPTH_AGREES) && farthest >= expected * (1.0f - DEPTH_AGREES);
 }
 
-/* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; it has passed what is nearer than that. */
+/* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; it has passed nearer surfaces. */
 __kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1)))
 void compare_samples(const Frame frame, __global const half *color, __global const float *depth,
                      __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,

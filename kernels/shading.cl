@@ -1,5 +1,5 @@
-/* Around the shading correction network (paper: 'Shading Correction Network'): what it sees of the previous rendered frame, at
-   full size for whoever looks at it, and the focus mask that it learns. */
+/* Inputs of the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame, warped, at
+   full size for display, and the focus mask for training. */
 
 #include "frame.h"
 #include "warped_previous.h"

@@ -13,7 +13,7 @@
 #define FLAT 0.0001f      /* squared gradient of encoded color below which nothing moves */
 #define LONGEST 2.0f      /* pixels of a step */
 #define LITTLE 0.0001f    /* squared change of encoded color */
-#define GAIN 4.0f         /* of what the network is given */
+#define GAIN 4.0f         /* of the network's input */
 #define THIRD 0.33333334f
 #define PRODUCTS 5
 #define REPEATED 7        /* plane of trends: change of brightness in the interval before */

@@ -1,5 +1,5 @@
 /* The trend of shading (beyond the paper): how encoded color changed on static surfaces from rendered frame t-1 to t, over wide
-   areas, and that of the interval before, carried on to t + alpha. What lights do slowly goes on; what flickers or turns does
+   areas, and that of the interval before, carried on to t + alpha. Slow changes of light continue; flicker and turns do
    not: the shading correction network tells them apart.
    A cell has 8x8 pixels of the rendered image; a few of them stand for all. */
 
@@ -12,7 +12,7 @@
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */
 #define MOST_CHANGE 1048576.0f /* factor of one pixel's color: products over a cell stay within floats */
-#define CHANGES 4              /* planes: of R, G, B, and the share of samples that show what is static in both frames */
+#define CHANGES 4              /* planes: of R, G, B, and the share of samples that are static in both frames */
 #define THIRD 0.33333334f
 #define LEAST_SHARE 0.05f      /* of a neighborhood: fewer samples say less */
 #define NOISE 1.033831f        /* factor of lifted color, 1/256 of encoded color, up to which nothing changed, ... */
@@ -139,7 +139,7 @@ __kernel void blur_rows(const Frame frame, __global const float *changes, __glob
     }
 }
 
-/* The same along columns, and the mean of what is known. */
+/* The same along columns, and the mean of known values. */
 __kernel void find_trend(const Frame frame, __global const float *blurred, __global float *trend) {
     const int reach = max(1, frame.source_height / REACH_SHARE);
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;

@@ -1,4 +1,4 @@
-/* Contrast-adaptive sharpening of what upscaling shows.
+/* Contrast-adaptive sharpening of upscaled frames.
 
    Each pixel moves away from its four neighbors, the less the more these differ already: k is (strength / 5) low / high of their
    luma over what it takes away from itself. Flat places and noise of equal share look alike in the dark and in the light, so no

@@ -1,6 +1,6 @@
-/* Silhouettes: edges of what moves over something else, as soft as the rendered frame has them.
-   A rendered frame is antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and what it covers.
-   Where both move apart, that share is estimated and carried along with the nearer surface, over what the new frame shows behind.
+/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame.
+   A rendered frame is antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and of the surface behind.
+   Where both move apart, that share is estimated and carried along with the nearer surface, over the new frame behind it.
    Colors are mixed by their codes (color_code.h).
    Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
 
@@ -89,7 +89,7 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
     return step & part & (d->z[4] > 0.0f);
 }
 
-/* The nearer layer's share of pixels, and the color of what it covers: where a pixel's color lies between the mean colors of
+/* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the mean colors of
    both layers around, as far as these differ; else from the pixels that each layer has. */
 INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links, Floats *behind,
                   Floats *share) {
@@ -201,7 +201,7 @@ WIDE __kernel void find_layers(const Frame frame, __global const float *depth, _
 
 /* ---- the new frame ---------------------------------------------------------------------------------------------- */
 
-/* The new frame, whose every pixel shows what lies in the rendered frame where its motion points to. */
+/* The new frame: every pixel shows the point of the rendered frame that its motion points to. */
 typedef struct {
     int width, height;
     float code_offset;

@@ -1,4 +1,4 @@
-/* LANES pixels of an image, and what lies around them (silhouettes.cl). */
+/* LANES pixels of an image and their surroundings (silhouettes.cl). */
 
 #include "simd_rgb.h"
 
@@ -46,7 +46,7 @@ INLINE void texels_beside(const Span p, __global const half *image, const int dx
         c->part[part] = p.inner ? load_texels(part, image + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
 }
 
-/* Colors without what is negative or no number, and 1 as a fourth channel. */
+/* Colors without negative values and NaN, and 1 as a fourth channel. */
 INLINE void colors_beside(const Span p, __global const half *color, const int dx, const int dy, Strip *c) {
     Strip all;
     texels_beside(p, color, dx, dy, &all);

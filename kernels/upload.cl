@@ -79,7 +79,7 @@ INLINE void load_given(__global const float *given, const bool halves, const int
     for (int part = 0; part < PARTS; ++part) s->part[part] = reload_texels(part, texels);
 }
 
-/* NaN counts as 0; infinities and what half does not hold are clamped. */
+/* NaN counts as 0; infinities and values beyond half are clamped. */
 INLINE void take(const Frame frame, __global const float *given, const bool halves, const int channels, __global half *color,
                  __global uchar *bad_pixels) {
     const int width = frame.source_width, height = frame.source_height, y = get_global_id(1);
@@ -116,7 +116,7 @@ WIDE __kernel void take_halves(const Frame frame, __global const half *given, co
     take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
 }
 
-/* Bad are depth that is NaN or not positive, and motion that is NaN or infinite. What is given may be what is written. */
+/* Bad are depth that is NaN or not positive, and motion that is NaN or infinite. Input and output may be the same buffer. */
 WIDE __kernel void take_geometry(const Frame frame, __global const float *given_depth, const int depth_start,
                                  __global const float *given_motion, const int motion_start, __global float *depth,
                                  __global float2 *motion, __global uchar *bad_pixels) {

@@ -12,7 +12,7 @@
               surprise         render    how far the color is beyond the history around, compressed; A: 1 where there is any
               mean             render    of 3x3 compressed colors; A: error of the history, in deviations
               deviation        render    theirs; A: by how much more light there is than in the history
-   state      history          display   color, linear: what is shown; A: how many samples are behind it
+   state      history          display   color, linear: displayed; A: number of accumulated samples
               lock             display   frames in which it foretold the samples, at rest; more: a thin feature
    out        rejected         display   which share of the history was not believed
               out_color        display   a generated frame, seen through the history                                       */
@@ -24,12 +24,12 @@
 
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-#define LEAST_WEIGHT 0.5f     /* of what is shown until samples come; of a history that weighs less, samples count less, too */
+#define LEAST_WEIGHT 0.5f     /* of the displayed color until samples arrive; with a lighter history, samples count less, too */
 #define FRESH 0.8f            /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
 #define SLOPE 0.75f           /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
 #define DEVIATIONS 2.0f       /* deviations from the mean that a history may have */
 #define NOISE 0.01f           /* of compressed colors, beside their deviation */
-#define SCATTER 1.0f          /* weight of the scatter of what the history lacks, against its mean, which is followed */
+#define SCATTER 1.0f          /* weight of the scatter of the history's error, against its mean, which is followed */
 #define WRONG 1.0f            /* deviations: error from which on a history that moved is not believed */
 #define WRONG_AT_REST 3.0f
 #define UNREST 10.0f          /* per squared pixel of motion */
@@ -121,7 +121,7 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
     return clamped;
 }
 
-/* Of each rendered pixel: where its surroundings were, and how far what it shows is from the history, seen there. */
+/* Of each rendered pixel: where its surroundings were, and the distance of its color from the history there. */
 WIDE __kernel void compare(const Frame frame, __global const half *color, __global const float *depth,
                            __global const float2 *motion, __global const float *previous_depth, __global const half *history,
                            __global half *out_compressed, __global float2 *out_dilated, __global half *out_surprise) {
@@ -193,7 +193,7 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
 }
 
 /* Colors around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
-   which is made up for; what is left is its error. */
+   which is compensated; the rest is its error. */
 WIDE __kernel void survey(const Frame frame, __global const half *compressed, __global const half *surprise,
                           __global half *out_mean, __global half *out_deviation) {
     const int source_width = frame.source_width, source_height = frame.source_height;
@@ -259,7 +259,7 @@ typedef struct {
 } Recalled;
 
 /* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around `src`, within
-   their colors; less where it moved, from there to `px`. `seen`: what depth says. */
+   their colors; less where it moved, from there to `px`. `seen`: by depth. */
 INLINE void recall(const Frame *frame, const Past past, const Floats *px, const Ints known, const Floats *px_previous,
                    const Ints src, const Floats seen, Recalled *r) {
     const int width = frame->target_width, height = frame->target_height;
@@ -337,7 +337,7 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     store_some_bytes(to_bytes(to_ints(255.0f * (1.0f - r.believed) + 0.5f)), count, rejected + dst);
 }
 
-/* A generated frame: the history where its own fragments are seen, with what shading correction changed; else its own
+/* A generated frame: the history where its own fragments are seen, with the change by shading correction; else its own
    color. */
 WIDE __kernel void generate(const Frame frame, const int corrected, __global const float *depth,
                             __global const float2 *motion, __global const uchar *disoccluded, __global const half *gae,

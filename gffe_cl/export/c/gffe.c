@@ -217,7 +217,7 @@ static void forget(gffe *g) {
     g->step.cameras[GFFE_PREVIOUS_DISPLAY] = g->step.cameras[GFFE_FRAME_DISPLAY];
 }
 
-/* Puts time and camera at the head of what is known since the last reset. */
+/* Puts time and camera at the head of the known ones since the last reset. */
 static void remember(gffe *g, double time) {
     gffe_step *step = &g->step;
     int k;
@@ -416,7 +416,7 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
     if (status) return status;
     reference = gffe_reference(g, name);
     if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)
-        return gffe_fail(g, GFFE_INVALID, "there is no buffer '%.60s' (gffe_buffer_name tells what there is)", name);
+        return gffe_fail(g, GFFE_INVALID, "there is no buffer '%.60s' (gffe_buffer_name lists them)", name);
     buffer = &g->plan->buffers[reference / 2];
     gffe_grid_size(&g->step, buffer->grid, buffer->level, size);
     found->memory = g->memory[reference];

@@ -31,7 +31,7 @@ typedef struct gffe gffe;
 typedef enum gffe_status {
     GFFE_OK = 0,
     GFFE_INVALID = 1,       /* an argument makes no sense; nothing was changed */
-    GFFE_OPENCL = 2,        /* a call of OpenCL failed: what was made is lost, destroy the gffe and create another */
+    GFFE_OPENCL = 2,        /* a call of OpenCL failed: results are lost, destroy the gffe and create another */
     GFFE_OUT_OF_MEMORY = 3, /* of the host or of the device: likewise */
     GFFE_NETWORK_FAILED = 4 /* the network's callback said so; the frame was not made */
 } gffe_status;
@@ -103,14 +103,14 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
    the frame after that is submitted. */
 typedef struct gffe_overlays {
     cl_mem fixed_mask;     /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
-    cl_mem effects;        /* half x 4, rendered image: what has no depth, as smoke; not in the frame's own color */
+    cl_mem effects;        /* half x 4, rendered image: effects without depth, such as smoke; not in the frame's own color */
     cl_mem effects_motion; /* float x 2, rendered image: along which effects go on; NULL: they stay */
     cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own color */
 } gffe_overlays;
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
 
-/* Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset. */
+/* Whether the last submitted frame was detected as an unmarked cut: it was treated as a reset. */
 int gffe_is_cut(const gffe *g);
 
 /* Seconds between the last two rendered frames; 1/fps after a reset. */
@@ -135,7 +135,7 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
 gffe_status gffe_present(gffe *g, gffe_frame *made);
 gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done);
 
-/* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means what was kept of the frame
+/* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means the copy of the frame
    before. It lies as kernels see it: colors of background levels as RGB9E5, places in them as offsets, planar images one
    channel after another. Valid until the next frame is submitted. */
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found);

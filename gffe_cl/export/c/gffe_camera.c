@@ -321,7 +321,7 @@ static void lasting_change(double motion[][3], const double *steps, double chang
    coefficients that all components share. */
 typedef struct next_change {
     double products[3][3]; /* of inputs and inputs */
-    double targets[3];     /* products of inputs and what was to be predicted */
+    double targets[3];     /* products of inputs and targets of prediction */
     double gained, moved;  /* correction times error of the usual prediction, and squared correction */
 } next_change;
 
@@ -386,7 +386,7 @@ static void learn(next_change *model, double inputs[3][3], const double usual[3]
     }
 }
 
-/* Predicts the next second divided difference of what moves by `motion`, newest first, in `steps` of time. */
+/* Predicts the next second divided difference of a movement `motion`, newest first, in `steps` of time. */
 static void predict_change(double motion[][3], const double *steps, int count, double made[3]) {
     double speeds[GFFE_POSES][3], changes[GFFE_POSES][3], inputs[3][3], usual[3], correction[3], share;
     next_change model;

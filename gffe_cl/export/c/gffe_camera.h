@@ -39,7 +39,7 @@ const char *gffe_camera_fault(const gffe_camera *camera);
 gffe_window_options gffe_default_window_options(double width, double height);
 
 /* The window through which to render the frame of `current` so that it covers all of `count` predicted cameras, all in
-   pixels of the display and without jitter. NULL if it was made, else what is wrong. */
+   pixels of the display and without jitter. NULL if it was made, else the error. */
 const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *predicted, int count,
                                  const gffe_window_options *options, gffe_window *made);
 
@@ -53,11 +53,11 @@ gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *dis
 double gffe_nearest_depth(const float *depth, int width, int height);
 
 /* The camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds; `order` 1
-   (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2, and what the frames before taught). NULL if it was made, else what is wrong. */
+   (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2, and what the frames before taught). NULL if it was made, else the error. */
 const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, const double *times, int count, int order,
                                    gffe_camera *made);
 
-/* ---- what the pipeline takes from here ---------------------------------------------------------------- */
+/* ---- used by the pipeline ------------------------------------------------------------------------------ */
 
 /* World position of a camera. */
 void gffe_position(const gffe_camera *camera, double position[3]);
@@ -70,7 +70,7 @@ void gffe_view_transform(const gffe_camera *source, const gffe_camera *target, d
 /* For kernels: source view space -> target view space, three rows; both projections, and the source's inverse. */
 void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]);
 
-/* Target pixels per source pixel of what is equally far from both cameras. */
+/* Target pixels per source pixel of points equally far from both cameras. */
 void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]);
 
 /* Scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */

@@ -12,7 +12,7 @@
 enum { ROW = 64, ROW_OF_LANES = 128 };          /* work-items of a work-group, where a kernel does not say */
 enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division is exact */
 
-/* ---- what the device can do --------------------------------------------------------------------------- */
+/* ---- capabilities of the device ----------------------------------------------------------------------- */
 
 /* Builds a program of one kernel to try something out; NULL: it does not build, so the device cannot. */
 static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const char *name, cl_program *program) {
@@ -129,7 +129,7 @@ static gffe_status set_initial(gffe *g) {
         const cl_int error =
             clEnqueueWriteBuffer(g->queue, g->memory[2 * initial->buffer], CL_TRUE, 0, (size_t)initial->bytes,
                                  &gffe_constants[initial->words], 0, NULL, NULL);
-        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "writing what buffers begin with");
+        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "writing the initial content of buffers");
     }
     return GFFE_OK;
 }
@@ -140,7 +140,7 @@ gffe_status gffe_open(gffe *g) {
     cl_int error;
     int k, int64 = g->options.int64_atomics;
     error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking what the device is");
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "querying the device");
     g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
     if (int64 < 0) int64 = has_int64_atomics(g);
     g->exact_division = divides_exactly(g);
@@ -273,5 +273,5 @@ gffe_status gffe_mark(gffe *g, cl_event *done) {
     if (!done) return GFFE_OK;
     error = clEnqueueMarkerWithWaitList(g->queue, 0, NULL, done);
     if (error == CL_SUCCESS) error = clFlush(g->queue);
-    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "an event for what is done");
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "an event for finished work");
 }

@@ -1,4 +1,4 @@
-/* Between gffe_tables.c, which is generated, and what works by it. */
+/* Interface between gffe_tables.c, which is generated, and its users. */
 #ifndef GFFE_INTERNAL_H
 #define GFFE_INTERNAL_H
 
@@ -36,7 +36,7 @@ enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, 
 enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
        GFFE_LENT_BEFORE = 64, GFFE_OF_OVERLAYS = 128 };
 
-/* References of what callers give: the first ones of every plan. */
+/* References of the callers' buffers: the first ones of every plan. */
 enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
        GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
 enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
@@ -77,12 +77,12 @@ typedef struct gffe_operation {
     int kind, part, kernel;
     int grid, level; /* of its work-items, before a kernel's step, or of the texels that are filled */
     int first;    /* of its arguments */
-    int buffer;   /* reference: twice a buffer's number, and 1 for what is kept of the frame before */
+    int buffer;   /* reference: twice a buffer's number, plus 1 for its copy of the frame before */
     int other;    /* the reference that is copied, or the byte that fills */
 } gffe_operation;
 
 typedef struct gffe_initial {
-    int buffer, words, bytes; /* what a buffer holds from the start: constants */
+    int buffer, words, bytes; /* initial content of a buffer: constants */
 } gffe_initial;
 
 typedef struct gffe_operations {
@@ -104,14 +104,14 @@ extern const int gffe_program_count;
 extern const gffe_kernel gffe_kernels[];
 extern const int gffe_kernel_count;
 extern const cl_uint gffe_constants[];
-extern const cl_uint gffe_facts[]; /* a frame block with what does not change from frame to frame */
+extern const cl_uint gffe_facts[]; /* a frame block with the values that are the same for all frames */
 extern const gffe_plan gffe_plans[2]; /* without and with 64-bit atomics */
 extern const char *const gffe_int64_source[];
 extern const int gffe_int64_source_count;
 extern const char *const gffe_division_source[];
 extern const int gffe_division_source_count;
 
-/* What is being worked on, and what the host computes from it. */
+/* The current work, and the host's values for it. */
 typedef struct gffe_step {
     gffe_camera cameras[GFFE_CAMERAS];
     int source[2], target[2];       /* width, height */

@@ -5,7 +5,7 @@
 
 #include "gffe_internal.h"
 
-enum { SPARE = 8 * GFFE_ALIGNMENT }; /* bytes of lent memory beyond its parts: what lies in it is aligned */
+enum { SPARE = 8 * GFFE_ALIGNMENT }; /* bytes of lent memory beyond its parts, for alignment */
 
 static int is_transient(const gffe_buffer *buffer) { return buffer->first >= 0; }
 
@@ -125,7 +125,7 @@ gffe_status gffe_allocate(gffe *g, int late) {
         place_parts(g);
         place_transients(g);
     }
-    for (parts = 0; parts < 2; ++parts) /* first what others lie in */
+    for (parts = 0; parts < 2; ++parts) /* first the containers of others */
         for (number = 0; number < g->plan->buffer_count; ++number) {
             const gffe_buffer *buffer = &g->plan->buffers[number];
             const gffe_place *place = &g->places[number];

@@ -2,7 +2,7 @@
 
        gffe_example FRAMES OUT [PART OF A PLATFORM'S NAME]
 
-   FRAMES/frames.txt says what there is, one thing per line:
+   FRAMES/frames.txt lists the frames, one per line:
 
        gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS
        frame NAME TIME RESET CAMERA CAMERA    a rendered frame: NAME.color (half x 4), NAME.depth, NAME.motion (float);
