@@ -222,7 +222,7 @@ def test_shading_correction(gffe, tmp_path):
         report = json.loads((tmp_path / "r.json").read_text())["milliseconds"]
         assert ("network" in report) == ("correction" in report) == (name != "none")
     for none, some, whole in list(zip(*images.values(), strict=True))[1:]:
-        assert (none["G"] < some["G"]).mean() > 0.7 and (some["G"] < whole["G"]).mean() > 0.9
+        assert (none["G"] < some["G"]).mean() > 0.6 and (some["G"] < whole["G"]).mean() > 0.9
         for same in ("Z", "motion.x"):
             assert np.array_equal(none[same], some[same]) and np.array_equal(none[same], whole[same])
     assert np.array_equal(images["none"][0]["G"], images["all"][0]["G"])  # nothing before it
