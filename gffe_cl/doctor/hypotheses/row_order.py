@@ -61,10 +61,12 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
         mirror = verdict.reading.mirrored()
         twin = search_of(mirror.rows).verdict(mirror)
         upright = _upright(search_of(verdict.reading.rows), verdict.reading)
-        for one, other, sign in ((verdict, twin, 1), (twin, verdict, -1)):
-            twins[one.reading] = other, sign * upright
-            rank[one.reading] = one.total + sign * _WEIGHT * upright
-            rank[one.reading] -= _LEFT * bool(one.reading.rows)
+        twins[verdict.reading], twins[mirror] = (twin, upright), (verdict, -upright)
+        ahead = verdict.total - twin.total + 2 * _WEIGHT * upright
+        ahead += _LEFT * (bool(mirror.rows) - bool(verdict.reading.rows))
+        first, second = (verdict, twin) if ahead >= 0 else (twin, verdict)
+        rank[first.reading] = first.total  # which way up says nothing about other readings
+        rank[second.reading] = min(first.total, second.total) - _LEFT
         verdicts.append(twin)
     unique = {verdict.reading: verdict for verdict in verdicts}
     verdicts = sorted(unique.values(), key=lambda verdict: -rank.get(verdict.reading, verdict.total - 2 * _WEIGHT))
