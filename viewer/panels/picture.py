@@ -61,6 +61,7 @@ def draw(app) -> None:
                            | imgui.ButtonFlags_.mouse_button_middle.value)  # fmt: skip
     place = Placement(model, origin, (width, height))
     _mouse(app, place)
+    hovered = imgui.is_item_hovered()
     marks = imgui.get_window_draw_list()
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
     if model.arrows:
@@ -72,7 +73,7 @@ def draw(app) -> None:
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
     if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
-        app.picture_frames.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers)
+        app.picture_frames.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
 
 class Placement:

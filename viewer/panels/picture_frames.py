@@ -20,12 +20,13 @@ _AFTER_INPUT = 0.3  # seconds in which the whole interface follows keys and mous
 @dataclass
 class Spot:
     """Where the interface has drawn the picture: `origin` in the window's pixels, and `covers`, rectangles in the
-    picture's own pixels that something else is drawn into."""
+    picture's own pixels that something else is drawn into; `hovered`: by the mouse."""
 
     view: View
     origin: tuple[int, int]
     size: tuple[int, int]
     covers: list[Rectangle]
+    hovered: bool
 
 
 class PictureFrames:
@@ -64,6 +65,7 @@ class PictureFrames:
             and "llvmpipe" in app.canvas.ctx.info["GL_RENDERER"]
             and app.model.playback.playing
             and not (scaled or app.stack.covers)
+            and (self.spot.hovered or not imgui.is_any_item_hovered())  # tooltips may reach over the picture
             and now - self._input_at > _AFTER_INPUT
         )
 
