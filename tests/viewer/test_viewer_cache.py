@@ -134,8 +134,9 @@ def test_idle_time_fills_the_cache_ahead_of_the_playhead(computed, session):
     session.settle()
     computed.clear()
     filled(session)
-    # slot 0 was shown on opening, 3 just now
-    assert [slot for slot, role in computed if role == "ahead"] == [4, 5, 6, 7, 1, 2]
+    # slot 0 was shown on opening, 3 just now; 4 may have been begun before `computed` was cleared
+    ahead = [slot for slot, role in computed if role == "ahead"]
+    assert ahead in ([4, 5, 6, 7, 1, 2], [5, 6, 7, 1, 2])
     computed.clear()
     for slot in (6, 1, 7, 0):
         session.model.playback.seek(slot)
