@@ -5,9 +5,9 @@ REPOSITORY = ""
 
 
 class GffeError(Exception):
-    """A structural fault in what the caller gave: bad file, size, camera, device, option.
+    """A structural fault in the caller's input: bad file, size, camera, device, option.
 
-    The message is one line that says what is wrong, where, and what was expected; control characters in it, of file
+    The message is one line with the fault, its place, and the expected input; control characters in it, of file
     names perhaps, are escaped. The command line prints it and exits with code 2. Bad *pixels* never raise it, except in
     strict mode.
     """

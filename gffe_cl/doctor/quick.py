@@ -51,8 +51,8 @@ def check(frames: list[RenderedFrame], exposure: float = 1.0) -> str | None:
 
         assert gffe.check([first, second, third]) is None
 
-    `frames`: in order of time, with NumPy arrays; `exposure`: factor on colors before display. GffeError for what is no
-    such frame.
+    `frames`: in order of time, with NumPy arrays; `exposure`: factor on colors before display. GffeError for anything
+    that is no such frame.
     """
     frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")
     return quick_warning(_InMemory(frames[:_FRAMES]), require_exposure(exposure))

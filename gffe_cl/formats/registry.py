@@ -91,7 +91,7 @@ def open_capture(
     path: str | os.PathLike[str], *, cameras: str = "needed", follow_links: bool | None = None
 ) -> Sequence:
     """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`:
-    which one it is, its files tell.
+    which one it is follows from its files.
 
     Everything that can be checked without decoding pixels is. Frames are read in our own conventions, whatever theirs
     are: a `Sequence` as `open_sequence` gives it. With `cameras` "optional" those of our own form and of `gffe-folder`

@@ -337,10 +337,10 @@ class Camera:
 def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
     """C̄ = C_t + α (C_t − C_{t−1}), the predicted camera at t + α.
 
-    Per pose vector (position, direction, up), re-orthonormalized, and likewise fx and fy; cx and cy stay.
-    Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give cameras
-    without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up to a
-    million, either way.
+    Per pose vector (position, direction, up), re-orthonormalized; fx and fy are predicted in the same way; cx and cy
+    stay. Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give
+    cameras without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up
+    to a million, either way.
     """
     validation.require_kind(previous, Camera, "camera: previous")
     validation.require_kind(current, Camera, "camera: current")

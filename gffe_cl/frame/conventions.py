@@ -177,7 +177,7 @@ def unreal_view(location: Any, pitch: float, yaw: float, roll: float) -> np.ndar
 def depth_from_device(
     z: Any, projection: Any, *, layout: str = "auto", opengl_buffer: bool = False, sky: bool = True
 ) -> np.ndarray:
-    """Planar depth in world units from what a depth buffer holds.
+    """Return planar depth in world units from the values of a depth buffer.
 
     Parameters
     ----------
@@ -189,14 +189,14 @@ def depth_from_device(
     layout : "auto", "row-major" or "column-major"
         See `Camera.from_opengl`.
     opengl_buffer : bool
-        `z` is what `glReadPixels` gives without `glClipControl`: 0 … 1 for −1 … 1.
+        `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1.
     sky : bool
         What has the far plane's depth exactly, as a cleared buffer has, becomes infinite.
 
     Returns
     -------
     (…) float32
-        With P for column vectors, P₂₃ / (z − s P₂₂), s = P₃₂ = ±1; +inf beyond what the projection can show.
+        With P for column vectors, P₂₃ / (z − s P₂₂), s = P₃₂ = ±1; +inf beyond the range of the projection.
 
     Raises
     ------

@@ -99,7 +99,7 @@ class RenderedFrame:
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
 
     def pack(self) -> HostArrays:
-        """Deprecated: `Pipeline.submit` converts arrays itself. Returns what `pack_frame` does."""
+        """Deprecated: `Pipeline.submit` converts arrays itself. Returns the result of `pack_frame`."""
         warnings.warn("RenderedFrame.pack is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
         return host_arrays(self).packed()
 

@@ -64,8 +64,8 @@ class Window(NamedTuple):
     def camera(self, display: Camera, size: tuple[int, int], render_size: tuple[int, int] | None = None) -> Camera:
         """The off-center pinhole to render through, in pixels of the rendered image.
 
-        `display` is the camera of what is shown, in pixels of an image of `size` (width, height); `render_size` is
-        the rendered image's, the same if None. Raises GffeError if one of them, or the window, is empty.
+        `display` is the camera of the displayed image, in pixels of an image of `size` (width, height); `render_size`
+        is the rendered image's, the same if None. Raises GffeError if one of them, or the window, is empty.
         """
         require_kind(display, Camera, "window: display")
         u0, v0, u1, v1 = require_vector(self[:4], "window: u0, v0, u1, v1", 4).tolist()
@@ -119,8 +119,8 @@ def adaptive_window(
         `predict_camera` at every α that will be extrapolated, in display pixels.
     max_enlargement : float ≥ 1
         Of the window's width and height, in those of the display. Where both sides ask for more, the side that asks
-        for less has precedence, up to half of what there is. A corner that points behind the virtual plane asks for
-        infinitely much.
+        for less has precedence, up to half of the available size. A corner that points behind the virtual plane asks
+        for infinitely much.
     size : (width, height) or None
         Of the displayed image, pixels. None: twice the principal point, right for centered pinholes only.
     distance : float
@@ -138,7 +138,7 @@ def adaptive_window(
 
     Notes
     -----
-    Give cameras without jitter, and add it to the camera to render through: then what is shown has none.
+    Give cameras without jitter, and add it to the camera to render through: then the displayed image has none.
     """
     require_kind(current, Camera, "window: current")
     predicted = [predicted] if isinstance(predicted, Camera) else predicted

@@ -208,8 +208,8 @@ class Device:
         return self.info.kind == "cpu" and self.alignment <= PAGESIZE
 
     def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-        """A new NumPy array, not initialized, that begins at a multiple of `alignment`: what `Pipeline.submit` can use
-        with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
+        """A new NumPy array, not initialized, that begins at a multiple of `alignment`, so that `Pipeline.submit` can
+        use it with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
         try:
             dtype = np.dtype(dtype)
             if dtype.hasobject:

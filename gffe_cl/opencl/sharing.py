@@ -55,7 +55,7 @@ class SharingSupport:
 
 
 def sharing_support(device: Device) -> SharingSupport:
-    """Return what `device` can share with graphics APIs, as its driver reports. Raises GffeError for what is no
+    """Return the sharing with graphics APIs that the driver of `device` reports. Raises GffeError if it is no
     Device."""
     own = require_kind(device, Device, "sharing_support: device", "an open Device").cl_device
     extensions = _extensions(own)

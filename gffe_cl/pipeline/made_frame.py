@@ -114,7 +114,7 @@ class ExtrapolatedFrame(MadeFrame):
 
     @property
     def event(self) -> cl.Event:
-        """Complete when the buffers hold the frame; waits likewise before there is one."""
+        """Complete when the buffers hold the frame; reading it waits, too, before there is one."""
         if self._finish is None:
             return self._event
         self._finish()

@@ -47,7 +47,7 @@ class PacingStatistics:
 
 class Pacer:
     """Paces rendered and extrapolated frames on a display of a steady rate. It has no clock and no thread: the caller
-    tells times in seconds, of one clock that only goes forward (`time.perf_counter`). ::
+    passes times in seconds, of one clock that only goes forward (`time.perf_counter`). ::
 
         pacer = gffe.Pacer(display_rate=120)
         while playing:

@@ -124,22 +124,22 @@ class Pipeline:
         Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
     is_cut : bool
-        Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
+        Whether the last submitted frame was detected as an unmarked cut: it was treated as a reset.
 
     Raises
     ------
     GffeError
-        For arguments that are not what is expected here, and for images that find no room on the device.
+        For invalid arguments, and for images that do not fit on the device.
 
     Notes
     -----
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
     with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
     Device buffers must have been written on `device.queue`, or be finished, before they are submitted, or `wait_for`
-    says what must be. Do not submit a released buffer: nothing tells that it is one, and drivers crash on it.
+    says what must be. Do not submit a released buffer: it cannot be detected, and drivers crash on it.
 
     `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
-    device's context: what the call enqueues begins when they are complete. Other queues can wait for the event that
+    device's context: the work of the call begins when they are complete. Other queues can wait for the event that
     `submit` returns and for `event` of the frames made: the device's queue has been flushed by then.
     """
 
@@ -218,9 +218,9 @@ class Pipeline:
 
         Buffers are allocated anew, and nothing is known of earlier frames, as after a reset: history and background
         fill up again. What `keep` asked for is forgotten. Sizes stay; `bad_pixels` and `copied_bytes`
-        go on. Frames that were returned before keep what they hold.
+        go on. Frames that were returned before keep their content.
 
-        Raises GffeError for what is no `Options`, and where old and new buffers find no room beside each other; the
+        Raises GffeError for anything but `Options`, and where old and new buffers do not fit beside each other; the
         pipeline is then as it was before.
         """
         require_kind(options, Options, "change_options: options", "Options")
@@ -272,18 +272,19 @@ class Pipeline:
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
         another queue or from the host, before the event of the second `submit` is complete.
-        Returns at once, but with cut detection waits for the device: `is_cut` says what it found. On CPUs it also waits
+        Returns at once, but with cut detection waits for the device: `is_cut` has the result. On CPUs it also waits
         where it copies NumPy arrays. `packed`, the result of `pack_frame`, is deprecated: its arrays replace the
         frame's.
 
         `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
         lie as device buffers do (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32; C-contiguous) and
         begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion are used in place
-        both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied: `copied_bytes` tells.
+        both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied: `copied_bytes` counts
+        them.
 
         Returns the event that is complete when the work on the frame is done.
 
-        Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, a time that
+        Raises GffeError for fields that do not match `RenderedFrame`, wrong shapes, missing motion, a time that
         does not increase, or events that cannot be waited for; the pipeline is then as it was before.
         """
         frame, zero_copy = checked_frame(frame), require_bool(zero_copy, "submit: zero_copy")
@@ -473,7 +474,7 @@ class Pipeline:
         the predicted camera). Returns at once, unless the shading correction network works on the device's own
         processor, which it waits for; else the frame's `color` and `event` wait, and the next `submit` works meanwhile.
         Reading a buffer waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
-        It overwrites the last frame made: `wait_for` what still reads that on other queues.
+        It overwrites the last frame made: `wait_for` its readers on other queues.
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
@@ -598,7 +599,7 @@ class Pipeline:
     def keep(self, names: Iterable[str] | None = None) -> None:
         """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
         what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
-        ignored. Raises GffeError for what is no collection of texts."""
+        ignored. Raises GffeError for anything but a collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
         self._finish()
         for stage in self.stages.values():
@@ -613,7 +614,7 @@ class Pipeline:
 
     def take_timings(self) -> dict[str, float]:
         """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
-        "network" is the wall time in the network, "network copies" that of copies to what runs it and back. Where the
+        "network" is the wall time in the network, "network copies" that of copies to its provider and back. Where the
         queue has no profiling (`Device.profiles`) only "network" is there."""
         return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
 

@@ -64,7 +64,7 @@ class FrameEntry:
     alpha : float or None
         (time − source time) / (source time − time of the rendered frame before it).
     elsewhere : str or None
-        Path of the file where that is not in the folder; `file` is then what copies of it are called.
+        Path of the file where that is not in the folder; `file` is then the name of its copies.
     """
 
     file: str

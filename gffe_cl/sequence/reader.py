@@ -115,11 +115,11 @@ class Sequence:
         return self._timeline.at(*_moment(kind, time), source)
 
     def camera_at(self, time: float) -> Camera | None:
-        """The display camera at `time` (seconds), matched as `at` does, if ground truth or a known camera tells it."""
+        """The display camera at `time` (seconds), matched as in `at`, from ground truth or a known camera."""
         return self._timeline.camera_at(require_number(time, "sequence: time"))
 
     def nearest(self, kind: str, time: float) -> FrameEntry | None:
-        """The frame of `kind` that is nearest in time, however far: for messages about what `at` does not find."""
+        """The frame of `kind` that is nearest in time, however far: for messages about a miss of `at`."""
         return self._timeline.nearest(*_moment(kind, time))
 
     def near_miss(self, kind: str, time: float) -> str | None:
@@ -140,7 +140,7 @@ class Sequence:
         return _entry(entry).render_size or (self.width, self.height)
 
     def warnings(self) -> list[str]:
-        """Legal but suspicious: an unfinished sequence, frame times, what has been met in the frames read so far."""
+        """Legal but suspicious: an unfinished sequence, frame times, and findings in the frames read so far."""
         met = [f"{file}: {text}" for text, file in self._suspicions.items()]
         outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
         cut = [f"{outside[0]}: the display reaches beyond the rendered area (display_camera)"] if outside else []
@@ -229,7 +229,7 @@ def open_sequence(
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
     channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
-    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. With
+    None then), which nothing but calibration can work on. `mend` converts the JSON text before it is used. With
     `follow_links` the JSON may name files outside the folder; by default it may not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")

@@ -70,9 +70,9 @@ class SequenceWriter:
     -----
     Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
     until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
-    finished and says that it is unfinished; where there was an earlier output that stays, and the new frames are in
-    `path`/gffe-unfinished until the next run; a note of the exception says so. Left by any other exception, everything
-    is as before. Errors of the threads surface in the next `add`, `link`, or on leaving.
+    finished and marks it as unfinished; where there was an earlier output that stays, and the new frames are in
+    `path`/gffe-unfinished until the next run; a note of the exception names them. Left by any other exception,
+    everything is as before. Errors of the threads surface in the next `add`, `link`, or on leaving.
     All of them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is
     writing to.
     """
