@@ -34,7 +34,7 @@ def formats(json_path: JsonOption = None) -> None:
         table.add_row(one.name, plain(one.sentence), "\n".join(plain(line) for line in one.example.splitlines()))
         table.add_row()
     out.print(table)
-    out.print("A folder's form is told from its files. How to write one from your program: docs/formats.md")
+    out.print("The form of a folder follows from its files. How to write one from your program: docs/formats.md")
     listed = [{"name": one.name, "sentence": one.sentence, "example": one.example} for one in FORMATS.values()]
     write_json(json_path, {"formats": listed})
 

@@ -154,7 +154,7 @@ def plugin_device(provider: Provider):
     except Exception as error:
         raise NetworkError(f"provider {provider.name}: its plug-in cannot be loaded: {one_line(error)}") from None
     if not found:
-        raise NoDeviceError(f"provider {provider.name}: no device (expected a GPU that it knows, and its driver)")
+        raise NoDeviceError(f"provider {provider.name}: no device (expected a supported GPU and its driver)")
     return min(found, key=lambda device: ("GPU", "NPU", "CPU").index(device.device.type.name))
 
 

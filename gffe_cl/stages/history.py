@@ -40,7 +40,7 @@ class HistoryTracking(Stage):
             np.float32,
             (),
             "source",
-            "view depth in the frame before of a dynamic fragment's surface, where its motion points to (tells P_1);"
+            "view depth in the frame before of a dynamic fragment's surface, where its motion points to (gives P_1);"
             " 0: static, or not known",
             "depth",
             known_where=("dynamic_mask", 1),

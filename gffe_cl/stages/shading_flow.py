@@ -62,7 +62,7 @@ class ShadingFlow(Stage):
             "candidates", np.float32, (), "network1", "inputs of the network beside its frames: flow / 4 (1, 2), 4 ×"
             " root of both differences (3, 4) and their ratio (5), 4 × change along the flow until t + α (6–8),"
             " 4 × trends (9–12),"
-            " 4 × difference of brightness (13), how far the trend held (14), share that tells (15), α (16)",
+            " 4 × difference of brightness (13), how far the trend held (14), valid share (15), α (16)",
             planes=CANDIDATE_PLANES, mapped=True,
         ),
     )  # fmt: skip

@@ -80,11 +80,11 @@ class ShadingTrend(Stage):
         ),
         BufferSpec(
             "trend", np.float32, (), "cells", "mean change of encoded color around, from t − 1 to t (1–3), and"
-            " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
+            " valid share of the surroundings (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
             "trends", np.float32, (), "network1", "change of encoded color until t + α as the last interval has it"
-            " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
+            " (1–3), as the interval before has it (4–6), and valid share for the latter (7);"
             " change of brightness close by in the interval before (8); at a quarter of the resolution",
             planes=TREND_PLANES,
         ),
