@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -66,10 +67,12 @@ class Change:
     def applied(self, file: str, text: str) -> str:
         """`text` of kernel `file` with the changes. Raises ValueError for one that finds nothing to change."""
         for name, value in self.constants.get(file, {}).items():
-            lines = text.splitlines(keepends=True)
-            (k,) = [k for k, line in enumerate(lines) if line.split()[:2] == ["#define", name]]
-            lines[k] = f"#define {name} {value}\n"
-            text = "".join(lines)
+            # up to the comment, which may go on in the next line
+            text, found = re.subn(
+                rf"^#define {name} .*?(?=\s*/\*|$)", f"#define {name} {value}", text, flags=re.MULTILINE
+            )
+            if found != 1:
+                raise ValueError(f"kernels/{file}: expected '#define {name}' once, found it {found} times")
         for old, new in self.edits.get(file, {}).items():
             if text.count(old) != 1:
                 raise ValueError(f"kernels/{file}: expected '{old}' once, found it {text.count(old)} times")
