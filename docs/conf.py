@@ -75,11 +75,10 @@ def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
         made = subprocess.run(_COMMAND_LINE, capture_output=True, text=True, check=True).stdout
         made = re.sub(r"</?span[^>]*>", "", html.unescape(made))
         made = made[made.index("\n**Usage**") :]
-        # The list of commands has them cut short: their whole first paragraphs, and links.
-        for name, summary in re.findall(r"^## `gffe (\w+)`\n\n(.+)$", made, re.MULTILINE):
-            line = re.compile(rf"^\* `{name}`: .*$", re.MULTILINE)
-            made = line.sub(lambda _, name=name, text=summary: f"* [`{name}`](#gffe-{name}): {text}", made, count=1)
-        source[0] += made
+        # typer cuts the summaries in its list of commands: replace them by the first lines of the sections, with links.
+        summaries = dict(re.findall(r"^## `gffe (\w+)`\n\n(.+)$", made, re.MULTILINE))
+        listed = re.compile(rf"^\* `({'|'.join(summaries)})`: .*$", re.MULTILINE)
+        source[0] += listed.sub(lambda line: f"* [`{line[1]}`](#gffe-{line[1]}): {summaries[line[1]]}", made)
 
 
 def _link_public_name(

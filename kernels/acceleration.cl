@@ -15,7 +15,7 @@
                             that in the world ... */
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
 #define SHAKEN 0.004f    /* a mover begins to be carried only where its velocity in the world has changed by more than this share
-                            of its distance: without a shake nothing tells it from others */
+                            of its distance: without a shake both spaces fit */
 #define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* What a cell's fragments of one mover have in common. */

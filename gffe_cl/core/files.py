@@ -8,7 +8,6 @@ import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
-from importlib.resources import files
 from pathlib import Path
 from typing import BinaryIO
 
@@ -195,8 +194,3 @@ def require_moderate(nbytes: int, pixels: int, label: str) -> None:
         raise GffeError(
             f"{label}: {nbytes / 2**20:.4g} MiB to decode (expected at most {most / 2**20:.4g} MiB for {pixels} pixels)"
         )
-
-
-def report_style() -> str:
-    """Return the CSS that all HTML reports share: light and dark, narrow and wide, and print."""
-    return files("gffe_cl.core").joinpath("report.css").read_text("utf-8")

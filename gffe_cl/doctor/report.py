@@ -10,7 +10,7 @@ from io import BytesIO
 
 import numpy as np
 
-from gffe_cl.core.files import report_style
+from gffe_cl.core.report_style import report_style
 from gffe_cl.doctor.choosing import fixed_by
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.hypotheses.cameras import CAMERA_AS_GIVEN

@@ -14,7 +14,8 @@ _UP = np.array((0.0, 1.0, 0.0))
 
 def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
     """`scene` with lights, contrast, exposure and finishes of its own, and with lights and casters near what the camera
-    sees at `time`, moving: shadows of things in and out of view, sweeping lamps, a turning sun, glass."""
+    sees at `time`, moving: shadows of things in and out of view, sweeping lamps, a turning sun, glass. Some scenes also
+    get posts, a flag or screens, where a correction easily does damage."""
     eye, target = np.asarray(scene.eye(time)), np.asarray(scene.target(time))
     ahead = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(ahead, _UP)
@@ -36,7 +37,7 @@ def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
         groups.append(_caster(view, rng, lights, time))
     if rng.random() < 0.2:
         groups.append(_pane(view, rng))
-    for add in (_posts, _flag, _screens):  # on which a correction is easily worse than none
+    for add in (_posts, _flag, _screens):
         if rng.random() < 0.3:
             groups += add(view, rng)
     exposure = scene.exposure * 2.0 ** rng.uniform(-1.2, 1.0) * (1.3 if indoors else 1.0)

@@ -8,7 +8,7 @@ from typer.main import get_command
 from gffe_cl.cli.commands import app
 
 LONGEST = 160  # characters, with values and default
-PRIVATE = r"\b(what|told|tells?|says?|knows?|hangs?|likewise|the same:)\b"
+PRIVATE = r"\b(what|told|tells?|says?|knows?|hangs?|likewise)\b|\bthe same:"
 BEGINNINGS = ("Of ", "With ", "And ", "Also ", "The same ", "Which ", "How ")
 
 

@@ -19,8 +19,8 @@ _AFTER_INPUT = 0.3  # seconds in which the whole interface follows keys and mous
 
 @dataclass
 class Spot:
-    """Where the interface has drawn the picture: `origin` in the window's pixels, and `covers`, rectangles in the
-    picture's own pixels that something else is drawn into; `hovered`: by the mouse."""
+    """Place of the picture in the window: `origin` in the window's pixels; `covers`, rectangles in the picture's own
+    pixels that other content covers; `hovered`: by the mouse."""
 
     view: View
     origin: tuple[int, int]
@@ -30,11 +30,11 @@ class Spot:
 
 
 class PictureFrames:
-    """Draws them, between two frames of the interface.
+    """Drawing of the picture alone, between two frames of the interface.
 
-    Only where a CPU draws the window (Mesa's llvmpipe): there the interface costs more than the picture, and a swap of
-    buffers leaves the window's contents as they are, which other drivers do not promise. After keys and mouse every
-    frame is a whole one.
+    It is used only where a CPU draws the window (Mesa's llvmpipe). There the interface costs more than the picture, and
+    a swap of buffers keeps the window's contents, which other drivers do not promise. After input from keyboard or
+    mouse every frame draws the whole interface.
 
     Attributes
     ----------
@@ -49,14 +49,14 @@ class PictureFrames:
         self._drawn_at = self._input_at = 0.0
 
     def look_for_input(self) -> None:
-        """Call within a frame of the interface."""
+        """Note input from keyboard and mouse. Call within a frame of the interface."""
         io = imgui.get_io()
         moved = io.mouse_delta.x or io.mouse_delta.y or io.mouse_wheel or io.mouse_wheel_h
         if moved or imgui.is_any_mouse_down() or imgui.is_any_item_active() or io.key_mods or io.want_text_input:
             self._input_at = self._app.clock()
 
     def allow(self) -> None:
-        """Call with a frame of the interface drawn: decides whether frames of the picture alone may follow."""
+        """Decide whether frames of the picture alone may follow. Call when a frame of the interface is drawn."""
         app, io = self._app, imgui.get_io()
         self._drawn_at = now = app.clock()
         scaled = io.display_framebuffer_scale.x != 1.0 or io.display_framebuffer_scale.y != 1.0
@@ -70,7 +70,7 @@ class PictureFrames:
         )
 
     def show(self) -> None:
-        """Play on until the interface is due, or something else than the picture changes."""
+        """Continue playback until the interface is due or playback stops."""
         app = self._app
         while self._allowed:
             rest = app.model.playback.rest(app.clock())

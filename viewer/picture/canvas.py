@@ -35,7 +35,7 @@ _SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rende
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
 
-Rectangle = tuple[int, int, int, int]  # left, top, right, bottom, pixels of what is drawn
+Rectangle = tuple[int, int, int, int]  # left, top, right, bottom, in pixels of the drawn picture
 
 
 @dataclass(frozen=True)

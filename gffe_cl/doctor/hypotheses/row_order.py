@@ -65,7 +65,7 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
         ahead = verdict.total - twin.total + 2 * _WEIGHT * upright
         ahead += _LEFT * (bool(mirror.rows) - bool(verdict.reading.rows))
         first, second = (verdict, twin) if ahead >= 0 else (twin, verdict)
-        rank[first.reading] = first.total  # which way up says nothing about other readings
+        rank[first.reading] = first.total  # orientation ranks mirror images only
         rank[second.reading] = min(first.total, second.total) - _LEFT
         verdicts.append(twin)
     unique = {verdict.reading: verdict for verdict in verdicts}

@@ -6,7 +6,7 @@ import base64
 import json
 from importlib.resources import files
 
-from gffe_cl.core.files import report_style
+from gffe_cl.core.report_style import report_style
 from gffe_cl.evaluation.table.results import PAPER
 from gffe_cl.evaluation.table.runner import Filled
 
