@@ -1,4 +1,4 @@
-/* Hole filling: pixels that are still invalid are continued from the far side of the disocclusion, or comes from the image
+/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image
    downsampled 32 times (paper: 'Shading correction network').
    To be filled are the pixels that are labeled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
    at once, and the downsampled image is made only where a pixel asks for them. */
@@ -19,6 +19,7 @@ typedef struct {
     __global const uchar *filled_by;
     __global const half *source_color;
     __global const float *source_depth;
+    __global const uchar *is_dynamic;
     __global half *color;
     __global float *depth;
     __global float2 *motion;
@@ -33,7 +34,8 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
-#define FAR_SIDE 1.3f            /* inverse depths up to this times the least belong to the far side */
+#define FAR_SIDE 1.3f            /* inverse depths up to this times another are of the same surface, or of a farther one */
+#define NEARER 0.98f             /* times a depth: what is shown nearer than this hides it */
 
 /* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1; 0: none. */
 inline int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask, const uchar hole) {
@@ -77,6 +79,10 @@ inline Border find_border(const int dst_x, const int dst_y, const int width, con
 }
 
 inline bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
+
+inline bool is_as_far(const float inverse, const float other) {
+    return !(inverse > other * FAR_SIDE) && !(other > inverse * FAR_SIDE);
+}
 
 /* Mean (color, inverse depth) of pixels with weights. */
 inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
@@ -122,28 +128,55 @@ inline float3 continued(const float3 beside, const float3 px_source, const Frame
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
+/* Whether the rendered frame shows something nearer at a place inside of it. */
+inline bool was_hidden(const float3 px_source, const Frame *frame, __global const float *source_depth) {
+    const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
+    return !INVALID_DEPTH(shown) && shown < NEARER * px_source.z;
+}
+
+/* Of the surfaces beside a disocclusion, those can be behind it that stand still and that, continued into it, were hidden in the
+   rendered frame. The one that counts most, by the inverse of its distances, gets weights; others get 0. Where there is none, the
+   far side gets them. */
+inline void weigh_surface_behind(const Border a, const float3 *px_source, const Frame *frame, const Images f, float *weight) {
+    bool behind[DIRECTIONS];
+    for (int k = 0; k < a.count; ++k)
+        behind[k] = !f.is_dynamic[a.px[k]] && f.filled_by[a.px[k]] != BY_HIDDEN_PART && was_hidden(px_source[k], frame, f.source_depth);
+    float most = 0.0f, inverse = 0.0f;
+    for (int j = 0; j < a.count; ++j) {
+        float sum = 0.0f;
+        for (int k = 0; k < a.count; ++k)
+            if (behind[j] && behind[k] && is_as_far(a.inverse[j], a.inverse[k])) sum += a.closeness[k];
+        if (sum > most) {
+            most = sum;
+            inverse = a.inverse[j];
+        }
+    }
+    for (int k = 0; k < a.count; ++k) {
+        const bool counts = most > 0.0f ? behind[k] && is_as_far(a.inverse[k], inverse) : is_far(a, k);
+        weight[k] = counts ? a.closeness[k] : 0.0f;
+    }
+}
+
 /* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
    of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
-   disocclusion, and shows the surface on its far side: the mean of those, weighted by the inverse of their distance.
+   disocclusion, and shows the surface behind it.
    Gives (color, inverse depth); false where no direction meets a valid pixel. */
-inline bool far_side(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
+inline bool continue_surface(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     const Border a = find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth);
-    float weight[DIRECTIONS], all = 0.0f;
     if (a.count == 0) return false;
+    float3 px_source[DIRECTIONS];
+    float weight[DIRECTIONS], all = 0.0f;
     for (int k = 0; k < a.count; ++k) {
-        const bool out = is_out_of_screen(static_source(dst_x, dst_y, a.inverse[k], frame->to_source), frame);
-        weight[k] = out ? a.closeness[k] * a.closeness[k] : 0.0f;
+        px_source[k] = static_source(dst_x, dst_y, a.inverse[k], frame->to_source);
+        weight[k] = is_out_of_screen(px_source[k], frame) ? a.closeness[k] * a.closeness[k] : 0.0f;
         all += weight[k];
     }
-    if (all > 0.0f) {
-        *mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, f.color);
-        const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
-        mean->xyz = continued(mean->xyz, px_source, frame, f.source_color);
-        return true;
-    }
-    for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
+    const bool is_disocclusion = !(all > 0.0f);
+    if (is_disocclusion) weigh_surface_behind(a, px_source, frame, f, weight);
     *mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, f.color);
+    if (!is_disocclusion)
+        mean->xyz = continued(mean->xyz, static_source(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
     return true;
 }
 
@@ -276,9 +309,10 @@ inline void fill_pixel(const int dst_x, const int dst_y, const float4 mean, cons
 
 /* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_class,
-                                 __global const uchar *filled_by, __global const half *source_color, __global half *color,
+                                 __global const uchar *filled_by, __global const half *source_color,
+                                 __global const float *source_depth, __global const uchar *is_dynamic, __global half *color,
                                  __global float *depth, __global float2 *motion) {
-    const Images images = {filled_by, source_color, 0, color, depth, motion};
+    const Images images = {filled_by, source_color, source_depth, is_dynamic, color, depth, motion};
     const int target_width = frame.target_width, target_height = frame.target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
@@ -289,7 +323,7 @@ SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_
         const int dst = dst_y * target_width + dst_x;
         if (filled_by[dst] != BY_HOLE_FILLING) continue;
         float4 mean;
-        if (far_side(dst_x, dst_y, &frame, images, &mean)) fill_pixel(dst_x, dst_y, mean, &frame, images);
+        if (continue_surface(dst_x, dst_y, &frame, images, &mean)) fill_pixel(dst_x, dst_y, mean, &frame, images);
         else depth[dst] = BEYOND_REACH;
     }
 }
@@ -394,7 +428,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
                                            __global const half *source_color, __global const float *source_depth,
                                            __global half *color, __global float *depth, __global float2 *motion,
                                            __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
-    const Images images = {filled_by, source_color, source_depth, color, depth, motion};
+    const Images images = {filled_by, source_color, source_depth, 0, color, depth, motion};
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
     __local uint asked[RING * RING], any_asks;
@@ -448,7 +482,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
 /* Fills all of it, from the completed level 1 of push-pull. */
 __kernel void fill_from_pyramid(const Frame frame, __global const uchar *filled_by, __global const float4 *level_mean,
                                 __global half *color, __global float *depth, __global float2 *motion) {
-    const Images images = {filled_by, 0, 0, color, depth, motion};
+    const Images images = {filled_by, 0, 0, 0, color, depth, motion};
     const int level_width = level_side(frame.target_width, 1), level_height = level_side(frame.target_height, 1);
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= frame.target_width || dst_y >= frame.target_height) return;

@@ -102,6 +102,8 @@ class FarSide(Downsampled):
                 "block_class": "backward_blocks.block_class",
                 "filled_by": Access("frame.filled_by", SPLATTED_PIXELS),
                 "source_color": Access("rendered.color", UNFILLED),
+                "source_depth": Access("rendered.depth", UNFILLED),
+                "is_dynamic": Access("frame.dynamic", UNFILLED),
             }
             | _image(UNFILLED),
             _filled(UNFILLED),

@@ -465,6 +465,21 @@ def test_holes_are_filled_with_surroundings(device):
     assert np.abs(out.numpy("motion") - (source - px))[holes].max() < 1e-2
 
 
+def test_holes_below_the_horizon_are_not_sky(device):
+    """A mover leaves a place that is half ground, half sky: each pixel shows the one that it is closer to."""
+    ground = Rect((0, 10, 8), (99, 10), frequency=0.2, tint=(0.9, 0.2, 0.1))  # y down: below the middle row
+    mover = Rect((0.6, 0, 3), (0.4, 0.6), velocity=(-24, 0, 0), tint=(0.1, 0.1, 0.9))
+    still, pipeline = camera(W, H), Pipeline(device, W, H, Options(levels=0))
+    submit(pipeline, Rects([ground, mover]), [still] * 2, [0, 1 / 30])
+    out = pipeline.extrapolate(still, 1.5 / 30)
+    hole, depth = out.numpy("filled_by") == 255, out.numpy("depth")
+    truth = Rects([ground]).frame(still, 0, W, H).depth
+    near = hole & np.isfinite(truth)
+    assert near.sum() > 10 and (hole & ~near).sum() > 10
+    assert (np.isfinite(depth) == np.isfinite(truth))[hole].mean() > 0.9
+    np.testing.assert_allclose(depth[near & np.isfinite(depth)], 8, rtol=1e-3)
+
+
 def test_turning_away_fills_everything(device):
     """Nothing of the rendered frame is in view: the frame is filled all the same, without NaN."""
     pipeline = Pipeline(device, W, H)

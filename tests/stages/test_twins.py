@@ -203,16 +203,15 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
         changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
         assert changed > 5e-4 or size == CASES[0][0]  # there the background fills only pixels of mixed color
         warped |= {"color": mixed}
-    sums = (None, None)
+    sums, reach = (None, None), pipeline.stages["holes"].reach
     if options.hole_filling != "push-pull":
-        reach = pipeline.stages["holes"].reach
-        asked = twins.asked_texels(warped, reach, to_source, twins.load_color(color))
+        asked = twins.asked_texels(warped, reach, to_source, twins.load_color(color), depth)
         sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
         np.testing.assert_allclose(pipeline.stages["holes"].read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(
             pipeline.stages["holes"].read("downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5
         )
-    filled = twins.fill_holes(warped, *sums, to_source, pipeline.stages["holes"].reach, twins.load_color(color))
+    filled = twins.fill_holes(warped, *sums, to_source, reach, twins.load_color(color), depth)
     holes = unfilled
     before_softening = pipeline.board.frame.read("color")
     if options.soft_silhouettes:
@@ -329,16 +328,18 @@ def test_block_means_reach_over_work_groups(device, filling):
     kept = next(owner for owner, _ in pipeline.named_buffers() if isinstance(owner, Output))
     left = {name: kept.read(name) for name in names}
     holes = left["filled_by"] == twins.COMMON.BY_HOLE_FILLING
-    before = left | {"filled_by": np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])}
+    unfilled = np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])
+    before = left | {"filled_by": unfilled, "dynamic": pipeline.board.frame.read("dynamic")}
     if filling == "far-side":
         before |= {"color": twins.mix_far_side(before | {"disoccluded": pipeline.board.frame.read("disoccluded")})}
     stage = pipeline.stages["holes"]
     to_source = reprojection(to, frame.camera)
-    asked = twins.asked_texels(before, stage.reach, to_source, twins.load_color(frame.color))
+    source = (twins.load_color(frame.color), frame.depth)
+    asked = twins.asked_texels(before, stage.reach, to_source, *source)
     assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
     sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
     np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
-    filled = twins.fill_holes(before, *sums, to_source, stage.reach, twins.load_color(frame.color))
+    filled = twins.fill_holes(before, *sums, to_source, stage.reach, *source)
     for name in ("color", "depth", "motion"):
         got = pipeline.board.frame.read(name)
         assert got[~holes].tobytes() == left[name][~holes].tobytes() or (name == "color" and filling == "far-side")

@@ -115,15 +115,36 @@ def is_outside(at, image):
     return not (at[2] > 0 and 0 <= at[0] < width and 0 <= at[1] < height)
 
 
-def far_side(warped, y, x, reach, to_source, source_color):
-    """(color, inverse depth) of the far side around one hole, or None; `source_color`: (height, width, 3)."""
+def surface_behind(met, ways, source_depth):
+    """[(weight, values)] of the surface behind a disocclusion, of what was `met` beside it: standing surfaces that were
+    hidden, continued into it (`ways`: x, y, depth in the rendered frame); else of the far side."""
+
+    def are_as_far(a, b):
+        return not a > b * HOLES.FAR_SIDE and not b > a * HOLES.FAR_SIDE
+
+    candidates = []
+    for (inverse, closeness, values, stands), at in zip(met, ways, strict=True):
+        shown = source_depth[int(at[1]), int(at[0])]
+        if stands and shown > 0 and shown < F(HOLES.NEARER) * at[2]:
+            candidates.append((inverse, closeness, values))
+    if not candidates:
+        least = min(inverse for inverse, *_ in met)
+        return [(closeness, values) for inverse, closeness, values, _ in met if not inverse > least * HOLES.FAR_SIDE]
+    sums = [sum((w for b, w, _ in candidates if are_as_far(a, b)), F(0)) for a, *_ in candidates]
+    first = candidates[int(np.argmax(sums))][0]
+    return [(w, values) for inverse, w, values in candidates if are_as_far(inverse, first)]
+
+
+def continued_surface(warped, y, x, reach, to_source, source_color, source_depth):
+    """(color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width, 3)."""
     met = []
     for d in _DIRECTIONS:
         for distance, q in march(y, x, d, reach, warped["depth"].shape):
             if warped["filled_by"][q] != COMMON.BY_NOTHING:
                 z = warped["depth"][q]
                 inverse = F(0) if np.isinf(z) else F(1) / z
-                met.append((inverse, F(1) / distance, np.append(load_code(warped["color"][q]), inverse)))
+                stands = not warped["dynamic"][q] and warped["filled_by"][q] != COMMON.BY_HIDDEN_PART
+                met.append((inverse, F(1) / distance, np.append(load_code(warped["color"][q]), inverse), stands))
                 break
     if not met:
         return None
@@ -132,13 +153,12 @@ def far_side(warped, y, x, reach, to_source, source_color):
         found = sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
         return np.append(decode_color(found[:3]), found[3])
 
-    ways = [source_of(y, x, inverse, to_source) for inverse, _, _ in met]
-    outside = [(w * w, values) for at, (_, w, values) in zip(ways, met, strict=True) if is_outside(at, source_color)]
+    ways = [source_of(y, x, inverse, to_source) for inverse, *_ in met]
+    outside = [(w * w, values) for at, (_, w, values, _) in zip(ways, met, strict=True) if is_outside(at, source_color)]
     if outside:
         found = mean(outside)
         return np.append(continued(found[:3], source_of(y, x, found[3], to_source), source_color), found[3])
-    least = min(inverse for inverse, _, _ in met)
-    return mean([(w, values) for inverse, w, values in met if not inverse > least * HOLES.FAR_SIDE])
+    return mean(surface_behind(met, ways, source_depth))
 
 
 def mix_far_side(warped):
@@ -167,12 +187,12 @@ def mix_far_side(warped):
     return color
 
 
-def asked_texels(warped, reach, to_source, source_color):
-    """(h, w) bool: the 32×32 blocks between whose centers a hole lies that has no far side."""
+def asked_texels(warped, reach, to_source, *source):
+    """(h, w) bool: the 32×32 blocks between whose centers a hole lies with nothing beside it; `source`: color, depth."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
     for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
-        if far_side(warped, y, x, reach, to_source, source_color) is None:
+        if continued_surface(warped, y, x, reach, to_source, *source) is None:
             y0, x0 = ((c + 0.5) / HOLES.DOWNSAMPLING - 0.5 for c in (y, x))
             for tap in range(4):
                 ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
@@ -180,8 +200,8 @@ def asked_texels(warped, reach, to_source, source_color):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
-    """Color, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, source_depth):
+    """Color, depth, motion of the warped frame with its holes filled: from surfaces within `reach` px,
     else from the block sums; by push-pull if these are None."""
     if color_sum is None:
         filled = push_pull(warped)
@@ -203,7 +223,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
         mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
     holes = warped["filled_by"] == COMMON.BY_NOTHING
     for y, x in np.argwhere(holes):
-        found = far_side(warped, y, x, reach, to_source, source_color)
+        found = continued_surface(warped, y, x, reach, to_source, source_color, source_depth)
         if found is not None:
             mean[y, x], mean_inverse[y, x] = found[:3], found[3]
         elif reach > 0:
