@@ -188,7 +188,7 @@ def mix_far_side(warped):
 
 
 def asked_texels(warped, reach, to_source, *source):
-    """(h, w) bool: the 32×32 blocks between whose centers a hole lies with nothing beside it; `source`: color, depth."""
+    """(h, w) bool: 32×32 blocks between whose centers a hole lies without valid pixels near; `source`: color, depth."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
     for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
