@@ -117,7 +117,7 @@ GAE: dict[str, Change] = {
     ),
     "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
-    "… of this, only surfaces that were hidden": Change(constants={"holes.cl": {"NEARER": "0.0f"}}),
+    "holes continue surfaces that were hidden": Change(constants={"holes.cl": {"NEARER": "0.0f"}}),
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"= !(all > 0.0f);": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
     ),

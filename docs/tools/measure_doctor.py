@@ -1,12 +1,12 @@
-"""Breaks good sequences in every way alone and in pairs, lets the doctor mend them, and writes how often it did.
+"""Breaks good sequences in every way alone and in pairs, lets the doctor repair them, and writes how often it did.
 
     python docs/tools/measure_doctor.py --write                     all cases: doctor.md and measured/doctor.json
     python docs/tools/measure_doctor.py --cases 20 --sequence DIR   20 cases drawn by chance, on a sequence of one's own
 
-A case is mended if the motion vectors are those of the good sequence to 0.1 px at 95% of the pixels, and depth with
-cameras carry static points to where the good ones do to 0.1 px at 95% of the pixels: sets of faults that cannot be
-told from each other count as the same. Built-in scenes, 240×136, 12 rendered frames; none of them was used while the
-doctor was built. Records are kept as they come: a run that was interrupted goes on.
+A case is repaired if the motion vectors are those of the good sequence to 0.1 px at 95% of the pixels, and depth with
+cameras move static points as the good ones do, to 0.1 px at 95% of the pixels: sets of faults with the same effect
+count as equal. Built-in scenes, 240×136, 12 rendered frames; none of them was used while the doctor was built. Each
+record is stored at once: an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -68,25 +68,25 @@ def measure(good: Kept, names: tuple[str, ...]) -> dict:
     bad = broken(good, list(names))
     diagnosis = examine(bad, bad.exposure)
     chosen = selected(diagnosis, fixed_by(diagnosis))  # display values as well
-    mended = [frame for _, frame in Repair(bad, chosen).frames()]
-    motion, static = restored(mended, good.images)
+    repaired = [frame for _, frame in Repair(bad, chosen).frames()]
+    motion, static = restored(repaired, good.images)
     share = static if "motion zero" in names else min(motion, static)  # what moved by itself is lost
-    color = all(_same_color(a, b) for a, b in zip(mended, good.images, strict=True))
+    color = all(_same_color(a, b) for a, b in zip(repaired, good.images, strict=True))
     return {
         "faults": list(names),
         "named": [f"{f.about}: {f.name}" for f in diagnosis.faults],
         "notes": [f"{f.about}: {f.name}" for f in diagnosis.findings if f.kind != "fault"],
         "restored": round(share, 4),
-        "mended": bool(share >= SHARE and color),
+        "repaired": bool(share >= SHARE and color),
         "margin": round(diagnosis.best.total - diagnosis.given.total, 3),
     }
 
 
-def restored(mended: list, good: list) -> tuple[float, float]:
+def restored(repaired: list, good: list) -> tuple[float, float]:
     """Shares of pixels whose motion vectors, and whose static reprojections, are those of the good frames."""
     motion, static = [], []
     for (a, a_before), (b, b_before) in zip(
-        zip(mended[1:], mended, strict=False), zip(good[1:], good, strict=False), strict=True
+        zip(repaired[1:], repaired, strict=False), zip(good[1:], good, strict=False), strict=True
     ):
         moved = np.linalg.norm(np.subtract(a.motion, b.motion, dtype=np.float64), axis=-1)
         motion.append((moved[np.isfinite(b.motion).all(-1)] < NEAR_ENOUGH).mean())
@@ -132,11 +132,11 @@ def run(sequences: dict, wanted: list, most: int | None, record: Path | None) ->
 
 
 def is_right(case: dict) -> bool:
-    """Harmless changes raise no alarm, faults are mended. Vectors that are zero must be named: static points get theirs
-    even if nothing is found."""
+    """Return whether harmless changes raised no alarm and faults were repaired. Zero vectors must also be reported:
+    static points get correct ones even if nothing is found."""
     if "motion zero" in case["faults"] and "motion: zero" not in case["named"]:
         return False
-    return not case["named"] if case["faults"][0] in HARMLESS else case["mended"]
+    return not case["named"] if case["faults"][0] in HARMLESS else case["repaired"]
 
 
 def tables(done: list[dict]) -> dict[str, str]:
@@ -149,7 +149,7 @@ def tables(done: list[dict]) -> dict[str, str]:
     rows = []
     for name, group in groups.items():
         right = sum(map(is_right, group))
-        words = {"intact": "intact: no alarm", "alone": "one fault: mended", "pairs": "two faults: mended"}[name]
+        words = {"intact": "intact: no alarm", "alone": "one fault: repaired", "pairs": "two faults: repaired"}[name]
         rows.append((words, str(len(group)), f"{right / len(group):.1%}" if group else "–"))
     confusion = _confusion(groups["intact"] + groups["alone"], groups["pairs"])
     return {"summary": table(("", "cases", "right"), rows), "confusion": confusion}
@@ -157,20 +157,20 @@ def tables(done: list[dict]) -> dict[str, str]:
 
 def _confusion(single: list[dict], pairs: list[dict]) -> str:
     named: dict = defaultdict(lambda: defaultdict(int))
-    mended: dict = defaultdict(list)
+    repaired: dict = defaultdict(list)
     in_pairs: dict = defaultdict(list)
     for case in single:
         named[case["faults"][0]][" + ".join(case["named"]) or "nothing"] += 1
-        mended[case["faults"][0]].append(is_right(case))
+        repaired[case["faults"][0]].append(is_right(case))
     for case in pairs:
         for fault in case["faults"]:
-            in_pairs[fault].append(case["mended"])
+            in_pairs[fault].append(case["repaired"])
     rows = []
     for fault in (*HARMLESS, *BREAKS):
         if fault in named:
             words = "; ".join(f"{text} ({n})" for text, n in sorted(named[fault].items(), key=lambda item: -item[1]))
             paired = f"{sum(in_pairs[fault])} of {len(in_pairs[fault])}" if in_pairs[fault] else "–"
-            rows.append((fault, words, f"{sum(mended[fault])} of {len(mended[fault])}", paired))
+            rows.append((fault, words, f"{sum(repaired[fault])} of {len(repaired[fault])}", paired))
     return table(("broken by", "the doctor names", "right", "in pairs"), rows)
 
 

@@ -68,9 +68,9 @@ def check(
     require_findings(without or (), "--except")
     if fix is None and (only or without):
         raise GffeError("--only and --except select findings for --fix (expected --fix FOLDER)")
-    opened, mended = open_for_check(sequence)
+    opened, repaired = open_for_check(sequence)
     diagnosis = examine(opened, opened.exposure)
-    diagnosis.findings[:0] = mended
+    diagnosis.findings[:0] = repaired
     title = f"{sequence}: {len(opened.rendered)} rendered frames, {opened.width}×{opened.height}"
     looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
     out.print(plain(title + looked))
@@ -84,7 +84,7 @@ def check(
     if html is not None:
         write_text(html, html_report(opened, diagnosis, title, opened.exposure))
     if fix is not None:
-        document |= _mend(opened, diagnosis, chosen, fix)
+        document |= _repair(opened, diagnosis, chosen, fix)
     elif diagnosis.faults:
         out.print("`--fix OUT` writes a sequence without these faults", soft_wrap=True)
     write_json(json_path, document)
@@ -92,9 +92,9 @@ def check(
         raise typer.Exit(1)
 
 
-def _mend(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path) -> dict:
-    """Write `chosen` mended to `fix`, check that again, and say what is changed; for the JSON."""
-    from gffe_cl.doctor import examine, write_mended
+def _repair(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path) -> dict:
+    """Write `chosen` repaired to `fix`, check that again, and say what is changed; for the JSON."""
+    from gffe_cl.doctor import examine, write_repaired
     from gffe_cl.doctor.choosing import ON_REQUEST, fixed_by
     from gffe_cl.doctor.report import as_json, changes
     from gffe_cl.sequence import open_sequence
@@ -103,7 +103,7 @@ def _mend(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path) 
         out.print(f"to change: {plain(line)}", soft_wrap=True)
     with progress_bars() as progress:
         total = len(opened.rendered) + len(opened.ground_truth)
-        write_mended(opened, chosen, fix, steps(progress)("Writing", total))
+        write_repaired(opened, chosen, fix, steps(progress)("Writing", total))
     again = examine(open_sequence(fix), opened.exposure)
     changed = fixed_by(chosen)
     left = [name for name in fixed_by(diagnosis) if name not in changed]

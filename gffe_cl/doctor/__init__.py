@@ -1,11 +1,11 @@
-"""The doctor: what does not fit in a sequence of somebody else's, and what would mend it (`gffe check`)."""
+"""The doctor: what does not fit in a sequence of somebody else's, and what would repair it (`gffe check`)."""
 
 from gffe_cl.doctor.choosing import require_findings, selected
 from gffe_cl.doctor.diagnose import Diagnosis, examine
 from gffe_cl.doctor.findings import Finding
 from gffe_cl.doctor.opening import open_for_check
 from gffe_cl.doctor.quick import quick_warning
-from gffe_cl.doctor.repair import Repair, write_mended
+from gffe_cl.doctor.repair import Repair, write_repaired
 
 __all__ = [
     "Diagnosis",
@@ -16,5 +16,5 @@ __all__ = [
     "quick_warning",
     "require_findings",
     "selected",
-    "write_mended",
+    "write_repaired",
 ]

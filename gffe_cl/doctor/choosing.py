@@ -1,4 +1,4 @@
-"""Which findings are mended: those that the user names, or all but those of which one witness alone speaks."""
+"""Which findings are repaired: those that the user names, or all but those of which one witness alone speaks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ON_REQUEST = finding_id("color", DISPLAY_VALUES)  # only antialiased silhouettes
 
 
 def require_findings(names: Collection[str], option: str) -> None:
-    """GffeError unless all `names` are findings that can be mended."""
+    """GffeError unless all `names` are findings that can be repaired."""
     known = fixable_ids()
     for name in names:
         if name not in known:
@@ -23,7 +23,7 @@ def require_findings(names: Collection[str], option: str) -> None:
 
 
 def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collection[str] = ()) -> Diagnosis:
-    """`diagnosis` with the findings that are to be mended, and the reading that mends just these: `only`, or all but
+    """`diagnosis` with the findings that are to be repaired, and the reading that repairs just these: `only`, or all but
     display values; less `without`. Raises GffeError for names that are no findings, and for `only` what was not found.
     """
     require_findings(only, "--only")
@@ -31,7 +31,7 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
     found = fixed_by(diagnosis)
     for name in only:
         if name not in found:
-            words = f"expected one of {', '.join(found)}" if found else "there is nothing to mend"
+            words = f"expected one of {', '.join(found)}" if found else "there is nothing to repair"
             raise GffeError(f"--only {name}: not found in this sequence ({words})")
     wanted = set(only or [name for name in found if name != ON_REQUEST]) - set(without)
     kept = [finding for finding in diagnosis.findings if finding.id in wanted]
@@ -50,7 +50,7 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
 
 
 def fixed_by(diagnosis: Diagnosis) -> list[str]:
-    """Findings of `diagnosis` that can be mended or left, by their ids."""
+    """Findings of `diagnosis` that can be repaired or left, by their ids."""
     known = set(fixable_ids())
     return list(dict.fromkeys(f.id for f in diagnosis.findings if f.fix and f.id in known))
 

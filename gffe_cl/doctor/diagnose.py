@@ -1,4 +1,4 @@
-"""The doctor: what of a sequence does not fit, how sure that is, and what would mend it (`gffe check`)."""
+"""The doctor: what of a sequence does not fit, how sure that is, and what would repair it (`gffe check`)."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def finding_id(about: str, name: str) -> str:
 
 
 def fixable_ids() -> list[str]:
-    """All findings that `gffe check --fix` can mend or leave."""
+    """All findings that `gffe check --fix` can repair or leave."""
     names = {
         "color": (DISPLAY_VALUES, BOTTOM_UP),
         "motion": (*motions.SENTENCES, "jitter not removed", "sky without motion", BOTTOM_UP),

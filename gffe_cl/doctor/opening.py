@@ -19,19 +19,19 @@ _SAME_SCALE = 1e-3
 
 
 def open_for_check(path: Path) -> tuple[Sequence, list[Finding]]:
-    """The sequence, and faults of its matrices that had to be mended to open it: written row by row for row vectors, or
+    """The sequence, and faults of its matrices that had to be repaired to open it: written row by row for row vectors, or
     with a scale in them. Raises GffeError as `open_capture`."""
     try:
         return open_capture(path), []
     except GffeError as error:
         findings: list[Finding] = []
         try:
-            return open_sequence(path, mend=lambda text: _mended(text, findings)), findings
+            return open_sequence(path, mend=lambda text: _repaired(text, findings)), findings
         except GffeError:
             raise error from None
 
 
-def _mended(text: str, findings: list[Finding]) -> str:
+def _repaired(text: str, findings: list[Finding]) -> str:
     try:
         document = json.loads(text)
         cameras = [frame[name] for frame in document["frames"] for name in _CAMERAS if frame.get(name)]

@@ -218,7 +218,7 @@ def _rounded(value: float) -> float:
     return value
 
 
-def write_mended(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_frame=lambda: None) -> int:
+def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_frame=lambda: None) -> int:
     """Write `sequence` as `diagnosis` reads it to the folder `output`; how many frames. Truth keeps its colors and
     gets the new cameras; extrapolated frames are left out. Raises GffeError as `SequenceWriter`."""
     refuse_same_folder(output, sequence.path)

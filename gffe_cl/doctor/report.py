@@ -41,7 +41,7 @@ def summary(diagnosis: Diagnosis) -> list[str]:
 
     if not diagnosis.faults:
         return [f"motion vectors, depth and cameras as given: {fit('given')}"]
-    lines = [f"as given: {fit('given')}", f"mended: {fit('read')}"]
+    lines = [f"as given: {fit('given')}", f"repaired: {fit('read')}"]
     if diagnosis.best and diagnosis.given and diagnosis.best.reading != diagnosis.given.reading:
         lines.append(f"score {diagnosis.best.total:.2f}, {diagnosis.given.total:.2f} as given{_next_best(diagnosis)}")
     return lines
@@ -156,9 +156,9 @@ def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
     entries = clip.rendered
     index = looks[len(looks) // 2].index
     before, here = (clip.read(entries[k]) for k in (index - 1, index))
-    mended = _mended_pair(clip, diagnosis, entries[index].file)
+    repaired = _repaired_pair(clip, diagnosis, entries[index].file)
     given = _residual(here, before)
-    read = _residual(*mended) if mended else given
+    read = _residual(*repaired) if repaired else given
     top = max(float(np.nanquantile(given, 0.98)), 1e-3)
     figures = [
         (
@@ -167,7 +167,7 @@ def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
         ),
         (f"residual as given, pixels: 0 (black) to {top:.3g} (white)", _heat(given / top)),
     ]
-    if mended and diagnosis.faults:
+    if repaired and diagnosis.faults:
         figures.append((f"residual repaired, pixels: 0 (black) to {top:.3g} (white)", _heat(read / top)))
     made = "".join(
         f'<figure><img alt="" src="data:image/png;base64,{_png(image)}">'
@@ -181,7 +181,7 @@ def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
     return f'<h2>{escape(entries[index].file)}</h2><p>{fine}</p><div class="pictures">{made}</div>'
 
 
-def _mended_pair(clip: Clip, diagnosis: Diagnosis, file: str) -> tuple[RenderedFrame, RenderedFrame] | None:
+def _repaired_pair(clip: Clip, diagnosis: Diagnosis, file: str) -> tuple[RenderedFrame, RenderedFrame] | None:
     before = None
     for entry, frame in Repair(clip, diagnosis).frames():
         if entry.file == file:

@@ -1,4 +1,4 @@
-"""The doctor names what is wrong and mends it; good sequences raise no alarm."""
+"""The doctor names what is wrong and repairs it; good sequences raise no alarm."""
 
 import json
 from dataclasses import replace
@@ -65,7 +65,7 @@ def reprojected(frames):
     ])  # fmt: skip
 
 
-def mended(names_of_faults):
+def repaired(names_of_faults):
     bad = broken(clip(), names_of_faults)
     diagnosis = examine(bad)
     return diagnosis, [frame for _, frame in Repair(bad, diagnosis).frames()]
@@ -150,8 +150,8 @@ NAMED = {
 
 
 @pytest.mark.parametrize("fault", NAMED)
-def test_a_fault_is_named_and_mended(fault):
-    diagnosis, frames = mended([fault])
+def test_a_fault_is_named_and_repaired(fault):
+    diagnosis, frames = repaired([fault])
     assert names(diagnosis) == [NAMED[fault]]
     assert_restored(frames)
 
@@ -177,8 +177,8 @@ PAIRS = [("motion y flipped", "camera OpenGL axes"), ("motion in UV", "depth dev
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=" + ".join)
-def test_two_faults_at_once_are_mended(pair):
-    diagnosis, frames = mended(pair)
+def test_two_faults_at_once_are_repaired(pair):
+    diagnosis, frames = repaired(pair)
     assert len(diagnosis.faults) == 2
     assert_restored(frames)
 
@@ -188,7 +188,7 @@ ALL_ROWS = ["color: bottom-up", "depth: bottom-up", "motion: bottom-up"]
 
 def test_buffers_from_the_bottom_up_are_turned_and_not_explained_by_axes():
     """The world's y is down and there is no sky: that the mirror image fits as well is said, too."""
-    diagnosis, frames = mended(["all rows"])
+    diagnosis, frames = repaired(["all rows"])
     assert names(diagnosis) == ALL_ROWS
     assert_restored(frames)
     (doubt,) = diagnosis.of_kind("cannot tell")
@@ -215,8 +215,8 @@ def test_the_world_tells_rows_from_the_bottom_up_from_y_up():
 
 @pytest.mark.long
 @pytest.mark.parametrize("fault", sorted(set(BREAKS) - {*NAMED, "color tone-mapped", "all rows"}))
-def test_every_other_fault_is_mended(fault):
-    diagnosis, frames = mended([fault])
+def test_every_other_fault_is_repaired(fault):
+    diagnosis, frames = repaired([fault])
     assert len(diagnosis.faults) == 1
     if fault == "motion zero":  # what moved by itself is lost
         assert names(diagnosis) == ["motion: zero"]
@@ -225,7 +225,7 @@ def test_every_other_fault_is_mended(fault):
 
 
 def test_near_and_far_are_found():
-    diagnosis, _ = mended(["depth device"])
+    diagnosis, _ = repaired(["depth device"])
     (fault,) = diagnosis.faults
     assert fault.figures["near"] == pytest.approx(0.1, rel=1e-2) and not fault.figures["reversed"]
 
@@ -316,7 +316,7 @@ def written(folder, kept):
     return folder
 
 
-def test_matrices_for_row_vectors_are_opened_and_mended(gffe, tmp_path):
+def test_matrices_for_row_vectors_are_opened_and_repaired(gffe, tmp_path):
     folder = written(tmp_path / "rows", clip())
     document = json.loads((folder / "sequence.json").read_text())
     for frame in document["frames"]:

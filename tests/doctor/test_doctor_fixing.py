@@ -1,4 +1,4 @@
-"""What `gffe check --fix` mends and leaves, and what it says of that; keys of a `gffe-folder` that mend a capture."""
+"""What `gffe check --fix` repairs and leaves, and what it says of that; keys of a `gffe-folder` that repair a capture."""
 
 import json
 import re
@@ -39,7 +39,7 @@ def test_the_command(gffe, tmp_path):
     assert_restored([fixed.read(entry) for entry in fixed.rendered])
 
 
-def test_findings_are_mended_or_left_as_they_are_named(gffe, tmp_path):
+def test_findings_are_repaired_or_left_as_they_are_named(gffe, tmp_path):
     bad = written(tmp_path / "bad", broken(clip(), ["motion negated", "depth in centimeters"]))
     out = tmp_path / "fixed"
     code, text, err = gffe("check", bad, "--fix", out, "--except", "depth-units", "--json", tmp_path / "said.json")
@@ -51,7 +51,7 @@ def test_findings_are_mended_or_left_as_they_are_named(gffe, tmp_path):
     assert "checked again, still with faults: depth-units" in text
     code, _, err = gffe("check", bad, "--fix", tmp_path / "none", "--only", "motion-upside")
     assert code == 2 and "expected one of color-display-values, " in " ".join(err.split())
-    assert gffe("check", bad, "--only", "motion-negated")[0] == 2  # nothing is to be mended
+    assert gffe("check", bad, "--only", "motion-negated")[0] == 2  # nothing is to be repaired
     with pytest.raises(GffeError, match=r"--only depth-device: not found in this sequence \(expected one of motion"):
         selected(examine(open_sequence(bad)), ["depth-device"])
 

@@ -39,7 +39,7 @@ def draw(app) -> None:
                 widgets.tooltip(f"rendered frame {frame} {reason}")
     if any(finding.fix for finding in doctor.findings):
         imgui.separator()
-        widgets.hint(printable(f"gffe check {model.source.target} --fix OUT  mends it"))
+        widgets.hint(printable(f"gffe check {model.source.target} --fix OUT  repairs it"))
 
 
 def _findings(doctor) -> None:
