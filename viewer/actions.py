@@ -203,8 +203,8 @@ class Actions:
         return table
 
     def run(self, id: str) -> bool:
-        """Run an action, as menus and buttons do; False if it is disabled (`last_refusal` says why). A click cannot
-        be held: it switches a `hold` action on, and off again."""
+        """Run an action from a menu or button. Returns False if it is disabled (`last_refusal` has the reason). A
+        click cannot be held, so it toggles a `hold` action."""
         action = self[id]
         self.last_refusal = None
         if action.hold and id in self._held:
@@ -215,9 +215,9 @@ class Actions:
     def dispatch(
         self, modifiers: frozenset[str], key: str, *, repeated: bool = False, covered: bool = False
     ) -> str | None:
-        """A key went down: run the action of that shortcut and return its id; None if there is none or it is
-        disabled (`last_refusal` says why). `repeated`: the key is being kept down; `covered`: a window is open over
-        what most actions are about."""
+        """Handle a key press: run the action of that shortcut and return its id; None if there is none or it is
+        disabled (`last_refusal` has the reason). `repeated`: the key is held down; `covered`: a window covers the
+        panels."""
         self.last_refusal = None
         action = self._by_shortcut.get(canonical(frozenset(modifiers), key))
         if action is None or (repeated and not action.repeat) or (covered and not action.anywhere):
@@ -228,7 +228,7 @@ class Actions:
         return action.id if self._start(action, key) else None
 
     def release(self, key: str) -> str | None:
-        """A key went up, whatever the modifiers: let go of what it holds, and return the id of the last one."""
+        """Handle a key release, with any modifiers: end its `hold` actions, and return the id of the last one."""
         plain, released = _UNSHIFTED.get(key, key), None
         for id, by in list(self._held.items()):
             if by is not None and _UNSHIFTED.get(by, by) == plain:

@@ -160,7 +160,7 @@ class App:
 
     @property
     def scale(self) -> float:
-        """Size of the interface; 1 is what suits the screen."""
+        """Size of the interface; 1 is the default for the screen."""
         return min(max(self.model.settings.ui_scale or 1.0, _LEAST_SCALE), _LARGEST_SCALE)
 
     def scale_by(self, factor: float) -> None:
@@ -174,7 +174,7 @@ class App:
             self.docks.show("Plot")
 
     def switch_regions(self) -> None:
-        """Regions of errors over the picture, with the panel that says which is which; or off."""
+        """Toggle regions of errors over the picture, with the panel that has their legend."""
         regions = self.model.regions
         regions.switch(not regions.on)
         if regions.on:
@@ -235,7 +235,7 @@ class App:
         self.model.close()
 
     def drawn(self, view, size: tuple[int, int]):
-        """Texture of the canvas, drawn anew only if something changed."""
+        """Texture of the canvas, redrawn only after a change."""
         what = (view, size, self.model.contents.changes, self.model.comparison.ready, self.model.regions.changes)
         if what != self._drawn:
             self._drawn, self._texture = what, self.canvas.draw(view, size)
@@ -274,12 +274,12 @@ class App:
         self._dropped += paths[:1]
 
     def examine(self) -> None:
-        """Have the doctor look at the sequence, and show what it says."""
+        """Run the doctor on the sequence, and show its report."""
         self.model.examine()
         self.docks.show("Doctor")
 
     def open_dialog(self) -> None:
-        """The system's folder dialog where there is one, else a field for the path."""
+        """Open the system's folder dialog if there is one, else a field for the path."""
         if has_dialogs():
             self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
         else:

@@ -231,7 +231,7 @@ def _register_parameter(app, name: str, option: Option) -> None:
 
 
 def register_layers(app) -> None:
-    """An action for every layer that there is and was none for; those that are not made now stay, disabled."""
+    """Register an action for every new layer. Actions of layers that are not made now stay, disabled."""
     model = app.model
     for spec in model.contents.layers:
         if f"layer {spec.name}" in app.actions:

@@ -49,7 +49,8 @@ class Docks:
         return tuple(self._panels)
 
     def arrange(self, runner: hello_imgui.RunnerParams, size: tuple[int, int], open_panels: dict[str, bool]) -> None:
-        """In a window of `size` pixels, before it is opened; `open_panels` says what is not as usual."""
+        """Arrange the panels in a window of `size` pixels, before it is opened. `open_panels` has the differences
+        from the default."""
         docking = hello_imgui.DockingParams()
         docking.main_dock_space_node_flags |= _PLAIN_TABS
         left, right = _sides(size[0], self._scale())
@@ -115,7 +116,7 @@ class Docks:
         self._to_front = name
 
     def hide(self) -> None:
-        """Leave the picture and the timeline alone, or bring back what was there."""
+        """Show only the picture and the timeline, or restore the other panels."""
         sides = [name for name in self._panels if name not in _STAY]
         self.hidden = not self.hidden
         if self.hidden:
@@ -193,7 +194,8 @@ def _sides(width: float, scale: float) -> list[float]:
 
 
 def _second_row(width: float, scale: float) -> float:
-    """Height of the controls of the timeline that have no room beside the others in a window of this width, pixels."""
+    """Return the height of the timeline's controls that do not fit into the first row of a window of this width,
+    pixels."""
     return _ROW_HEIGHT * scale if (1 - sum(_sides(width, scale))) * width < _ONE_ROW * scale else 0.0
 
 

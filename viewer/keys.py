@@ -14,9 +14,8 @@ _KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.i
 
 
 def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False) -> None:
-    """Run what is bound to the keys that went down; let go of what was held by those that went up. Keys in `taken` mean
-    something else now. While a window is open over the panels (`covered`) or text is typed, only actions that work
-    anywhere run."""
+    """Run the actions of pressed keys, and end those of released keys. Keys in `taken` have another function now.
+    While a window is open over the panels (`covered`) or text is typed, only actions that work anywhere run."""
     io = imgui.get_io()
     covered |= io.want_text_input
     if covered or io.app_focus_lost:

@@ -1,4 +1,4 @@
-"""How fast the viewer plays (`gffe view --measure`): a first pass, then what it left in the cache."""
+"""Playback speed of the viewer (`gffe view --measure`): a first pass, then playback from the cache."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _PLAIN = Look()
 def measure(
     model, seconds: float, size: tuple[int, int] | None = None, look: Look = _PLAIN
 ) -> dict[str, dict[str, float]]:
-    """Play every frame as `look`, computed, for so many seconds or until the end, then what was played, from the cache,
-    in real time and as often as it fits into so many seconds.
+    """Play every frame as `look`, computed, for the given seconds or until the end. Then play the same frames from the
+    cache, in real time, repeatedly for the given seconds.
 
     Returns "first_picture": "seconds" from the start of this process until a rendered frame was on the screen, and
     "computed_seconds" until the first computed one was (nothing where the system does not tell when a process
@@ -159,7 +159,7 @@ class _Pass:
 
 
 def _age_of_process() -> float | None:
-    """Seconds since this process was started, to about 0.01, as Linux tells it; None elsewhere."""
+    """Return the seconds since this process was started, to about 0.01, from Linux; None elsewhere."""
     try:
         started = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
         return float(Path("/proc/uptime").read_text().split()[0]) - started

@@ -1,4 +1,4 @@
-"""The viewer without a person: a script of what to do, pictures and a film of the window (`gffe view --script`)."""
+"""The viewer without a user: a script of actions, pictures and a film of the window (`gffe view --script`)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ def play_script(
     model, path: Path, steps: list[Step], film: Path | None = None, size: tuple[int, int] | None = None
 ) -> None:
     """Run the steps of the script `path` in a window of its own, and write a `film` of it, WebP or GIF. Time passes
-    only while everything that is shown is what was asked for, so that slow machines make the same film. Raises
-    GffeError."""
+    only while the display is up to date, so that slow machines make the same film. Raises GffeError."""
     require_display()
     from gffe_cl.viewer.app import App
 

@@ -80,8 +80,8 @@ def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -
 
 @contextmanager
 def leaving(model) -> Iterator[None]:
-    """Close `model` at the end. If the device is still at work then, the program ends without taking down the OpenCL
-    runtime, which would abort or hang; with exit code 0, or as `gffe` does after the exception that came through."""
+    """Close `model` at the end. If the device is still busy, end the program without shutting down the OpenCL
+    runtime, which would abort or hang: with exit code 0, or as `gffe` does after the exception."""
     code = 2
     try:
         yield
@@ -122,7 +122,7 @@ def require_display() -> None:
 
 
 def without_pointer() -> None:
-    """Wherever the mouse is, nothing is told of what is under it."""
+    """Suppress everything that depends on the mouse position."""
     from imgui_bundle import imgui
 
     nowhere = float(np.finfo(np.float32).min)

@@ -24,10 +24,10 @@ DONE = "done"  # of "wait": until nothing is measured, examined or saved
 
 @dataclass(frozen=True)
 class Command:
-    """`usage`: how it is written. `read(text, app)` checks its argument before anything is open, and converts it;
-    `fits(app, value)` checks what depends on the sequence, once that is open; `do(app, value)` does it. All raise
-    GffeError. `lasting`: whether what `fits` checks is the same whatever the options are. Without `do` the director of
-    the script does it."""
+    """Command of a script. `usage`: its syntax; `read(text, app)` checks and converts its argument before anything
+    is open; `fits(app, value)` checks it against the open sequence; `do(app, value)` executes it. All raise
+    GffeError. `lasting`: whether the result of `fits` does not depend on the options. Without `do` the director of
+    the script executes it."""
 
     usage: str
     read: Callable[[str, Any], Any]
@@ -38,7 +38,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Step:
-    """`line` of the script: what to do, with which value, as `Command.read` returned it."""
+    """A `line` of the script, with its command and the value from `Command.read`."""
 
     line: int
     command: str
@@ -85,8 +85,8 @@ def unopened():
 
 
 def check(app, path: Path, steps: list[Step]) -> None:
-    """Check all steps against the sequence that is open, and its first frame. What depends on the options is checked
-    up to the first step that changes them. Raises GffeError."""
+    """Check all steps against the open sequence and its first frame. Steps that depend on the options are checked up
+    to the first step that changes them. Raises GffeError."""
     same_options = True
     for step in steps:
         command = COMMANDS[step.command]
@@ -141,7 +141,7 @@ def found_layer(model, name: str) -> str:
 
 
 def _nearest(model, text: str) -> list[str]:
-    """Names of layers that are meant perhaps, best first."""
+    """Return similar names of layers, best first."""
     known: dict[str, str] = {}  # full names by what somebody may write
     for spec in model.contents.layers:
         for written in (spec.name, spec.name.partition(".")[2], spec.label.lower()):
@@ -150,7 +150,7 @@ def _nearest(model, text: str) -> list[str]:
 
 
 def _close(text: str, known: dict[str, str]) -> list[str]:
-    """Names, by what somebody may write for them, that are the nearest to `text`; best first."""
+    """Return the names whose spellings are closest to `text`, best first."""
     found = get_close_matches(text.lower(), [written for written in known if written], 2 * _NEAR, cutoff=0.0)
     return list(dict.fromkeys(known[written] for written in found))[:_NEAR]
 

@@ -1,4 +1,4 @@
-"""Windows over the panels: Escape closes the one on top, and no shortcut reaches what lies behind them."""
+"""Windows over the panels. Escape closes the top one, and no shortcut reaches the panels behind."""
 
 from __future__ import annotations
 

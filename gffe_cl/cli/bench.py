@@ -92,7 +92,7 @@ def bench(
     *,
     options: Options,
 ) -> None:
-    """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
+    """Time every stage, in milliseconds and in bytes per pixel, and compare with the paper's table."""
     from gffe_cl.opencl.device import list_devices, open_device, open_info
 
     if repeats < 1:

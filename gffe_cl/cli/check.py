@@ -57,7 +57,7 @@ def check(
     ] = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Say what does not fit in a sequence: motion vectors, depth, cameras, colors, the order of frames.
+    """Report faults of a sequence: in motion vectors, depth, cameras, colors and the order of frames.
 
     Exit code 0: nothing, or notes only; 1: faults, which break results.
     """
@@ -93,7 +93,8 @@ def check(
 
 
 def _repair(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path) -> dict:
-    """Write `chosen` repaired to `fix`, check that again, and say what is changed; for the JSON."""
+    """Write the sequence with `chosen` repaired to `fix`, check it again, and print the changes. Returns them for
+    the JSON."""
     from gffe_cl.doctor import examine, write_repaired
     from gffe_cl.doctor.choosing import ON_REQUEST, fixed_by
     from gffe_cl.doctor.report import as_json, changes

@@ -35,7 +35,7 @@ RENAMED = {"--layers": "--background-levels"}  # older names of options, which a
 
 
 def invoke(arguments: list[str]) -> int:
-    """Do what the command line says; the exit code. Raises whatever the command raises, and usage errors."""
+    """Run the command line. Returns the exit code. Raises usage errors, and any exception of the command."""
     try:
         words = (word.partition("=") for word in arguments)
         arguments = [RENAMED.get(name, name) + equals + value for name, equals, value in words]

@@ -155,9 +155,9 @@ def progress_bars():
 
 
 class _Lines(Progress):
-    """Progress where standard error is no terminal: one line for each finished step, and every `_PERIOD` seconds one
-    for the step that is being done, with an estimate once two units of it are done: the first one may hold what is done
-    once, such as building kernels. Commands that end within `_SOON` seconds print none."""
+    """Progress for a standard error that is no terminal: one line for each finished step. During a long step a line
+    appears every `_PERIOD` seconds, with an estimate once two units are done, because the first may include one-time
+    work such as building kernels. Commands shorter than `_SOON` seconds print none."""
 
     _SOON, _PERIOD = 3.0, 10.0
 
@@ -236,8 +236,7 @@ def _finite(value):
 
 
 def say(markup: str) -> None:
-    """Print a line on standard error. Where nobody can read it, a pipe without a reader or a full disk, the command
-    goes on."""
+    """Print a line on standard error. If that fails (closed pipe, full disk), the command continues."""
     try:
         err.print(markup)
     except (OSError, SystemExit):  # rich ends the process where a pipe has no reader
@@ -255,7 +254,7 @@ def warn(text: str) -> None:
 
 
 def warn_of_networks() -> None:
-    """At the end of any command: where the network did not run on what was asked for."""
+    """Warn, at the end of any command, if the network did not run on the requested provider."""
     if inference := sys.modules.get("gffe_cl.inference.network"):
         for remark in inference.take_remarks():
             warn(remark)

@@ -1,4 +1,4 @@
-"""The command that shows what it is about: demo."""
+"""The command demo: a first result."""
 
 from __future__ import annotations
 

@@ -28,7 +28,8 @@ def devices(
     ] = False,
     json_path: JsonOption = None,
 ) -> None:
-    """List every OpenCL device: whether a kernel really runs on it, and what it lacks; and what may run the network."""
+    """List every OpenCL device with the result of a test kernel and its missing features, and the runtimes for the
+    network."""
     from dataclasses import asdict
 
     from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices

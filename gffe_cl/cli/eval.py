@@ -257,7 +257,8 @@ def _folder(path: Path) -> Path:
 
 @contextmanager
 def _filling(output: Path, device: str | None, scheduler: str | None):
-    """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
+    """Return a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the
+    time left."""
     from gffe_cl.evaluation.table.runner import fill
 
     with cluster_at(scheduler) as workers, progress_bars() as bars:

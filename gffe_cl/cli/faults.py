@@ -11,7 +11,7 @@ from gffe_cl.core.errors import GffeError, shortened
 
 
 def explain(error: BaseException, interrupts: Interrupts) -> int:
-    """Print what `error` means to the user; the exit code. What nobody foresaw is raised again."""
+    """Print the user's message for `error`. Returns the exit code. Unexpected exceptions are raised again."""
     if interrupts.received or isinstance(error, KeyboardInterrupt):
         kept = "; ".join(_notes(error))
         say(plain(shortened(f"interrupted: {kept}" if kept else "interrupted")))

@@ -16,9 +16,9 @@ _SOON = 0.02  # seconds
 
 
 class Interrupts:
-    """A context in which the first of these signals raises KeyboardInterrupt in the main thread; the second lets what
-    is being finished finish, the third ends the process. Before `begin` nothing can be lost: there the first one ends
-    it, since libraries that are being loaded turn exceptions into others.
+    """Context in which the first of these signals raises KeyboardInterrupt in the main thread, the second is ignored so
+    that the current work can finish, and the third ends the process. Before `begin` nothing can be lost, so the first
+    signal ends the process, because libraries convert exceptions while they are loaded.
 
     `received` counts them. Signals that the process was started to ignore stay ignored.
     """
@@ -56,8 +56,8 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _unraisable(self, unraisable) -> None:
-        """Where an interrupt cannot pass, in a destructor or a library's callback, it is raised again soon after. What
-        else complains after one is half-made objects that go."""
+        """Raise an interrupt again soon if it came in a destructor or a library's callback, where it cannot
+        propagate. Other complaints after an interrupt come from half-built objects."""
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
             if not self.received:
                 self._hook(unraisable)
@@ -79,6 +79,6 @@ def _interrupt(kind) -> None:
 
 
 def _end_quietly(kinds) -> None:
-    """While Python ends there is nothing to tell."""
+    """Suppress messages while Python ends."""
     for kind in kinds:
         signal.signal(kind, signal.SIG_DFL)

@@ -131,7 +131,7 @@ def open_source(
     live: dict[str, Any],
     upscale: float = 0.0,
 ) -> tuple[Device, Recorded | Live]:
-    """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
+    """Open a folder as a sequence. Other names may be built-in scenes, rendered as `live` describes."""
     from gffe_cl.formats import open_capture
     from gffe_cl.opencl.device import open_device
     from gffe_cl.pipeline.source import Live, Recorded

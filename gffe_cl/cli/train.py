@@ -149,8 +149,8 @@ _MEASURED_STEPS = 4
 
 
 class _Plan:
-    """How the time is shared out: a third for clips, of those that are still to be made, and the rest, at least a third
-    again, for steps. Says what it comes to as soon as it has been measured.
+    """Division of the time: a third for missing clips, and the rest, at least another third, for steps. Its result is
+    printed once measured.
 
     `clips_until`, `steps_until`: values of `time.monotonic()`; None: no limit.
     """

@@ -1,1 +1,1 @@
-"""The exception, checks of values from outside, and files: what every other room builds on."""
+"""The exception class, checks of input values, and file handling. All other packages build on it."""

@@ -21,8 +21,8 @@ _MOST_WORD = 200
 
 
 def shortened(text: str) -> str:
-    """`text` in at most `MOST` characters. First, long words (paths, values) lose their middle, so that what is wrong
-    and what was expected stay readable; then the end is cut."""
+    """Return `text` in at most `MOST` characters. First, long words (paths, values) lose their middle, so that the
+    problem and the expected values stay readable. Then the end is cut."""
     if len(text) <= MOST:
         return text
     half = _MOST_WORD // 2

@@ -86,7 +86,7 @@ def _require_regular(status: os.stat_result) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Where to write what becomes the file `path` when the block ends; after an exception `path` is as it was.
+    """Yield a temporary path that replaces the file `path` when the block ends. After an exception `path` is unchanged.
 
     A pipe or a device (`/dev/stdout`) is written to directly.
     """
@@ -158,8 +158,8 @@ def only_process(folder: Path) -> Iterator[None]:
 
 
 def lock(file, shared: bool = False) -> bool:
-    """Whether nobody else holds the lock of this file, which then is ours until it is closed. File systems without
-    locks never say no."""
+    """Return whether the lock of this file was free. Then this process holds it until the file is closed. On file
+    systems without locks the result is always true."""
     if fcntl is not None:
         try:
             fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)

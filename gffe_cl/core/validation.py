@@ -1,5 +1,5 @@
-"""Values that come from outside: from files, scripts, the command line and callers in Python. One definition of each
-range, and of how a refusal reads: what must be what, and what came."""
+"""Checks of input values: from files, scripts, the command line and Python callers. Each range is defined once, and
+all messages have one form: the name, the expected value, and the actual one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NUMBERS = (int, float, np.integer, np.floating)
 
 
 def scalar(value: Any) -> Any:
-    """`value`; of NumPy's scalars and arrays without dimensions what Python has for them."""
+    """Return `value`; NumPy scalars and arrays without dimensions as Python numbers."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     return value.item() if isinstance(value, np.generic) else value
@@ -37,7 +37,8 @@ def is_number(value: Any) -> bool:
 
 
 def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
-    """`value` as a float; GffeError, beginning with `what`, unless it is a finite number, or `infinite` and +inf."""
+    """Return `value` as a float. Raises a GffeError that begins with `what` unless it is a finite number, or
+    `infinite` and +inf."""
     if is_number(value) or (infinite and isinstance(scalar(value), NUMBERS) and scalar(value) == math.inf):
         return float(value)
     raise GffeError(f"{what} must be a {'' if infinite else 'finite '}number, got {shown(value)}")
@@ -98,7 +99,7 @@ def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tupl
 
 
 def require_seed(value: Any, what: str = "seed") -> int:
-    """The variation of something made by chance; GffeError unless it is a whole number from 0 to 2³² − 1."""
+    """Return the seed of a random variation. Raises GffeError unless it is a whole number from 0 to 2³² − 1."""
     return require_whole(value, what, 0, MOST_SEED)
 
 
@@ -119,7 +120,7 @@ def require_choice(value: Any, choices: Iterable[str], what: str) -> str:
 
 
 def require_kind(value: Any, kind: Any, what: str, expected: str = "") -> Any:
-    """`value`; GffeError unless it is a `kind`, in words what is `expected`."""
+    """Return `value`. Raises GffeError unless it is a `kind`; the message calls that `expected`."""
     if isinstance(value, kind):
         return value
     raise GffeError(f"{what} must be {expected or f'a {kind.__name__}'}, got {shown(value)}")
@@ -133,7 +134,7 @@ def require_path(value: Any, what: str) -> Path:
 
 
 def require_list(value: Any, kind: type, what: str, expected: str) -> list:
-    """`value` as a list; GffeError unless it holds nothing but what is of the type `kind`. A text is no list."""
+    """Return `value` as a list. Raises GffeError unless all items are of the type `kind`. A text is no list."""
     try:
         found = [None] if isinstance(value, str | bytes) else list(value)
     except TypeError:
@@ -175,7 +176,8 @@ def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
 
 
 def as_float32(array: np.ndarray) -> np.ndarray:
-    """C-contiguous float32, `array` itself if it is that; what is too large becomes infinite."""
+    """Return `array` as C-contiguous float32, without a copy if it is that already. Values that are too large become
+    infinite."""
     with np.errstate(over="ignore"):
         return np.asarray(array, np.float32, order="C")
 
@@ -194,7 +196,7 @@ def _shape_words(shape: tuple) -> str:
 
 
 def shown(value: Any) -> str:
-    """`value` for a message: short, in JSON's words where it has some; of arrays and objects what they are."""
+    """Return a short text of `value` for a message: JSON where that is possible, the type for arrays and objects."""
     value = scalar(value)
     if value is None:
         return "nothing"

@@ -1,4 +1,4 @@
-"""The doctor: what does not fit in a sequence of somebody else's, and what would repair it (`gffe check`)."""
+"""The doctor: diagnosis and repair of faults in captured sequences (`gffe check`)."""
 
 from gffe_cl.doctor.choosing import require_findings, selected
 from gffe_cl.doctor.diagnose import Diagnosis, examine

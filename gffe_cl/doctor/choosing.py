@@ -1,4 +1,5 @@
-"""Which findings are repaired: those that the user names, or all but those of which one witness alone speaks."""
+"""Selection of the findings to repair: those that the user names, or all except those with a single piece of
+evidence."""
 
 from __future__ import annotations
 
@@ -23,9 +24,8 @@ def require_findings(names: Collection[str], option: str) -> None:
 
 
 def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collection[str] = ()) -> Diagnosis:
-    """`diagnosis` with the findings that are to be repaired, and the reading that repairs just these: `only`, or all but
-    display values; less `without`. Raises GffeError for names that are no findings, and for `only` what was not found.
-    """
+    """Return `diagnosis` with the findings to repair, and the reading that repairs just these: `only`, or all but
+    display values; less `without`. Raises GffeError for unknown names, and if one of `only` was not found."""
     require_findings(only, "--only")
     require_findings(without, "--except")
     found = fixed_by(diagnosis)

@@ -1,4 +1,4 @@
-"""The doctor: what of a sequence does not fit, how sure that is, and what would repair it (`gffe check`)."""
+"""The doctor's diagnosis: faults of a sequence, their certainty, and their repair (`gffe check`)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Diagnosis:
 
     @property
     def runner_up(self) -> Verdict | None:
-        """The best verdict on a reading that says something else; those that cannot be told from the best do not."""
+        """The best verdict with another meaning. Verdicts that are indistinguishable from the best do not count."""
         best = self.best
         return next((v for v in self.others if best and abs(v.agreement - best.agreement) > _ALIKE), None)
 
@@ -72,7 +72,7 @@ class Diagnosis:
 
 
 def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
-    """Examine the rendered frames of `clip`. Raises GffeError if there is none, or a file cannot be read."""
+    """Examine the rendered frames of `clip`. Raises GffeError if it has none, or if a file cannot be read."""
     count = len(clip.rendered)
     deep = _deep_frames(count)
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
@@ -171,8 +171,8 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
 
 
 def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
-    """The best of `verdicts`, or `given` if that is not clearly worse. Where depth and cameras say nothing, of a camera
-    that stands still, only movers' colors are left: they decide on signs, axes and units if they are sure."""
+    """Return the best of `verdicts`, or `given` unless that is clearly worse. If the camera stands still, depth and
+    cameras are no evidence. Then the colors of movers decide on signs, axes and units, if they are certain."""
     best = verdicts[0]
     if best.total < given.total + _MARGIN:
         return given

@@ -1,4 +1,4 @@
-"""Breaking good sequences in the ways that captures are broken: what the doctor is measured and tested with."""
+"""Fault injection: good sequences are broken in the ways of real captures, to measure and test the doctor."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
 
 
 class Kept:
-    """Rendered frames in memory, with what the doctor needs of a `Sequence`. `forward`: vectors to the next frame of
-    each, (H, W, 2) pixels, where they are known."""
+    """Rendered frames in memory, with the parts of a `Sequence` that the doctor needs. `forward`: vectors to the
+    next frame of each, (H, W, 2) pixels, where they are known."""
 
     def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0, forward=None):
         self.images, self.exposure, self.fps, self.forward = frames, exposure, fps, forward
@@ -120,7 +120,7 @@ def _with_motion(frames, motions):
 
 
 def _to_next(frames):
-    """Static points exactly; what moves by its motion so far."""
+    """Return vectors to the next frame: exact for static points, the previous motion for movers."""
     motions = []
     for k, frame in enumerate(frames):
         if k + 1 == len(frames):

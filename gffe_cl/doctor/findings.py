@@ -24,9 +24,9 @@ _UNIT_SLACK = 0.03
 
 @dataclass
 class Finding:
-    """`kind`: fault (breaks results), note (hurts little), or what cannot be told; `about`: motion, depth, camera,
-    frames or color; `name`: short; `sentence`: what is wrong; `fix`: what `gffe check --fix` does, "" if nothing;
-    `change`: what to change in the capture's own description, if there is one."""
+    """`kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera, frames or
+    color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
+    `change`: the correction of the capture's own description, if possible."""
 
     kind: str
     about: str
@@ -63,7 +63,7 @@ def fixable_ids() -> list[str]:
 
 
 def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
-    """One finding for every way in which `reading` differs from what is given; `stored`: sampled depths."""
+    """Return one finding for every difference between `reading` and the sequence as given. `stored`: sampled depths."""
     found = [
         Finding(
             FAULT,
@@ -125,7 +125,7 @@ def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
 
 
 def _unit_fault(unit: float) -> Finding:
-    """`unit`: what stored depths are multiplied by to be in the unit of the cameras."""
+    """Return the finding about the unit of depth. `unit`: factor from stored depths to the unit of the cameras."""
     if unit < 0:
         return Finding(FAULT, "depth", "negative", "depths are negative", "depths change their sign", {"unit": unit})
     for factor, words in _UNITS.items():

@@ -25,8 +25,8 @@ _FACTORS = {"twice too long": 0.5, "half as long as they are": 2.0}
 
 
 def tell_keys(findings: list[Finding], settings: FolderSettings | None) -> None:
-    """Add to each of `findings` which key of the JSON is to be changed to what, as far as there is one; `settings`:
-    what the JSON says now, None for captures without."""
+    """Add the JSON key to change, and its new value, to each of `findings` that has one. `settings`: the present
+    JSON, None for captures without."""
     if settings is None:
         return
     found = {(finding.about, finding.name) for finding in findings}

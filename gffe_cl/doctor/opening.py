@@ -1,4 +1,4 @@
-"""Opening what is to be checked: sequences whose camera matrices cannot be taken as they are, too."""
+"""Opening of sequences to check, including those with camera matrices that need repair first."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _SAME_SCALE = 1e-3
 
 
 def open_for_check(path: Path) -> tuple[Sequence, list[Finding]]:
-    """The sequence, and faults of its matrices that had to be repaired to open it: written row by row for row vectors, or
-    with a scale in them. Raises GffeError as `open_capture`."""
+    """Return the sequence, and the faults of its matrices that had to be repaired to open it: written for row
+    vectors, or column by column."""
     try:
         return open_capture(path), []
     except GffeError as error:

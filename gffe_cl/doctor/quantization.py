@@ -26,8 +26,8 @@ _CLASSES = "x", "negative x", "y", "negative y"
 
 
 def motion_steps(looks: list[Look]) -> np.ndarray:
-    """(4,) pixels: by how much stored vectors differ at least, in x where not negative, in x where negative, and in y
-    likewise; NaN where they are not quantized, or too few."""
+    """Return (4,) pixels: the quantization step of stored vectors in x for positive values, in x for negative ones,
+    and the same for y; NaN if not quantized or with too few samples."""
     motion = _motion(looks)
     motion = motion[np.isfinite(motion).all(-1)]
     return np.array([_step(of[side]) for of in motion.T for side in (of >= 0, of < 0)])
@@ -46,7 +46,7 @@ def _motion(looks: list[Look]) -> np.ndarray:
 
 
 def _step(values: np.ndarray) -> float:
-    """The grid of (N,) values in pixels, whatever its offset; NaN if there is none."""
+    """Return the grid step of (N,) values in pixels, for any offset; NaN if there is none."""
     distinct, counts = np.unique(np.round(values / _SAME_VALUE), return_counts=True)
     if len(values) < max(_FEWEST, _REPEATED * len(distinct)):
         return np.nan
@@ -99,7 +99,8 @@ def _code(steps: np.ndarray, size: tuple[int, int]) -> str:
 
 
 def are_sums(motion: np.ndarray, static: np.ndarray, steps: np.ndarray) -> bool:
-    """Whether vectors (N, 2) are off from those of what stands still, (N, 2), as if two quantized ones were added."""
+    """Return whether the errors of vectors (N, 2) against static motion (N, 2) are those of sums of two quantized
+    ones."""
     half = 0.5 * np.where(motion < 0, steps[1::2], steps[::2])
     with np.errstate(invalid="ignore"):
         off = np.nanmax(np.abs(motion - static) / half, axis=-1, initial=0)

@@ -31,7 +31,7 @@ _UPSIDE_DOWN = {(buffer,): f"{buffer} is upside down against the other buffers" 
 @dataclass
 class _Fit:
     """`off` (N,): residuals in pixels; `share` of those that agree; `along`, `still`: color scores along the vectors
-    and without any motion, NaN where nothing tells; `edges`: how colors agree with depth at silhouettes."""
+    and without any motion, NaN without evidence; `edges`: agreement of colors with depth at silhouettes."""
 
     off: np.ndarray
     share: float
@@ -98,7 +98,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
 
 
 def _fit(looks: dict[int, Look], edges: float) -> _Fit | None:
-    """None where there is nothing to compare."""
+    """Return None if there is nothing to compare."""
     pairs = [look for look in looks.values() if PREVIOUS in look.neighbors and look.motion is not None]
     if not pairs:
         return None

@@ -25,7 +25,7 @@ _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which p
 
 
 class Repair:
-    """Frames of `clip` as `diagnosis` says they are to be read, in their right order."""
+    """Frames of `clip` as read by `diagnosis`, in their correct order."""
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
@@ -39,7 +39,8 @@ class Repair:
         self._depth, self._translation, self._far_end = _units(diagnosis.reading.depth, self._stored)
 
     def frames(self) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
-        """Entries with their new cameras and times, and the frames; one is read at a time, with those beside it."""
+        """Yield entries with their new cameras and times, and the frames. Only one frame and its neighbors are in
+        memory."""
         entries = self._clip.rendered
         before: RenderedFrame | None = None
         for place, index in enumerate(self._order):
@@ -52,7 +53,7 @@ class Repair:
             before = made
 
     def camera(self, camera: Camera) -> Camera:
-        """As it is meant; without the jitter that it may lack."""
+        """Return the repaired camera, with its jitter completed."""
         read = self._reading.camera.read(camera)
         if self._translation == 1:
             return read
@@ -61,7 +62,7 @@ class Repair:
         return replace(read, world_to_view=matrix)
 
     def color(self, color: np.ndarray) -> np.ndarray:
-        """As it is meant."""
+        """Return the repaired color."""
         color = self._turned("color", np.asarray(color))
         return srgb_to_linear(color) if self._diagnosis.decodes_color else color
 
@@ -175,7 +176,7 @@ def _turned_round(forward, own, depth_before, depth, static) -> np.ndarray:
 
 
 def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """(2,) what most of `off` (H, W, 2) have in common."""
+    """Return (2,) the common offset of most of `off` (H, W, 2)."""
     values = off[np.isfinite(depth) & np.isfinite(off).all(-1)]
     if not len(values):
         return np.zeros(2)
@@ -189,8 +190,8 @@ def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
 
 
 def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float, float]:
-    """The depth's parameters, rounded where they are near round ones; what translations are multiplied by; and the
-    stored value that stands for nothing. `stored`: some of the depths."""
+    """Return the depth's parameters, rounded to nearby round numbers; the factor on translations; and the stored
+    value of sky. `stored`: some of the depths."""
     if depth.model is DEVICE:
         planes = Planes.of(depth, stored)
         far = planes.far if np.isinf(planes.far) else _rounded(planes.far)

@@ -63,10 +63,10 @@ _WINDOW = 1.2  # times the display, for presentation
 @dataclass
 class SizeBench:
     """Medians for one size: `milliseconds` and `bytes_per_pixel` by part, for one rendered frame with one
-    extrapolated frame. `wall` is milliseconds from submitting the one to having the other. "GAE" is the sum of its
-    stages by kernel events. "SCN" is the sum of what shading correction adds, where it is on: kernels by their events,
-    the network and the copies to what runs it by their wall time. "misc" is the adaptive window, in none of these:
-    choosing it on the host and presenting the display part."""
+    extrapolated frame. `wall`: milliseconds from submitting the rendered frame to receiving the extrapolated one.
+    "GAE": sum of its stages by kernel events. "SCN": shading correction, where it is on: kernels by their events,
+    network and transfers by wall time. "misc": the adaptive window, in none of the others: its choice on the host
+    and the presentation of the display part."""
 
     width: int
     height: int
@@ -189,7 +189,7 @@ def growth(results: list[SizeBench]) -> float | None:
 
 
 def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
-    """Submit and extrapolate; what was launched for either. Adds to `samples` if the turn counts."""
+    """Submit and extrapolate. Returns the launches of both. Adds to `samples` if the turn counts."""
     events: dict[str, dict[str, list]] = {}
     launches: dict[str, traffic.Launches] = {}
     start = time.perf_counter()
@@ -225,7 +225,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
 
 
 def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares: dict[str, float]) -> dict[str, float]:
-    """Bytes per pixel by part, "GAE" and "SCN" among them, of what was launched for a pair of frames."""
+    """Return bytes per pixel by part, "GAE" and "SCN" among them, from the launches of a pair of frames."""
     parts: dict[str, float] = defaultdict(float)
     for when, launched in launches.items():
         for stage, kernels in traffic.bytes_per_pixel(pipeline, launched, shares).items():
@@ -243,8 +243,8 @@ def _with_sums(parts: dict[str, float]) -> dict[str, float]:
 
 
 def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
-    """Milliseconds of what an adaptive window adds to a rendered frame: choosing it (on the host, with the nearest
-    depth read back) and presenting its display part."""
+    """Return the milliseconds of an adaptive window per rendered frame: its choice on the host, with the nearest
+    depth read back, and the presentation of its display part."""
     size = presentation.sizes.target
     windows = WindowChooser("adaptive", size, [0.5])
     assert turn.before is not None

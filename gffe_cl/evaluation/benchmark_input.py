@@ -49,8 +49,8 @@ class Turn:
 
 @dataclass(frozen=True)
 class Footage:
-    """`name` says what it is of; `width` and `height` are the display's, `cameras` those of the extrapolated frames,
-    `interval` is in seconds. `render_size`: of rendered frames that are smaller than the display."""
+    """Input of a benchmark. `name`: the scene; `width`, `height`: of the display; `cameras`: of the extrapolated
+    frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
 
     name: str
     width: int

@@ -64,9 +64,8 @@ class Comparison:
         }
 
     def to_json(self) -> dict:
-        """{"mean": {"psnr", "ssim", …}, "frames": [{"time", "file", "truth", "psnr", "ssim", …, "counted"}, …]}, and
-        "notes", "regions", "gae" and "gain" where there are any; what is undefined, or not to be measured here, is
-        null."""
+        """Return {"mean": {"psnr", "ssim", …}, "frames": [{"time", "file", "truth", "psnr", "ssim", …, "counted"},
+        …]}, and "notes", "regions", "gae" and "gain" if there are any. Undefined or unavailable values are null."""
         document = {
             "mean": _nulls(self.mean),
             "frames": [
@@ -236,7 +235,7 @@ def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comp
 
 
 class _History:
-    """Which rendered frames have enough before them for what follows them to be counted."""
+    """Rendered frames with enough frames before them, so that the frames after them count."""
 
     def __init__(self, sequence: Sequence):
         self._sequence, self._files, self._since_reset = sequence, {}, []
@@ -255,7 +254,8 @@ class _History:
 
 
 def _resets_of_its_own(a: Sequence, b: Sequence) -> list[str]:
-    """A note where `a` has resets that `b` does not tell, found by `gffe run` perhaps: means leave other frames out."""
+    """Return a note if `a` has resets that `b` lacks, such as cuts found by `gffe run`: then the means leave out
+    other frames."""
     same = ((entry, b.at("rendered", entry.time)) for entry in a.rendered[1:] if entry.reset)
     found = [entry for entry, other in same if other and not other.reset]
     if not found:

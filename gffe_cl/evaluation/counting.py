@@ -49,8 +49,8 @@ _BYTES = {"Dh": 2} | dict(zip("ahcstijflmd", (1, 1, 1, 2, 2, 4, 4, 4, 8, 8, 8), 
 
 @dataclass(frozen=True)
 class KernelTraffic:
-    """Bytes per display pixel, all launches for a rendered and an extrapolated frame together: what must move by the
-    declarations (`traffic`), and what is loaded and stored. Fills count as declared."""
+    """Bytes per display pixel, for all launches of a rendered and an extrapolated frame: bytes that must move by the
+    declarations (`traffic`), and bytes loaded and stored. Fills count as declared."""
 
     declared: float
     loaded: float
@@ -86,7 +86,8 @@ def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTra
 
 
 def parse_counts(text: str) -> Iterator[tuple[str, int, int]]:
-    """(kernel, bytes loaded, bytes stored) of each launch in what `oclgrind --inst-counts` printed, in order."""
+    """Return (kernel, bytes loaded, bytes stored) of each launch from the output of `oclgrind --inst-counts`, in
+    order."""
     kernel, loaded, stored = None, 0, 0
     for line in text.splitlines():
         if head := _KERNEL.match(line):
@@ -148,7 +149,7 @@ class _SilentNetwork:
 
 
 def _make(folder: Path) -> None:
-    """Under Oclgrind: make the frames, and say what was launched for the last pair and what it must move."""
+    """Make the frames under Oclgrind. Returns the launches of the last pair and the bytes that they must move."""
     footage, options = pickle.loads((folder / "asked").read_bytes())
     device = open_device()
     if device.info.platform != _NAME:

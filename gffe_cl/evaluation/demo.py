@@ -76,8 +76,8 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, windo
 
 
 def _contact_sheet(source: Sequence, made: Sequence, device: Device):
-    """Of three times: the truth, the last frame repeated, and the extrapolated one, above the errors of both, and what
-    else an extrapolated frame has."""
+    """Return a contact sheet of three times: truth, last frame repeated and extrapolated frame, their errors, and
+    the other outputs of an extrapolated frame."""
     groups = []
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]

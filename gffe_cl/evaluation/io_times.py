@@ -1,4 +1,5 @@
-"""Time of NumPy arrays on their way to a device and back, beside plain copies of the same bytes (`gffe bench --io`)."""
+"""Transfer times of NumPy arrays to and from a device, compared with plain copies of the same bytes (`gffe bench
+--io`)."""
 
 from __future__ import annotations
 

@@ -86,8 +86,8 @@ class Contestant:
     errors: RegionErrors = field(default_factory=RegionErrors)
 
     def turn(self, number: int, shot: Shot) -> tuple[float, object]:
-        """Take rendered frame `number` of the clip, make the new frame after it, if there is one: milliseconds, and
-        what was made."""
+        """Take rendered frame `number` of the clip and make the new frame after it, if there is one. Returns
+        milliseconds and the frame."""
         time.sleep(_REST)
         shot, made = replace(shot, frame=self.frames[number]), None
         start = time.perf_counter()
@@ -99,7 +99,7 @@ class Contestant:
         return 1e3 * (time.perf_counter() - start), made
 
     def color(self, made) -> np.ndarray:
-        """(H, W, 3) linear, of what `turn` returned."""
+        """Return (H, W, 3) linear color of the result of `turn`."""
         return made.numpy("color") if self.device else made
 
     def _made(self, moment: Moment):

@@ -1,4 +1,4 @@
-"""Image metrics: `METRICS` says once what each is. Images are (H, W, 3) float arrays of display values in [0, 1]."""
+"""Image metrics, defined once in `METRICS`. Images are (H, W, 3) float arrays of display values in [0, 1]."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SSIM_WINDOW = 7  # scikit-image's default
 
 @dataclass(frozen=True)
 class Metric:
-    """One metric: the console, JSON, studies and the viewer take all they know of it from here.
+    """One metric. The console, JSON, studies and the viewer take its name, unit and format from here.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Metric:
         return after - before if self.higher_is_better else before - after
 
     def missing(self) -> str | None:
-        """None if it can be measured here, else a sentence: what to install."""
+        """None if the metric is available, else a sentence that names the package to install."""
         what = f"{self.label} needs {self.package}: pip install {self.package}"
         try:
             importlib.import_module(self.module)
@@ -249,7 +249,7 @@ class RegionErrors:
         return total
 
     def figure(self, metric: str, region: str) -> float:
-        """NaN where there is nothing, or it was not measured."""
+        """Return the figure; NaN if the region is empty or was not measured."""
         count = self.counts.get(metric, {}).get(region, 0)
         return METRICS[metric].of_mean(self.sums[metric][region] / count) if count else float("nan")
 
@@ -266,7 +266,7 @@ class RegionErrors:
 
 
 def _sum_over(values: np.ndarray, mask=None) -> tuple[float, int]:
-    """Of what is defined of `values` (H, W), where `mask` is not 0; how many these are."""
+    """Return the sum and number of the defined `values` (H, W) where `mask` is not 0."""
     values = values.ravel() if mask is None else values[np.asarray(mask) != 0]
     undefined = np.isnan(values)
     values = values[~undefined] if undefined.any() else values

@@ -1,4 +1,4 @@
-"""Bytes per pixel that must move, from what the stages declare: exact, whatever the machine (`gffe bench`).
+"""Bytes per pixel that must move, by the stages' declarations: exact and independent of the machine (`gffe bench`).
 
 Every kernel declares what it reads and writes, and for which share of the pixels; the shares are counted in the frame.
 """
@@ -36,7 +36,7 @@ def part(stage: str, when: str) -> str:
 
 
 def counters(pipeline: Pipeline) -> dict[str, float]:
-    """The shares of the pixels by which the stages declare what they read and write, counted in the present frame."""
+    """Return the shares of pixels in the stages' declarations of reads and writes, counted in the present frame."""
     kernels = (kernel for stage in pipeline.stages.values() for kernel in stage.kernels)
     declared = (access.share for kernel in kernels for *_, access in kernel.accesses())
     shares = dict.fromkeys(share for share in declared if isinstance(share, Share))

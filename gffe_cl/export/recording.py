@@ -68,10 +68,10 @@ class Operation:
 
 @dataclass
 class Plan:
-    """Operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
-    without a frame before, "extrapolated", "present", "cut", "leave_out" and "compose" likewise; the `buffers` by their
-    full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the stages in
-    order."""
+    """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
+    without a previous frame, and also "extrapolated", "present", "cut", "leave_out" and "compose"; the `buffers` by
+    their full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the
+    stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -162,7 +162,7 @@ class _Rehearsal:
         return found
 
     def _shown(self, frame: DeviceFrame) -> DeviceFrame:
-        """The frame with all of its depth, of which what stays in place is left out for other stages."""
+        """Return the frame with its full depth. For other stages, overlays fixed in place are removed from it."""
         shown = replace(frame, depth=self.board.device.buffer(1))
         self.tape.names[id(shown.depth)] = "shown.depth"
         return shown
@@ -194,7 +194,7 @@ class _Rehearsal:
         return camera if pose is None else replace(camera, world_to_view=pose)
 
     def _learn_names(self) -> None:
-        """Names of all buffers; where there is no frame before, its buffers are the rendered frame's."""
+        """Record the names of all buffers. Without a previous frame, its buffers are the rendered frame's."""
         owners = {"frame": self.board.frame} | self.all
         named = {f"{owner}.{name}": b for owner, own in owners.items() for name, b in own.buffer.items()}
         named |= {f"{name}.{b}'": buffer for name, stage in self.all.items() for b, buffer in stage.before.items()}

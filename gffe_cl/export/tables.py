@@ -1,4 +1,4 @@
-"""The C tables: kernels' text, buffers, and what is launched on each occasion, from what was recorded."""
+"""The C tables from a recording: text of kernels, buffers, and launches on each occasion."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 
 
 def config(options: Options) -> str:
-    """gffe_config.h: numbers that Python's modules define, and what was chosen."""
+    """Return gffe_config.h: constants from Python's modules, and the options."""
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
         "DOWNSAMPLING": texel_of("downsampled")[0],
@@ -221,7 +221,7 @@ class Tables:
 
 
 def _part(operation: Operation, occasion: str, plan: Plan) -> str:
-    """Whether an operation is of the shading correction, which C may leave out, or goes by what that has made."""
+    """Return whether an operation belongs to shading correction, which C may omit, or depends on it."""
     name, stages = correction.ShadingCorrection.name, list(plan.stages)
     if operation.stage == name:
         return "GFFE_OF_CORRECTION"
@@ -241,8 +241,8 @@ def _grid(name: str) -> tuple[str, int]:
 
 
 class _Buffers:
-    """The buffers of a plan that C has: those that launches name, those that are of interest, and memory in which such
-    buffers lie; parts after what they are parts of."""
+    """The plan's buffers in C: those that launches name, those for callers, and memory that contains them. Parts
+    come after their wholes."""
 
     def __init__(self, plan: Plan):
         self.plan = plan
@@ -260,7 +260,7 @@ class _Buffers:
         self.names = [*GIVEN, *sorted(self.specs, key=self._depth)]
 
     def reference(self, name: str) -> str:
-        """A number: twice the buffer's, and one more for what is kept of the frame before."""
+        """Return a buffer's reference: twice its number, plus one for the previous frame's."""
         return str(2 * self.names.index(name.removesuffix("'")) + name.endswith("'"))
 
     def row(self, name: str) -> str:
@@ -315,7 +315,7 @@ def _words(name: str, content: bytes) -> str:
 
 
 def _facts(plan: Plan) -> bytes:
-    """A frame block that holds what does not change from frame to frame, nor with the size."""
+    """Return a frame block with the values that depend neither on the frame nor on the size."""
     block = np.zeros((), FRAME)
     for name in plan.facts.keys() - {"level_starts"}:
         block[name] = plan.facts[name]

@@ -55,7 +55,7 @@ def _templates() -> list[Path]:
 
 
 def _replace(folder: Path, part: Path) -> None:
-    """Move what is in `part` into `folder`, in place of an earlier export's files."""
+    """Move the contents of `part` into `folder`, in place of an earlier export's files."""
     for old in (folder / MODEL, *(folder / KERNELS).glob("*.cl")):
         old.unlink(missing_ok=True)
     (folder / KERNELS).mkdir(exist_ok=True)

@@ -33,7 +33,7 @@ _COMPOSITED = "composite"
 
 
 class _Passes(NamedTuple):
-    """Where in a file the channels are; None for what it has not."""
+    """Positions of the channels in a file; None for missing ones."""
 
     color: list[Place]
     depth: list[Place] | None

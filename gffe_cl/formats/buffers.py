@@ -1,4 +1,4 @@
-"""Buffers of a `gffe-folder`: which files hold one, and what its numbers mean."""
+"""Buffers of a `gffe-folder`: their files, and the meaning of their numbers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NUMBER = re.compile(r"%(0\d{1,2})?d")
 
 @dataclass(frozen=True)
 class Buffer:
-    """Where the numbers of a buffer are, and a linear map to what they mean: (v − offset) · scale."""
+    """Position of a buffer's numbers, and a linear map to their values: (v − offset) · scale."""
 
     pattern: str  # path of its files, with %d or %04d for the frame's number
     channels: tuple[str, ...]
@@ -50,7 +50,7 @@ class Buffer:
         return folder / self.file(number)
 
     def check(self, folder: Path, number: int, size: Size) -> None:
-        """GffeError if the headers of the file say that it cannot be read."""
+        """Raise GffeError if the file cannot be read, judged by its headers."""
         check_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
@@ -130,7 +130,7 @@ def parse_color(document: Any, name: str = "color") -> ColorBuffer:
 
 @dataclass(frozen=True)
 class DepthBuffer:
-    """Depth: `buffer`, then what `encoding` says of its numbers."""
+    """Depth: `buffer`, then the conversion by `encoding`."""
 
     buffer: Buffer
     encoding: str
@@ -205,7 +205,7 @@ class MotionBuffer:
 
     @property
     def to_next(self) -> bool:
-        """Whether the vectors of a frame say where its pixels go, so that those of the frame before are inverted."""
+        """Whether a frame's vectors lead to the next frame, so that those of the previous frame are inverted."""
         return self.direction == TO_NEXT
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:

@@ -31,7 +31,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class CameraRules:
-    """How the matrices of all frames are meant."""
+    """Conventions of all frames' matrices."""
 
     convention: str
     layout: str

@@ -23,7 +23,7 @@ MOST_FRAMES = 1 << 17
 
 
 def read_json(path: Path) -> dict:
-    """The object in the JSON file at `path`; GffeError if there is none."""
+    """Return the object in the JSON file at `path`. Raises GffeError if it is missing or invalid."""
     text = read_text(path, MOST_JSON)
     try:
         document = json.loads(text)
@@ -35,7 +35,7 @@ def read_json(path: Path) -> dict:
 
 
 def whole_number(value: Any, what: str, most: int = MOST_SIDE) -> int:
-    """`value` if it is a whole number from 1 to `most`, else GffeError, beginning with `what`."""
+    """Return `value` if it is a whole number from 1 to `most`. Raises GffeError, beginning with `what`, otherwise."""
     if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most:
         return value
     raise GffeError(f"{what} must be a whole number from 1 to {most}, got {shown(value)}")
@@ -49,8 +49,8 @@ def described(
     exposure: float = 1.0,
     known_cameras: Iterable[FrameEntry] = (),
 ) -> Description:
-    """The description of `frames`, put in order of time: the first rendered one is a reset, `fps` follows from the
-    times where it is None. GffeError, beginning with `name`, unless there are frames and times increase."""
+    """Return the description of `frames`, in order of time. The first rendered frame is a reset. If `fps` is None it
+    follows from the times. Raises GffeError, beginning with `name`, if there are no frames or times do not increase."""
     ordered = sorted(frames, key=lambda entry: entry.time)
     if not ordered:
         raise GffeError(f"{name}: no frames (expected at least one)")
@@ -85,8 +85,9 @@ def camera_of(document: dict, matrix: str, size: tuple[int, int], label: str) ->
 
 
 def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], label: str) -> None:
-    """Where the stored image (data window) is more or less than what is shown (display window), the render size and
-    camera of a rendered frame, whose display camera is in pixels of what is shown. GffeError unless that has `size`."""
+    """Return the render size and camera of a rendered frame whose stored image (data window) differs from the
+    displayed one (display window); its display camera is in displayed pixels. Raises GffeError unless the stored
+    image has `size`."""
     x0, y0, x1, y1 = part.display_window
     if (x1 - x0 + 1, y1 - y0 + 1) != tuple(size):
         raise GffeError(f"{label}: {x1 - x0 + 1}×{y1 - y0 + 1} pixels, expected {size[0]}×{size[1]}")

@@ -37,7 +37,7 @@ _SKY = 1e4  # meters: what is farther is nothing
 
 
 class _Frame(NamedTuple):
-    """One frame; `flow` leads to the next one, or with `backward` from it to the one before; None if there is none."""
+    """One frame; `flow` leads to the next one, or with `backward` from it to the previous one; None if missing."""
 
     color: Path
     depth: Callable[[], np.ndarray]
@@ -105,7 +105,7 @@ def _size(path: Path) -> Size:
 
 
 def _number(path: Path) -> str:
-    """The first number in a file's name, as it is written; GffeError if there is none."""
+    """Return the digits of the first number in a file's name. Raises GffeError if it has none."""
     found = _NUMBER.search(path.name)
     if found is None:
         raise GffeError(f"{path.name}: no frame number in the name (expected one, as in frame_0001.png)")
@@ -278,7 +278,7 @@ def open_spring(folder: Path) -> Sequence:
 
 
 def _settled(folder: Path, frames: list[_Frame], size: Size) -> Sequence:
-    """With extrinsics as world → camera, or inverted: as what stands still says."""
+    """Return the sequence with extrinsics as world → camera or inverted, by the motion of static surfaces."""
     for before, frame in zip(frames, frames[1:], strict=False):
         if frame.flow is None:
             continue

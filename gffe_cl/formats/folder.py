@@ -52,7 +52,7 @@ class _Frame:
 
 @dataclass
 class FolderSettings:
-    """All that the JSON says; `cameras`: how the matrices are meant."""
+    """Contents of the JSON; `cameras`: conventions of the matrices."""
 
     size: Size
     color: ColorBuffer
@@ -181,7 +181,7 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSe
 
 
 def _require_camera(made: FolderSettings, found: FoundCamera | None, label: str) -> None:
-    """GffeError if the camera says too little for what the buffers need of it."""
+    """Raise GffeError if the camera lacks data that the buffers need."""
     if made.depth.encoding == "device" and made.depth.near is None and (found is None or found.projection is None):
         raise GffeError(f"{label}: device depth needs a projection matrix, or near and far in depth")
     if found is None:
@@ -200,7 +200,7 @@ def _camera_files(keys: Keys) -> Buffer | None:
 
 
 def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, Any]]:
-    """Number, entry without cameras, and what is said of the camera, in order of time."""
+    """Return number, entry without camera, and the camera's JSON of each frame, in order of time."""
     if isinstance(given, dict):
         keys = Keys(given, f"{FILE_NAME}, frames")
         first, step, count = (

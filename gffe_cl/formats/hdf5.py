@@ -42,7 +42,7 @@ def read_hdf5(path: Path, name: str, size: Size, components: int, follow_links: 
 
 
 def _check_link(link: Any, path: Path, name: str, follow_links: bool) -> None:
-    """`link`: how the file comes by what it calls `name`."""
+    """Check a link in an HDF5 file. `link`: how the file refers to `name`."""
     import h5py
 
     if isinstance(link, h5py.HardLink | None):

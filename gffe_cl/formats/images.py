@@ -1,4 +1,5 @@
-"""Images of foreign captures: EXR, PNG, NPY and NPZ, told by their first bytes. Sizes are checked before decoding."""
+"""Images of foreign captures: EXR, PNG, NPY and NPZ, recognized by their first bytes. Sizes are checked before
+decoding."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ def read_planes(path: Path, names: Ordered[str], label: str, size: Size, array: 
 
 
 def check_planes(path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None) -> None:
-    """As `read_planes`, but only what the headers say: no pixel is decoded."""
+    """Check as `read_planes`, by headers only: no pixel is decoded."""
     _read(path, names, label, size, array, decode=False)
 
 

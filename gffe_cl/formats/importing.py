@@ -20,7 +20,7 @@ _MOST_EVERY = 16
 
 @dataclass
 class ImportReport:
-    """How many frames of each kind were written, and what is worth a warning."""
+    """Number of frames written, by kind, and warnings."""
 
     rendered: int = 0
     ground_truth: int = 0

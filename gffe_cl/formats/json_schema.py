@@ -9,7 +9,8 @@ from gffe_cl.core.validation import require_number, shown
 
 
 class Keys:
-    """The object `document`; `label` names it in errors. What is not taken until `done` is a key that nobody knows."""
+    """Keys of the object `document`; `label` names it in errors. Keys that nobody has taken before `done` are
+    unknown ones."""
 
     def __init__(self, document: Any, label: str):
         if not isinstance(document, dict):

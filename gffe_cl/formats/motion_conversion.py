@@ -1,4 +1,4 @@
-"""Motion vectors that have to be made: of forward flow, over two frames, of what stands still.
+"""Computed motion vectors: from forward flow, over two frames, of static surfaces.
 
 All of it is in our conventions: images (H, W), pixels, y down, depth planar and +inf for sky.
 """
@@ -15,8 +15,8 @@ _CLOSE = 0.75  # pixels between where flow and its inverse lead, at most
 
 
 def static_motion(depth: np.ndarray, camera: Camera, before: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Motion (H, W, 2) float64 of what stands still, from `camera` to `before`, and its depth (H, W) there; both are
-    infinite or NaN where depth is invalid. Sky moves with the rotation."""
+    """Return motion (H, W, 2) float64 of static surfaces, from `camera` to `before`, and their depth (H, W) there;
+    both are infinite or NaN where depth is invalid. Sky moves with the rotation."""
     height, width = depth.shape
     here = centers(height, width)
     finite = np.isfinite(depth) & (depth > 0)
@@ -118,7 +118,7 @@ def _depth_seen(depth: np.ndarray, camera: Camera, other: Camera, flow: np.ndarr
 
 
 def _splatted(flow: np.ndarray, seen: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """−flow (H, W, 2) at the pixels where it leads, of what `depth` shows there, NaN where nothing does.
+    """Return −flow (H, W, 2) at the pixels it leads to, for the surfaces in `depth`; NaN elsewhere.
 
     Each pixel goes to the four around its goal; those whose depth `seen` fits are averaged.
     """

@@ -33,7 +33,7 @@ class PngHeader(NamedTuple):
 
 
 def read_png_header(path: Path, label: str) -> PngHeader:
-    """GffeError if the file at `path` is none, or is of a kind that is not read."""
+    """Read a PNG's header. Raises GffeError if the file at `path` is no PNG, or of an unsupported kind."""
     with open_regular(path) as file:
         start = file.read(29)
     if len(start) < 29 or not start.startswith(MAGIC) or start[12:16] != b"IHDR":

@@ -1,4 +1,4 @@
-"""All forms of captures that are read, and how one is told from another: by what is in the folder."""
+"""Registry of all supported formats of captures, and their recognition by the files in a folder."""
 
 from __future__ import annotations
 

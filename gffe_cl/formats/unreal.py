@@ -55,8 +55,8 @@ def is_unreal(folder: Path) -> bool:
 
 
 def open_unreal(folder: Path) -> Sequence:
-    """Open the frames in `folder`: the headers of all files are checked; a few frames are read to settle what motion
-    and depth mean. Raises GffeError."""
+    """Open the frames in `folder`. The headers of all files are checked, and a few frames are read to determine the
+    meaning of motion and depth. Raises GffeError."""
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
     size = fps = before = None
     for number, file in numbered:
@@ -99,7 +99,7 @@ class UnrealPixels(ForeignPixels):
         return shown_part(color, header.parts[_places(header, entry.file)[0][0]], entry.file)
 
     def settle(self, entries: list[FrameEntry], size: tuple[int, int]) -> None:
-        """Find out what the numbers mean from the first frames in which the camera moves."""
+        """Determine the meaning of the numbers from the first frames in which the camera moves."""
         for before, entry in list(zip(entries, entries[1:], strict=False))[:_TRIED]:
             if entry.reset:
                 continue
@@ -165,7 +165,7 @@ def _numbered(folder: Path) -> list[tuple[int, str]]:
 
 
 def _places(header: ExrHeader, file: str) -> list[Place]:
-    """R, G, B, depth, motion x and y. GffeError naming what is missing."""
+    """Return the channels of R, G, B, depth, motion x and y. Raises GffeError that names missing ones."""
     layers = layers_of(header)
     wanted = {
         "the final image": (_picture, "RGB"),

@@ -62,8 +62,8 @@ class Camera:
 
     @classmethod
     def many(cls, world_to_views: list, intrinsics: list) -> list[Camera]:
-        """Cameras of lists of 4×4 lists and of (fx, fy, cx, cy): quicker than one by one. GffeError if any of them is
-        none, without saying which."""
+        """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy). Faster than one by one. Raises GffeError
+        if any is invalid, without naming it."""
         try:
             types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
             types |= set(map(type, chain.from_iterable(intrinsics)))
@@ -97,8 +97,8 @@ class Camera:
     def look_at(
         cls, position: ArrayLike, target: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
-        """Camera at `position` looking at `target` (world units); `up` is a world direction. Raises GffeError if there
-        is no such camera."""
+        """Return the camera at `position` that looks at `target` (world units). `up` is a world direction. Raises
+        GffeError if no such camera exists."""
         position = validation.require_vector(position, "camera: position")
         return cls.from_pose(
             position, validation.require_vector(target, "camera: target") - position, up, fx, fy, cx, cy
@@ -388,7 +388,7 @@ def _all_numbers(given) -> bool:
 
 
 def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
-    """GffeError for what is wrong with any of the cameras: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
+    """Raise GffeError if any camera is invalid: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
     if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
         raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
     rotations = matrices[:, :3, :3]

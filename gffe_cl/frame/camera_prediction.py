@@ -92,7 +92,7 @@ def predict_camera_at(
 
 
 def _next_change(motion: Vectors, steps: list[float]) -> Vector:
-    """Predict the next second divided difference of what moves by `motion`, newest first, in `steps` of time.
+    """Predict the next second divided difference from the past `motion`, newest first, in `steps` of time.
 
     With up to three motions it is `_lasting_change` of the last; beyond, that and a learned correction.
     """

@@ -81,7 +81,8 @@ def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarr
 
 
 def _chosen_layout(layout: str, fits: list[bool], symmetric: bool, what: str) -> int | None:
-    """0 for row-major, 1 for column-major, None where "auto" finds neither; `fits`: which of the two `what` may be."""
+    """Return 0 for row-major, 1 for column-major, None if "auto" fits neither. `fits`: whether `what` can have
+    either layout."""
     require_choice(layout, LAYOUTS, "camera: layout")
     if layout != "auto":
         asked = LAYOUTS.index(layout) - 1
@@ -101,8 +102,8 @@ def _perspective(p: np.ndarray) -> np.ndarray:
 
 
 def _refuse_projection(candidates: list[np.ndarray]) -> NoReturn:
-    """Raise the GffeError that says what w is instead of ±z, and how to convert where it is another axis; `candidates`:
-    the projection for column vectors, in each layout that it may have."""
+    """Raise a GffeError that names the value of w in place of ±z and, for another axis, the conversion.
+    `candidates`: the projection for column vectors, in each possible layout."""
     for p in candidates:
         for k in np.flatnonzero(np.abs(np.abs(p[3]) - 1) <= _ZERO):
             if np.delete(np.abs(p[3]), k).max() > _ZERO:
@@ -139,7 +140,7 @@ def square(given: Any, name: str) -> np.ndarray:
 
 
 def rigid(matrix: np.ndarray, name: str, tolerance: float = 1e-2) -> np.ndarray:
-    """(4, 4) `matrix` without what rounding and a uniform scale add to its rotation; the camera's place stays.
+    """Return (4, 4) `matrix` without rounding errors and uniform scale of its rotation. The camera's position stays.
 
     GffeError unless it is a rotation (mirrored or not), a scale and a translation within `tolerance`.
     """

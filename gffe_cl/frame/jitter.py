@@ -58,8 +58,8 @@ class Jitter:
 
 
 def without_jitter(camera: Camera, size: tuple[int, int]) -> Camera:
-    """`camera` of an image of `size` (width, height) as it was meant, where nobody tells: a principal point within a
-    pixel of the middle belongs there. Others are kept, as of windows."""
+    """Return `camera` of an image of `size` (width, height) with the principal point at the center if it is within a
+    pixel of it. Other cameras, such as those of windows, are unchanged."""
     middle = size[0] / 2, size[1] / 2
     if max(abs(camera.cx - middle[0]), abs(camera.cy - middle[1])) > 1:
         return camera

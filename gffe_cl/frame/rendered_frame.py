@@ -105,12 +105,12 @@ class RenderedFrame:
 
     @property
     def shown_camera(self) -> Camera:
-        """The display camera where there is one, else the render camera."""
+        """The display camera if there is one, else the render camera."""
         return self.display_camera or self.camera
 
 
 def checked_frame(frame: RenderedFrame) -> RenderedFrame:
-    """`frame` with `time` and `reset` as Python has them. GffeError unless all but its arrays is what it should be."""
+    """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
     require_kind(frame, RenderedFrame, "frame")
     require_kind(frame.camera, Camera, "frame: camera")
     if frame.display_camera is not None:
@@ -132,7 +132,7 @@ def require_motion(frame: RenderedFrame) -> Any:
 
 
 def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: tuple[int, int]) -> Camera:
-    """The camera of what is shown, in pixels of a display of `size`: by default the rendered frustum."""
+    """Return the camera of displayed frames, in pixels of a display of `size`. The default is the rendered frustum."""
     if frame.display_camera or render_size == size:
         return frame.display_camera or frame.camera
     return frame.camera.scaled(*(s / r for r, s in zip(render_size, size, strict=True)))
@@ -147,7 +147,7 @@ def require_one_pose(render: Camera, display: Camera) -> None:
 
 
 def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
-    """Whether the rendered image is what is shown, pixel for pixel, where both have one size."""
+    """Return whether the rendered image is displayed pixel for pixel, if both have one size."""
     return camera.intrinsics == display_camera.intrinsics
 
 
@@ -202,8 +202,8 @@ class HostArrays:
         return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in wrong.items()})
 
     def in_device_layout(self) -> HostArrays:
-        """The arrays as they lie on the device: color (H, W, 4) float16 with 0 in the fourth channel, motion 0 where
-        there is none."""
+        """Return the arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth channel, missing
+        motion as 0."""
         rgb = np.clip(np.nan_to_num(self.color[..., :3], posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
         color = color_of_planes(rgb[..., c] for c in range(3)).base
         motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
@@ -266,8 +266,8 @@ def _uploadable(color: np.ndarray) -> np.ndarray:
 
 
 def _rounded_to_odd(values: np.ndarray) -> np.ndarray:
-    """float32 that rounds to the same float16 as `values`, which have more bits: toward 0, and to an odd last bit
-    unless it is exact. What is finite remains so."""
+    """Return float32 that rounds to the same float16 as the more precise `values`: rounded toward 0, with an odd
+    last bit unless exact. Finite values stay finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         rounded = values.astype(np.float32)
         too_large, inexact = np.abs(rounded) > np.abs(values), rounded != values

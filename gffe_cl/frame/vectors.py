@@ -43,7 +43,7 @@ def determinant(matrix: Matrix) -> float:
 
 
 def inverse(matrix: Matrix) -> list[list[float]]:
-    """By cofactors: good to rounding for what is nearly a rotation."""
+    """Return the inverse by cofactors. It is accurate to rounding for nearly rigid matrices."""
     a, b, c = matrix
     columns = cross(b, c), cross(c, a), cross(a, b)
     scale = dot(a, columns[0])

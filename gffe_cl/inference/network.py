@@ -93,7 +93,7 @@ def take_remarks() -> list[str]:
 
 
 class Network:
-    """A network and what runs it; see `load_network`.
+    """A network and its runtime; see `load_network`.
 
     `session`: the CPU's, for any size; where the CPU was chosen, of the file `on_cpu` (None: `path`). `head`: (374,)
     float32, weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the
@@ -118,7 +118,7 @@ class Network:
 
     @property
     def provider(self) -> str:
-        """onnxruntime's name of what runs it."""
+        """onnxruntime's name of the execution provider."""
         return (CPU if self._failure else self.choice.provider).ort
 
     @property
@@ -126,7 +126,7 @@ class Network:
         return "; ".join(filter(None, (self.choice.remark, self._failure)))
 
     def prepare(self, height: int, width: int) -> None:
-        """Make what it takes to run on images of this size, which may take seconds. Raises NetworkError."""
+        """Prepare for images of this size, which may take seconds. Raises NetworkError."""
         self._guarded(lambda: None if self.provider == CPU.ort else self._session_of(height, width))
 
     def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:

@@ -72,9 +72,9 @@ class Verdict:
 
 
 def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
-    """Of `provider` with the network in the file `path`: recalled, or found out in a child process (`refresh`: always).
-    What did not work is tried again after an hour, and everything after a day where drivers cannot be told apart by
-    their files."""
+    """Return the verdict on `provider` with the network in the file `path`, from the cache or from a test in a child
+    process (`refresh`: always). Failures expire after an hour. Everything expires after a day if the drivers' files
+    do not identify them."""
     file = _kept(path, provider)
     if file and not refresh:
         with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
@@ -137,7 +137,7 @@ def fixed_inputs(height: int, width: int) -> dict[str, np.ndarray]:
 
 
 def _on_cpu(free, height: int, width: int) -> tuple[dict[str, np.ndarray], str, np.ndarray]:
-    """Fixed inputs, the name of the output, and what the CPU makes it."""
+    """Return fixed inputs, the name of the output, and the output of the CPU."""
     inputs = fixed_inputs(height, width)
     return inputs, OUTPUT, free.run([OUTPUT], inputs)[0]
 
@@ -189,7 +189,7 @@ def _from_json(text: str) -> Verdict:
 
 
 def _kept(path: Path, provider: Provider) -> Path | None:
-    """Where a verdict is kept: named by all that it hangs on."""
+    """Return the path of a stored verdict. Its name hashes everything the verdict depends on."""
     folder = kept_folder()
     if folder is None:
         return None

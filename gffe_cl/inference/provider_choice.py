@@ -1,4 +1,4 @@
-"""Choosing what runs the network."""
+"""Choice of the network's execution provider."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class Choice:
-    """`may_fall_back`: the CPU may take over later; `remark`: what a user should know of the choice, "" if nothing."""
+    """Chosen provider. `may_fall_back`: the CPU may take over later; `remark`: a note for the user, "" if none."""
 
     provider: Provider
     may_fall_back: bool = False

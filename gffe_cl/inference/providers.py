@@ -24,7 +24,7 @@ class NetworkError(GffeError):
 
 
 class NoDeviceError(NetworkError):
-    """A provider is installed, but there is nothing that it runs on."""
+    """A provider is installed, but finds no device."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ PROVIDERS: dict[str, Provider] = {provider.name: provider for provider in _KNOWN
 
 @cache
 def load_onnxruntime() -> ModuleType:
-    """onnxruntime without its telemetry, which would write an id of the device into the user's cache folder when it is
-    imported, and without remarks of its own: the only place that imports it."""
+    """Return onnxruntime without its telemetry and its log output. On import, telemetry would write an id of the
+    device into the user's cache folder. No other function imports onnxruntime."""
     os.environ["ORT_DISABLE_TELEMETRY"] = "1"
     import onnxruntime
 
@@ -112,15 +112,15 @@ def installed_providers() -> list[Provider]:
 
 
 def cpu_model(path: Path) -> Path:
-    """The file that the CPU runs by default where other providers run `path`: of the package's own network that in
-    8-bit integers, which takes half the time there and which GPUs do not know."""
+    """Return the CPU's default file in place of `path`: for the package's own network its form in 8-bit integers,
+    which takes half the time on a CPU and which GPUs do not support."""
     integers = path.with_name(f"{path.stem}-int8.onnx")
     return integers if path == PACKAGED and integers.is_file() else path
 
 
 def open_session(path: Path, provider: Provider = CPU, sizes: Mapping[str, int] | None = None):
-    """An onnxruntime.InferenceSession of the ONNX file `path`. `sizes`: of the model's free dimensions by name; what is
-    computed of sizes alone is folded then, so that no node is left to the CPU. Raises NetworkError."""
+    """Return an onnxruntime.InferenceSession of the ONNX file `path`. `sizes`: free dimensions of the model by name;
+    with them, computations on sizes are folded, so that no node remains for the CPU. Raises NetworkError."""
     onnxruntime = load_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
@@ -147,7 +147,7 @@ def open_session(path: Path, provider: Provider = CPU, sizes: Mapping[str, int] 
 
 
 def plugin_device(provider: Provider):
-    """The device of a plug-in: a GPU before others. Raises NetworkError if there is none."""
+    """Return the device of a plug-in, preferably a GPU. Raises NetworkError if there is none."""
     try:
         _register(provider)
         found = [device for device in load_onnxruntime().get_ep_devices() if device.ep_name == provider.ort]

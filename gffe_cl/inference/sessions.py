@@ -1,4 +1,4 @@
-"""A network on a provider with memory of its own: what goes there, what comes back, and what the copies take."""
+"""Sessions of a network on a provider with its own memory, with transfers in both directions and their times."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class FixedSession:
         self.copying = (time.perf_counter() - done + (sent - start if self._inputs else 0.0)) * 1e3
 
     def _place(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Make values in the plug-in's memory for what it does not read from and write to the host's."""
+        """Allocate values in the plug-in's memory for inputs and outputs that it cannot access on the host."""
         places = zip(self.session.get_inputs(), self.session.get_input_memory_infos(), strict=True)
         for value, place in places:
             if place.name != "Cpu":
@@ -73,8 +73,8 @@ class FixedSession:
         return self._runtime.OrtValue.ortvalue_from_shape_and_type(list(shape), np.float32, memory_info=place)
 
     def _wait(self, inputs: Mapping[str, np.ndarray]) -> None:
-        """Until the provider is done: WebGPU's runs return before they are, a copy out of its queue does not. The
-        smallest input is copied, so that what the result takes is known apart."""
+        """Wait until the provider is done. WebGPU's runs return early, but a copy from its queue waits. The smallest
+        input is copied, so that the time of the result's copy is known separately."""
         if self._inputs:
             name = min(self._inputs, key=lambda key: inputs[key].size)
             self._fetch(self._inputs[name], np.empty_like(inputs[name]))

@@ -73,8 +73,8 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
 
 @dataclass
 class Opened:
-    """Shared state of all `Device`s of one OpenCL device in this process: drivers keep some KiB of every program
-    that is loaded, even when it is released, so what is opened again finds what is there."""
+    """State that all `Device`s of one OpenCL device share in this process. Drivers keep some KiB of every loaded
+    program, even after release, so reopening a device reuses it."""
 
     context: cl.Context
     programs: dict = field(default_factory=dict)  # built so far, by program.build
@@ -194,7 +194,7 @@ class Device:
 
     @cached_property
     def memory(self) -> int:
-        """Bytes of memory that the driver says the device has."""
+        """Bytes of device memory, as the driver reports them."""
         return int(self.cl_device.global_mem_size)
 
     @cached_property
@@ -237,9 +237,9 @@ class Device:
 
 
 def list_devices(refresh: bool = False) -> list[DeviceInfo]:
-    """Every OpenCL device, as probing found it: now with `refresh`, or where nothing is known yet of drivers like those
-    that are installed. Never raises for a broken driver; such devices have `works == False`, and a driver that crashes
-    or hangs while its devices are listed is one entry with the name of its `.icd` file."""
+    """Return every OpenCL device with the result of probing it. Probing happens with `refresh`, or if no result is
+    stored for the installed drivers. Never raises for a broken driver: its devices have `works == False`. A driver
+    that crashes or hangs while its devices are listed is one entry with the name of its `.icd` file."""
     return _list_devices(require_bool(refresh, "list_devices: refresh"))[0]
 
 
@@ -299,8 +299,8 @@ def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
 
 
 def open_info(info: DeviceInfo) -> Device:
-    """Open the device that `list_devices` described; what is opened again shares context and kernels, until an error of
-    the driver says that it was lost. Raises GffeError if it is not there, or cannot be opened."""
+    """Open a device that `list_devices` returned. Opening it again shares context and kernels until a driver error
+    loses them. Raises GffeError if it is not there or cannot be opened."""
     platform, device = (int(part) for part in info.index.split(":"))
     try:
         found = cl.get_platforms()[platform].get_devices()[device]
@@ -337,7 +337,7 @@ def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
 
 
 def forget_opened(device: Device) -> None:
-    """Open its OpenCL device anew the next time: the context may be of no use any more."""
+    """Make the next call open the OpenCL device again, because its context may be unusable."""
     known: Any
     for known in (_opened, _adopted):
         for key in [key for key, opened in known.items() if opened is device.opened]:

@@ -36,7 +36,8 @@ _LIBRARIES = ("/usr/lib/*-linux-gnu*", "/usr/lib64", "/usr/lib", "/usr/local/lib
 
 
 def fingerprint() -> str:
-    """Of all that probing hangs on: drivers and their libraries, variables that they read, the machine."""
+    """Return a hash of everything that probing depends on: drivers and their libraries, their environment variables,
+    the machine."""
     facts = [
         hashlib.sha256(Path(probing.__file__).read_bytes()).hexdigest(),
         cl.VERSION_TEXT,
@@ -51,8 +52,8 @@ def fingerprint() -> str:
 
 
 def recall(key: str) -> Probed | None:
-    """Return the entry stored as `key`, or None. Failures are tried again after an hour, and everything after
-    a day where drivers cannot be told apart by their files."""
+    """Return the entry stored as `key`, or None. Failures expire after an hour. Everything expires after a day if
+    the drivers' files do not identify them."""
     folder = kept_folder()
     if folder is None:
         return None

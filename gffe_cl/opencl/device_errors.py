@@ -20,8 +20,8 @@ _MEMORY = {
 
 @contextmanager
 def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> Iterator[None]:
-    """While `work` is done: errors of the driver become a GffeError of one line that says so, and what to do;
-    `footprint` names the sizes and the memory."""
+    """Turn driver errors within the block `work` into a GffeError of one line with a remedy. `footprint` is the text
+    about sizes and memory."""
     try:
         yield
     except cl.Error as error:
@@ -39,7 +39,7 @@ def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> It
 
 
 def telling_device_faults(method: Callable) -> Callable:
-    """For methods of what has a `device` and a `_footprint()`: as `device_faults`."""
+    """Decorate a method of an object with `device` and `_footprint()` with `device_faults`."""
 
     @wraps(method)
     def wrapped(self, *arguments, **more):

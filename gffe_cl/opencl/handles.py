@@ -16,8 +16,8 @@ Kind = TypeVar("Kind", cl.Context, cl.CommandQueue, cl.Event, cl.Buffer)
 
 
 def is_handle(value: Any) -> bool:
-    """Whether `value` is an integer that may be a handle. Drivers crash on an address where no object of theirs is, and
-    nothing can tell that beforehand."""
+    """Return whether `value` is an integer that may be a handle. Drivers crash on an invalid address, and no call
+    can check it beforehand."""
     number = scalar(value)
     return isinstance(number, int) and not isinstance(number, bool) and _LEAST <= number <= _MOST
 

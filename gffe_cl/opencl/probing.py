@@ -57,8 +57,8 @@ class Probed:
 
 
 def probe() -> Probed:
-    """Probe every OpenCL device. A driver that crashes or hangs while its devices are listed is hidden, from this
-    process too.
+    """Probe every OpenCL device. A driver that crashes or hangs while its devices are listed is also hidden from this
+    process.
 
     One child tries all devices, one after the other, so that their figures do not disturb each other. Only if that one
     fails, vendors and then devices are tried side by side, each in a child of its own.
@@ -102,13 +102,13 @@ def _is_whole(output: str) -> bool:
 
 
 def _told(output: str) -> list[DeviceInfo]:
-    """The last that a child told of each device."""
+    """Return the last report of a child process on each device."""
     found = [DeviceInfo(**json.loads(line)) for line in output.splitlines() if line.startswith("{")]
     return sorted({info.index: info for info in found}.values(), key=lambda info: info.index)
 
 
 def _probe_alone(info: DeviceInfo, end: float) -> DeviceInfo:
-    """Probe one device in a child of its own, until `end`."""
+    """Probe one device in a child process of its own, until `end`."""
     output, failure = _run_child([info.index], max(end - time.monotonic(), 1.0))
     (found,) = _told(output) or [info]
     if not found.works:
@@ -272,8 +272,8 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
 
 
 def _main(wanted: list[str]) -> None:
-    """Print what is found out of the devices of the indices `wanted`, of all without any; after `--list` only what they
-    are."""
+    """Print the results of probing the devices with indices `wanted`, or of all devices. After `--list` only list
+    them."""
     for index, platform, device in _cl_devices():
         if not wanted or wanted == ["--list"] or index in wanted:
             info = describe(index, platform, device)

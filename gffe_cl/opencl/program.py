@@ -46,7 +46,7 @@ class Argument:
 
     @property
     def numpy_type(self) -> Any:
-        """As pyopencl wants to know it: of a number, or of a struct's bytes; None for buffers."""
+        """NumPy type for pyopencl: that of a number, or of a struct's bytes; None for buffers."""
         return None if self.buffer else _SCALARS.get(self.type, np.void)
 
     def packed(self, value: Any) -> Any:
@@ -55,8 +55,8 @@ class Argument:
 
 
 class Program:
-    """The kernels of one file: `kernels` are made once, `arguments` say what each takes, `constants` are the numbers
-    that the file and its headers define."""
+    """The kernels of one file. `kernels` are created once, `arguments` describe the parameters of each, `constants`
+    are the numbers defined by the file and its headers."""
 
     def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
         self.name = name
@@ -192,7 +192,7 @@ def _argument(text: str) -> Argument:
 
 
 def _told_names(kernel: cl.Kernel) -> list[str] | None:
-    """The names of a kernel's arguments, where the runtime tells them."""
+    """Return the names of a kernel's arguments if the runtime reports them."""
     try:
         return [str(kernel.get_arg_info(k, cl.kernel_arg_info.NAME)) for k in range(kernel.num_args)]
     except cl.Error:
@@ -225,7 +225,7 @@ def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
 
 
 class BuildError(GffeError):
-    """Kernels do not build: the message is the compiler's first error, `log` all that it said, in its lines."""
+    """Kernels do not build. The message is the compiler's first error, `log` its whole output."""
 
     def __init__(self, message: str, log: str = ""):
         super().__init__(message)
@@ -233,7 +233,7 @@ class BuildError(GffeError):
 
 
 def first_error(log: str) -> str:
-    """The line of a compiler's log that says what is wrong first, with file and line where it names them."""
+    """Return the first error in a compiler's log, with file and line if it names them."""
     lines = log.strip().splitlines()
     errors = [line for line in lines if re.search(r"\berror\b", line)]
     return ([line for line in errors if re.search(r"\w:\d+", line)] or errors or lines or [""])[0].strip()

@@ -1,4 +1,4 @@
-"""Built programs, kept for later processes: some drivers take seconds to build what loads in milliseconds.
+"""Cache of built programs on disk. Some drivers take seconds to build a program that loads in milliseconds.
 
 pyopencl keeps them too, but behind a lock that a killed process leaves behind: everybody after it waits for a minute.
 Here a file is whole or not there at all, so that nobody waits for anybody. A folder that cannot be read or written is
@@ -44,7 +44,7 @@ def _built(program: cl.Program, device: cl.Device, options: tuple[str, ...]) -> 
 
 
 def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | None:
-    """Where a program is kept: named by all that it hangs on."""
+    """Return the path of a stored program. Its name hashes everything the program depends on."""
     folder = kept_folder()
     if folder is None:
         return None

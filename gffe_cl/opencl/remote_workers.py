@@ -44,14 +44,15 @@ class Cluster:
             raise GffeError(f"--scheduler {address}: no Dask scheduler answers ({type(error).__name__})") from None
 
     def close(self) -> None:
-        """Leave the scheduler; what it computes for others goes on."""
+        """Leave the scheduler. Its work for other clients continues."""
         self._client.close()
 
     def compute(
         self, function: Callable[..., Any], items: Mapping[str, tuple], in_order: bool = False
     ) -> Iterator[tuple[str, Any]]:
-        """(name, result of `function` with the arguments of that name) of each item, as they come or in order. What is
-        not taken any more is cancelled. Raises GffeError, `function`'s too, and where workers died again and again."""
+        """Yield (name, result of `function` with the arguments of that name) of each item, in order or as they
+        finish. Items that nobody takes any more are cancelled. Raises GffeError, also for `function`'s exceptions
+        and if workers died repeatedly."""
         from distributed import KilledWorker, as_completed
 
         run, waiting, names = uuid.uuid4().hex, iter(items.items()), {}

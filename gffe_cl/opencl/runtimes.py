@@ -50,8 +50,8 @@ def cache_folder() -> Path:
 
 
 def kept_folder() -> Path | None:
-    """Where what was found and built is kept for later processes: `cache_folder`, or what `GFFE_DEVICE_CACHE` names;
-    None where that is "off", or where there is none."""
+    """Return the folder for results that later processes reuse: `cache_folder`, or `GFFE_DEVICE_CACHE`. None if that
+    is "off" or if there is no such folder."""
     chosen = os.environ.get(_KEPT)
     if chosen:
         return None if chosen == "off" else Path(chosen)
@@ -61,8 +61,8 @@ def kept_folder() -> Path | None:
 
 
 def keep_file(path: Path, content: bytes, alike: str, most: int) -> None:
-    """Write a file that is whole or not there at all, whoever else writes it; of those that match `alike` beside it the
-    `most` newest stay."""
+    """Write a file atomically, also if other processes write it. Of the files beside it that match `alike` the
+    `most` newest are kept."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial")
     try:
@@ -77,7 +77,7 @@ def keep_file(path: Path, content: bytes, alike: str, most: int) -> None:
 
 
 def _temporary_folder() -> Path:
-    """A folder for temporary files that only this user can write to: drivers are loaded from what it names."""
+    """Return a temporary folder that only this user can write to, because drivers are loaded from it."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"gffe-cl-{user}"
     with suppress(OSError):
@@ -148,7 +148,8 @@ def hide_vendors(names: set[str]) -> None:
 
 
 def _without_spaces(library: Path) -> Path:
-    """`library`, of Intel's runtime, at a path without white space: there it does not find the files beside it.
+    """Return a path without spaces to `library`, of Intel's runtime. In a path with spaces it does not find its other
+    files.
 
     They are linked into the cache, or copied (0.4 GB) where that lies on another file system. Symbolic links do not
     help: it looks itself up in /proc/self/maps. Raises OSError if nothing can be written.

@@ -81,7 +81,7 @@ class _Sharing:
         return self._enqueue(self._commands[0], buffers, wait_for)
 
     def release(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
-        """Enqueue giving `buffers` back, likewise. The other API may use them when the event is complete."""
+        """Enqueue the release of `buffers` in the same way. The other API may use them when the event is complete."""
         return self._enqueue(self._commands[1], buffers, wait_for)
 
     def __init__(self, device: Device, is_offered: bool, what: str):
@@ -207,7 +207,7 @@ class MemorySharing(_Sharing):
 
 
 def _current_device(platform: cl.Platform, properties: ct.Array) -> int | None:
-    """The handle of the device that renders an OpenGL context; None if it is none of the platform's."""
+    """Return the handle of the device that renders an OpenGL context; None if the platform has no such device."""
     found, nbytes = _P(), _SIZE()
     ask = _function(platform, "clGetGLContextInfoKHR", _INT, _P, _UINT, _SIZE, _P, _P)
     error = ask(properties, _CURRENT_DEVICE, ct.sizeof(found), ct.byref(found), ct.byref(nbytes))
@@ -237,13 +237,14 @@ def _require_success(call: str, error: int) -> None:
 
 @cache
 def _loader() -> ct.CDLL:
-    """The OpenCL loader: what pyopencl is linked with, whose functions are found through pyopencl's own library."""
+    """Return the OpenCL loader that pyopencl is linked with. Its functions are found through pyopencl's own library."""
     library: Any = cl
     return ct.CDLL("OpenCL.dll" if sys.platform == "win32" else library._cl.__file__)
 
 
 def _address(platform: cl.Platform, name: str) -> int | None:
-    """Of a function: an extension's from the driver, any other from the loader; None if there is none."""
+    """Return the address of a function: of an extension from the driver, of others from the loader; None if there is
+    none."""
     if not name.endswith("KHR"):
         with suppress(AttributeError):
             return ct.cast(getattr(_loader(), name), _P).value

@@ -1,4 +1,4 @@
-"""Running a module in a child process, where a driver may crash or hang."""
+"""Child processes for modules in which a driver may crash or hang."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ HANGS = "driver hangs"  # how a failure begins where time was up
 def run_child(
     module: str, arguments: list[str], seconds: float, variables: dict[str, str] | None = None
 ) -> tuple[str, str]:
-    """Return the output of a module run as a program, and how it failed ("" if it did not): within `seconds`, with
-    these environment variables beside our own."""
+    """Run a module as a program, for at most `seconds`, with these additional environment variables. Returns its
+    output and its failure ("" if none)."""
     # Without the working folder on the path, where a file may have the name of a module of Python's.
     run = f"runpy.run_module({module!r}, None, '__main__', True)"
     start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"

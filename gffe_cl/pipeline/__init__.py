@@ -1,1 +1,1 @@
-"""The pipeline: its options, the order and state of its stages, what it extrapolates from, and `gffe run`."""
+"""The pipeline: its options, the order and state of its stages, its input frames, and `gffe run`."""

@@ -114,7 +114,7 @@ class ExtrapolatedFrame(MadeFrame):
 
     @property
     def event(self) -> cl.Event:
-        """Complete when the buffers hold the frame; reading it waits, too, before there is one."""
+        """Event that is complete when the buffers hold the frame. Reading it waits until there is one."""
         if self._finish is None:
             return self._event
         self._finish()

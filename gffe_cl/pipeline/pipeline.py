@@ -175,8 +175,8 @@ class Pipeline:
         self._begin(self.options)
 
     def _begin(self, options: Options) -> None:
-        """Allocate for `options`, and forget all frames. Raises GffeError where there is no room; nothing has changed
-        then."""
+        """Allocate buffers for `options`, and drop all frames. Raises GffeError if memory is short; then nothing has
+        changed."""
         require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1])
         self.board, self._nbytes = self._allocate(self.sizes, options)
         self.options = options
@@ -358,7 +358,7 @@ class Pipeline:
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, _event=self._done())
 
     def _wait(self, events: list[cl.Event]) -> None:
-        """Let what is enqueued from now on begin when `events` are complete."""
+        """Make all later commands wait for `events`."""
         if events:
             cl.enqueue_barrier(self.device.queue, wait_for=events)
 
@@ -423,7 +423,7 @@ class Pipeline:
         return {spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED}
 
     def _count_conversions(self, given: Mapping[str, Any], host: HostArrays) -> None:
-        """Count the bytes of arrays that the host has made anew, in another type or layout."""
+        """Count the bytes of arrays that the host converted to another type or layout."""
         for name, array in given.items():
             made = getattr(host, name)
             if made is not None and not (isinstance(array, np.ndarray) and np.may_share_memory(array, made)):
@@ -597,9 +597,9 @@ class Pipeline:
                 yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
 
     def keep(self, names: Iterable[str] | None = None) -> None:
-        """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
-        what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
-        ignored. Raises GffeError for anything but a collection of texts."""
+        """From the next frame on, keep the outputs `names`, such as "warp.color" (None: all), and no others. Outputs
+        that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of
+        other buffers are ignored. Raises GffeError for anything but a collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
         self._finish()
         for stage in self.stages.values():

@@ -198,8 +198,8 @@ def _rounded(motion: np.ndarray) -> np.ndarray:
 
 
 def dump_buffers(pipeline: Pipeline, folder: Path) -> None:
-    """Write every named buffer of every stage to `folder`: `<stage>.<buffer>.exr`, and `once.json` for what is no
-    image."""
+    """Write every named buffer of every stage to `folder`: `<stage>.<buffer>.exr`, and `once.json` for buffers that
+    are no images."""
     once = {}
     try:
         folder.mkdir()
@@ -226,7 +226,7 @@ def _dump_channels(spec: Any, array: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _suffixes(alphas: list[float]) -> dict[float, str]:
-    """α in thousandths (0.5 → `0500`), in smaller units where that would not tell them apart."""
+    """Return α in thousandths (0.5 → `0500`), in smaller units where thousandths would be equal."""
     for digits in range(3, 18):
         suffixes = {alpha: f"{round(alpha * 10**digits):0{digits + 1}d}" for alpha in alphas}
         if len(set(suffixes.values())) == len(alphas):

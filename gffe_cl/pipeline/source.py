@@ -69,10 +69,10 @@ class Source(Protocol):
 
 
 class Recorded:
-    """A sequence on disk. Frames with overscan (render camera wider than the display camera) are taken as rendered
-    through a window; with `window` "off" only their display part is used, resampled on `device`. With `upscale` they
-    are shown so many times larger than they were rendered, and a principal point within a pixel of the middle is taken
-    for jitter where no display camera tells.
+    """A sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts as rendered
+    through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is the factor
+    from rendered to displayed size. Without a display camera, a principal point within a pixel of the center is then
+    taken for jitter.
 
     Raises GffeError for other windows than that, for a sequence without rendered frames, and for one whose rendered
     frames have several sizes.
@@ -112,11 +112,11 @@ class Recorded:
             )
 
     def _shown(self, camera: Camera) -> Camera:
-        """A display camera of the sequence, in pixels of what is shown."""
+        """Return a display camera of the sequence, in pixels of displayed frames."""
         return camera.scaled(self.width / self.sequence.width, self.height / self.sequence.height)
 
     def _upscaled(self, frame: RenderedFrame) -> RenderedFrame:
-        """With the display camera of what is shown."""
+        """Return the frame with a display camera of the displayed size."""
         size = self.sequence.width, self.sequence.height
         told = frame.shown_camera
         if told.intrinsics == display_camera_of(replace(frame, display_camera=None), self.render_size, size).intrinsics:
@@ -244,7 +244,7 @@ def _common_render_size(sequence: Sequence) -> tuple[int, int]:
 
 
 def _numbers(entries: list[FrameEntry]) -> list[str]:
-    """Numbers in the frames' names (`frame_000012.exr` → `000012`); their indices unless each has one of its own."""
+    """Return the numbers in the frames' names (`frame_000012.exr` → `000012`), or indices unless all numbers differ."""
     numbers = [Path(entry.file).stem.rpartition("_")[2] for entry in entries]
     own = all(n.isdigit() and n.isascii() for n in numbers) and len(set(numbers)) == len(numbers)
     return numbers if own else [f"{index:06d}" for index in range(len(entries))]

@@ -1,4 +1,4 @@
-"""The contract of what watches a pipeline at work: the program that runs it calls it, on its own thread."""
+"""Contract of watchers of a pipeline. The program that runs the pipeline calls them on its own thread."""
 
 from __future__ import annotations
 

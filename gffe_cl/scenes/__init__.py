@@ -72,7 +72,7 @@ def is_scene(target: str) -> bool:
 
 
 def is_scene_name(name: str) -> bool:
-    """Whether `load_scene` knows it."""
+    """Return whether `load_scene` accepts the name."""
     return name in SCENES or name in SITUATIONS
 
 

@@ -25,7 +25,7 @@ BOX, ELLIPSOID, CAPSULE, CONE = (GEOMETRY[name] for name in ("BOX", "ELLIPSOID",
 
 @dataclass(frozen=True)
 class Flicker:
-    """Brightness that jumps `rate` times per second, to anything from `least` to 1; `seed` says what to."""
+    """Brightness that jumps `rate` times per second to a random value from `least` to 1, by `seed`."""
 
     rate: float
     least: float = 0.0
@@ -127,7 +127,7 @@ def Cone(start, end, start_radius, end_radius, material) -> Primitive:
 
 @dataclass
 class Group:
-    """Primitives that move rigidly together: what object ids and motion vectors know as one object."""
+    """Primitives that move rigidly together: one object for object ids and motion vectors."""
 
     primitives: list[Primitive]
     motion: Motion = field(default_factory=Place)

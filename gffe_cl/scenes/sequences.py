@@ -85,14 +85,14 @@ class SceneFrames:
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
     def unrendered(self, time: float, number: int = 0) -> RenderedFrame:
-        """Return the cameras of frame `number` at `time`, without buffers, as another frame needs them; not for
-        adaptive windows, which follow from what was rendered before."""
+        """Return the cameras of frame `number` at `time`, without buffers, for another frame. Adaptive windows are
+        not supported, because they depend on earlier rendered frames."""
         shown = self.display_camera(time)
         return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
 
     def half_motions(self, frame: RenderedFrame, before: RenderedFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Motion (H, W, 2) from `frame` half way to the rendered frame `before`, and of what is seen there to `before`:
-        what an engine has that renders twice as many frames."""
+        """Return motion (H, W, 2) from `frame` half way to the rendered frame `before`, and from there to `before`,
+        as in an engine that renders twice as many frames."""
         time = (frame.time + before.time) / 2
         camera = self.render_camera(self.display_camera(time), None)
         halves = (frame.time, frame.camera, time, camera), (time, camera, before.time, before.camera)

@@ -20,7 +20,7 @@ _UNKNOWN_BEFORE = 0.08  # share of crops that are taken as from the second frame
 
 
 class Augmentation:
-    """Varies batches: mirrored and turned, other exposures and hues, noise, and shading of its own.
+    """Random variation of batches: mirroring, rotation, exposure, hue, noise, and additional shading.
 
     That shading stands for lights, unseen casters and reflections: a pattern multiplies (shadows, pools of light) or is
     added to (reflections) the frames, each as it is by then, on what is not dynamic. All frames of a sample show the
@@ -88,7 +88,7 @@ class Augmentation:
         return (torch.rand(count, generator=self.generator) < share).nonzero()[:, 0]
 
     def _grainy(self, colors: Tensor) -> Tensor:
-        """Noise of a path tracer: what is seen, not the truth, has it; less in the resampled GAE frame."""
+        """Add a path tracer's noise to the inputs, not to the truth; less of it to the resampled GAE frame."""
         amount = torch.exp2(self._uniform((1, colors.shape[1], 1, 1, 1), -9, -5.5)) * (colors.shape[-1] / CROP)
         grain = torch.randn(colors.shape, generator=self.generator) * torch.tensor((0.6, 1.0)).view(2, 1, 1, 1, 1)
         return (colors + grain * amount * (0.02 + colors).sqrt()).clamp(min=0)

@@ -25,7 +25,7 @@ _CHANNELS = 1  # the axis, of images and of weights
 
 
 def pad_channels(model: onnx.ModelProto) -> int:
-    """Pad, in place, what the convolutions of `model` need; for how many it was done."""
+    """Pad the channels of `model`, in place, as its convolutions require. Returns the number of padded convolutions."""
     graph = model.graph
     narrow = {tensor.name: tensor for tensor in graph.initializer if _is_narrow(graph, tensor)}
     more = {name: -tensor.dims[_CHANNELS] % _LANES for name, tensor in narrow.items()}

@@ -175,7 +175,7 @@ def make_clips(
     least: int = 0,
     cluster: Cluster | None = None,
 ) -> int:
-    """Make what is missing of the clips 0 … count − 1 in `folder`; returns how many were made.
+    """Make the missing clips of 0 … count − 1 in `folder`. Returns the number made.
 
     Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
     from i on.

@@ -13,9 +13,9 @@ _UP = np.array((0.0, 1.0, 0.0))
 
 
 def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
-    """`scene` with lights, contrast, exposure and finishes of its own, and with lights and casters near what the camera
-    sees at `time`, moving: shadows of things in and out of view, sweeping lamps, a turning sun, glass. Some scenes also
-    get posts, a flag or screens, where a correction easily does damage."""
+    """Return `scene` with random lights, contrast, exposure and finishes, and with moving lights and casters near
+    the camera's view at `time`: shadows of visible and invisible objects, sweeping lamps, a turning sun, glass. Some
+    scenes also get posts, a flag or screens, where a correction easily does damage."""
     eye, target = np.asarray(scene.eye(time)), np.asarray(scene.target(time))
     ahead = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(ahead, _UP)
@@ -53,7 +53,7 @@ class _View:
 
     @property
     def yaw(self) -> float:
-        """Degrees that turn what faces +z towards the camera."""
+        """Degrees that turn an object's +z side to the camera."""
         return float(np.degrees(np.arctan2(-self.ahead[0], -self.ahead[2])))
 
     def point(self, rng, near: float, far: float, spread: float = 0.6) -> np.ndarray:
@@ -64,7 +64,7 @@ class _View:
 
 
 def _level(scene: Scene) -> float:
-    """How strong a light must be to count beside the scene's own."""
+    """Return the strength that a light needs to be visible among the scene's own."""
     strongest = [max(light.color) for light in scene.lights if light.kind != "fill"]
     return float(np.clip(np.median(strongest), 0.5, 8.0)) if strongest else 2.0
 
@@ -144,7 +144,7 @@ def _moving_lamp(view: _View, rng, level: float, time: float) -> tuple[Light, li
 
 
 def _caster(view: _View, rng, lights: list[Light], time: float) -> Group:
-    """Something that moves between a light and what is seen; it may be out of view."""
+    """Return an object that moves between a light and visible surfaces. It may be out of view."""
     size = rng.uniform(0.08, 0.5)
     material = Material(tuple(rng.uniform(0.05, 0.7, 3)), roughness=0.6)
     shape = int(rng.integers(4))
@@ -187,7 +187,7 @@ def _pane(view: _View, rng) -> Group:
 
 
 def _posts(view: _View, rng) -> list[Group]:
-    """Two rows of posts ahead, one behind the other: they part from each other before what is far away."""
+    """Return two rows of posts ahead, one behind the other, with parallax before a far background."""
     groups = []
     material = Material(tuple(rng.uniform(0.1, 0.7, 3)), texture="stripes", scale=rng.uniform(0.1, 0.5))
     for distance in rng.uniform(2, 8, 2):

@@ -1,4 +1,4 @@
-"""From a trained network to what is shipped: ONNX, checked against PyTorch, and a model card."""
+"""Export of a trained network: ONNX, checked against PyTorch, and a model card."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def decode(encoded: Tensor) -> Tensor:
 
 
 class _Convolution(nn.Conv2d):
-    """`weight_rounding`, if there is one, makes of the weights those that are used."""
+    """Convolution. `weight_rounding`, if given, maps the weights to those in use."""
 
     weight_rounding: Callable[[Tensor], Tensor] | None = None
 
@@ -63,7 +63,7 @@ def _conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Seque
 
 
 class _Joined(nn.Module):
-    """Channels of several images of one size. A module, as the next: what they give can be rounded."""
+    """Concatenation of the channels of several images of one size. As a module, its output can be rounded."""
 
     def forward(self, *images: Tensor) -> Tensor:
         return torch.cat(images, 1)
@@ -75,7 +75,7 @@ class _Doubled(nn.Module):
 
 
 class Convolutions(nn.Module):
-    """The network proper, which is what the ONNX file holds: `forward(frames, candidates)` gives the judgement,
+    """The convolutions of the network, stored in the ONNX file. `forward(frames, candidates)` returns the judgement,
     (N, 20, h/2, w/2), see `ShadingCorrectionNetwork`.
 
     Every convolution has a multiple of four input channels: WebGPU's provider computes others wrongly.
@@ -185,9 +185,9 @@ class ShadingCorrectionNetwork(nn.Module):
 
 
 def moved_light(now: Tensor, before: Tensor, flow: Tensor) -> Tensor:
-    """(N, 3, h, w): how `now`, moved along `flow` (N, 2, h, w; pixels), differs from `now` itself, within twice what
-    changed from `before` to `now` here and where the flow leads: texture is in both frames, so none of it moves along
-    where light stays."""
+    """Return (N, 3, h, w) the difference of `now`, moved along `flow` (N, 2, h, w; pixels), from `now` itself,
+    limited to twice the change from `before` to `now` here and where the flow leads. Texture is in both frames, so
+    it does not move where light is constant."""
     there, before_there = warp(torch.cat((now, before), 1), flow).split(3, 1)
     moved, changed, changed_there = there - now, _MARGIN * (now - before), _MARGIN * (there - before_there)
     none = torch.zeros_like(moved)
@@ -197,9 +197,9 @@ def moved_light(now: Tensor, before: Tensor, flow: Tensor) -> Tensor:
 
 
 def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), how far the last
-    interval's trend was that of the interval before (1), how far the focus mask may be trusted (1), and what is known
-    about both candidates (`CANDIDATE_PLANES`).
+    """Return, at a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), the
+    agreement of the last interval's trend with the interval before (1), the trust in the focus mask (1), and the
+    confidence in both candidates (`CANDIDATE_PLANES`).
 
     Trusted is not light that flickers, so that the last interval's change of brightness is no longer that of the
     interval before, neither as it is nor along the flow.

@@ -31,7 +31,7 @@ Inputs = tuple[Tensor, Tensor]  # of `Convolutions.forward`
 
 
 class RoundedActivation(nn.Module):
-    """A forward hook: rounds what a module gives to steps of a fixed range."""
+    """Forward hook that rounds a module's output to steps of a fixed range."""
 
     def __init__(self, least: float, most: float):
         super().__init__()
@@ -90,8 +90,8 @@ def rounded_weights(network: Convolutions) -> Convolutions:
 
 @torch.no_grad()
 def equalize(network: Any, inputs: list[Inputs]) -> None:
-    """Scale channels so that none is lost in the range of its tensor, and the weights that read them the other way: the
-    network says the same."""
+    """Scale channels to use the range of their tensor, and scale the weights that read them inversely. The output is
+    unchanged."""
     readers = _readers(network)
     rows = _activations(network, inputs, list(readers), by_channel=True)
     for name, convolutions in readers.items():

@@ -116,7 +116,7 @@ class Processes:
         return self.rank == 0
 
     def any(self, flag: bool) -> bool:
-        """Whether any process says so."""
+        """Return whether the flag is set in any process."""
         if self.count == 1:
             return flag
         flags = torch.tensor(float(flag), device=self.device)
@@ -175,8 +175,8 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 
 class Training:
-    """One run in `folder` on the crops of `clips` clips: continues from its checkpoint if there is one, else begins
-    with the weights of the network `start`, if that is given. `sources`: commits that trained it.
+    """One run in `folder` on the crops of `clips` clips. It continues from its checkpoint if there is one, and else
+    starts with the weights of the network `start`, if given. `sources`: commits that trained it.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
@@ -308,7 +308,7 @@ class Training:
         return frames, batch.alpha, trends
 
     def _chosen(self, step: int) -> list[Crop]:
-        """This process's share of the crops of a step: every crop once per epoch, in an order of its own."""
+        """Return this process's share of the crops of a step: every crop once per epoch, in the process's own order."""
         recipe, count = self.recipe, len(self.crops)
         share = recipe.batch // self.processes.count
         first = step * recipe.batch + self.processes.rank * share

@@ -21,7 +21,7 @@ def providers() -> list[str]:
 
 
 def output_of(provider: str, reference: Reference, in_floats: bool = False) -> np.ndarray:
-    """(20, h, w) float32: what the network makes of the recorded input; `in_floats`: on the CPU, too. Raises
+    """Return (20, h, w) float32: the network's output for the recorded input; `in_floats`: also on the CPU. Raises
     NetworkError."""
     values, names = reference.values["default"], ("network_input.frames", "shading_flow.candidates")
     frames, candidates = (np.ascontiguousarray(values[name]) for name in names)

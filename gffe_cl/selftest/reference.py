@@ -1,5 +1,5 @@
-"""The recorded references: of every buffer at every moment of the workload a hash, and at one moment of each case its
-values, so that a difference can be told in ulp and pixels."""
+"""Recorded references: a hash of every buffer at every moment of the workload, and at one moment of each case the
+values, so that differences can be measured in ulp and pixels."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Buffers = dict[str, np.ndarray]
 
 @dataclass
 class Reference:
-    """`hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`: the hash of the
-    frames that went in, by case; `network`: what the shading correction network makes of an input among `values` on
-    onnxruntime's CPU provider, in 8-bit integers and in floats, and `model`, the hash of its weights."""
+    """`hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`: hash of the input
+    frames by case; `network`: output of the shading correction network for an input among `values` on onnxruntime's
+    CPU provider, in 8-bit integers and in floats, and `model`, the hash of its weights."""
 
     hashes: dict[str, dict[str, dict[str, str]]] = field(default_factory=dict)
     values: dict[str, Buffers] = field(default_factory=dict)
@@ -157,5 +157,5 @@ def ulps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def inputs_digest(frames: Iterable) -> str:
-    """Of rendered frames: what a device is given."""
+    """Return the hash of rendered frames, the input of a device."""
     return digest(*(array for frame in frames for array in (frame.color, frame.depth, frame.motion)))

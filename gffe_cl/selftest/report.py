@@ -1,4 +1,4 @@
-"""Running the self-test, and what it found."""
+"""Runner of the self-test, and its results."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _PACKAGES = ("gffe-cl", "numpy", "pyopencl", "onnxruntime")
 
 @dataclass
 class DeviceResult:
-    """Of one device. `verdict`: "equal", "differs", "failed" (crashed, hung or raised: `problem`) or "refused" (by
-    probing: `problem`). `forms`: as the worker tells, by the form of the kernels; `speed`: GB/s of copying
-    ("bandwidth"), "bytes_per_pixel" and "milliseconds" of GAE; `other_inputs`: cases whose frames this machine made
-    otherwise than that of the references, which is no device's fault."""
+    """Result of one device. `verdict`: "equal", "differs", "failed" (crash, hang or exception: `problem`) or
+    "refused" (by probing: `problem`). `forms`: the worker's results by form of the kernels; `speed`: GB/s of copying
+    ("bandwidth"), "bytes_per_pixel" and "milliseconds" of GAE; `other_inputs`: cases whose input frames differ from
+    the references on this machine, which is no fault of the device."""
 
     info: DeviceInfo
     verdict: str = FAILED
@@ -66,8 +66,8 @@ class DeviceResult:
 
 @dataclass
 class NetworkResult:
-    """The shading correction network on a `provider`: the `largest` difference to the recorded output, or the `problem`
-    because of which there is none."""
+    """Result of the shading correction network on a `provider`: the `largest` difference from the recorded output,
+    or the `problem` that prevented it."""
 
     provider: str
     largest: float | None = None

@@ -92,7 +92,7 @@ class FixedNetwork:
 
 
 def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
-    """After each new frame its name, such as "frame 2 + 1/3", and what every buffer holds, by name.
+    """Yield the name of each new frame, such as "frame 2 + 1/3", and the contents of every buffer by name.
 
     `device` is to be one that has built nothing yet. Without weights of the network there is no shading correction.
     """

@@ -144,7 +144,7 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
 
 
 def checked_entry(entry: FrameEntry) -> FrameEntry:
-    """A copy of `entry` with numbers as Python has them; GffeError unless all of it is what it should be."""
+    """Return a copy of `entry` with Python numbers. Raises GffeError for invalid values."""
     require_kind(entry, FrameEntry, "entry")
     check_file_name(entry.file, "entry")
     label = f"{entry.file}: "

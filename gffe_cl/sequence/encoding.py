@@ -1,4 +1,4 @@
-"""Encodings: what is left of exact buffers after the formats in which engines store and captures keep them.
+"""Encodings: precision loss of exact buffers by the formats of engines and captures.
 
     encoding = Encoding.parse("half-uv,two-lookups,half-depth")
     stored = encoding.frame(frame, exposure, half_motions)

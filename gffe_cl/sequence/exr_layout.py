@@ -76,7 +76,7 @@ class ExrHeader:
 
     @cached_property
     def chunk_tables(self) -> list[struct.Struct | None]:
-        """Of each part; None where only the library knows how many chunks there are."""
+        """Chunk tables of each part; None where only the library can compute the number of chunks."""
         counts = map(_chunk_count, self.parts)
         return [None if n is None else struct.Struct(f"<{n if n >= 0 else _TOO_MANY}Q") for n in counts]
 
@@ -170,7 +170,7 @@ def read_header(path: Path, label: str) -> ExrHeader:
 
 
 class _Known:
-    """A header, and what a file must begin with to have the same one but for the values of its matrices."""
+    """A header, and the beginning of files that have the same one except for the values of its matrices."""
 
     def __init__(self, header: ExrHeader, data: bytes, spans: list[_Span]):
         self._header, self._spans = header, spans
@@ -308,7 +308,8 @@ def _parse_channels(value, part):
 
 
 def _chunk_count(part: ExrPart) -> int | None:
-    """Number of chunks; None where only the library knows (mip maps, compressions not listed here)."""
+    """Return the number of chunks; None where only the library can compute it (mip maps, compressions not listed
+    here)."""
     if part.chunk_count is not None:
         return part.chunk_count
     width, height = part.size

@@ -1,4 +1,4 @@
-"""Which frame of a sequence is at a time; there is no other tolerance than this one."""
+"""Lookup of a sequence's frames by time. The only definition of the tolerance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _NEAR = 3  # tolerances: a frame that is missed by less was probably meant
 
 
 class Timeline:
-    """The `frames` of a sequence, in order of time, at `fps` where no interval tells better."""
+    """The `frames` of a sequence, in order of time. `fps` is used where there is no interval."""
 
     def __init__(self, frames: list[FrameEntry], fps: float):
         self._fps = fps

@@ -1,4 +1,4 @@
-"""The OpenEXR library without what it prints.
+"""Calls of the OpenEXR library without its messages on standard error.
 
 It prints to Python's standard output and, from C, to descriptors 1 and 2, and cannot be told otherwise. On Linux a
 thread can have descriptors of its own: the library works on such a thread, while those of the process stay what they
@@ -67,7 +67,8 @@ class _Call:
 
 
 def _own_descriptors() -> tuple[int | None, int | None]:
-    """Let this thread have descriptors of its own; files that 1 and 2 lead to then, None where the system cannot."""
+    """Give this thread file descriptors of its own. Returns the files behind 1 and 2, None if the system cannot do
+    it."""
     if not sys.platform.startswith("linux") or not hasattr(os, "memfd_create"):
         return None, None
     # All others are closed: what the process closes must be closed, locks and pipes above all.
@@ -80,7 +81,7 @@ def _own_descriptors() -> tuple[int | None, int | None]:
 
 
 def _read(file: int | None) -> bytes:
-    """The beginning of what was printed into `file`."""
+    """Return the beginning of the messages in `file`."""
     return b"" if file is None else os.pread(file, _MOST_BYTES, 0)
 
 
@@ -91,7 +92,7 @@ def _flush() -> None:
 
 
 class _Stdout:
-    """Standard output of Python, without what is printed on threads that have entered."""
+    """Python's standard output without the output of threads that are within the context."""
 
     def __init__(self):
         self._lock, self._threads = threading.Lock(), {}

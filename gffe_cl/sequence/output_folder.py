@@ -1,4 +1,4 @@
-"""The folder that a sequence is written into: what may be replaced in it, and when.
+"""Output folder of a sequence: rules for files that may be replaced.
 
 Files are written into the folder `gffe-unfinished` within it and moved to their places when all of them are whole:
 until then an earlier output stays what it was. A journal in there is locked while a run is writing; the lock ends with
@@ -74,7 +74,8 @@ class OutputFolder:
             ) from None
 
     def claim(self, name: str) -> Path:
-        """The path to write file `name` to; GffeError if that would overwrite somebody else's file."""
+        """Return the path to write file `name` to. Raises GffeError if that would overwrite a file of another
+        origin."""
         check_file_name(name, str(self.path))
         path = self.path / name
         if name in self._claimed:
@@ -116,7 +117,7 @@ class OutputFolder:
         return self.path
 
     def discard(self) -> None:
-        """Remove what this run wrote, and the folders made for it; the earlier output stays."""
+        """Remove the files of this run and the folders made for them. Earlier output stays."""
         if self._moving:  # too late: what is there is of both, and the next run clears it away
             self._release()
             return
@@ -168,7 +169,7 @@ class OutputFolder:
         raise GffeError(f"{self.path}: other runs keep writing into it (expected another folder)")
 
     def _leave(self) -> None:
-        """End the lock, and remove what made it."""
+        """Release the lock and remove its file."""
         if self._journal is not None:
             with contextlib.suppress(OSError):
                 (self.staging / _JOURNAL).unlink()

@@ -29,9 +29,9 @@ OVERLAY_CHANNELS = {
 
 
 class Pixels(Protocol):
-    """The pixels of frames, by their entries; `size` is (width, height) of the image. Everything raises GffeError,
-    naming the file, where that is missing or damaged. `notes`: what is worth a warning; `settings`: what the capture's
-    description says of its buffers, for forms that have one that can be changed."""
+    """Pixels of frames, by their entries. `size` is (width, height) of the image. All methods raise GffeError that
+    names the file if it is missing or damaged. `notes`: warnings; `settings`: buffer settings in the capture's
+    description, for formats with an editable description."""
 
     notes: list[str]
     settings: Any
@@ -39,8 +39,8 @@ class Pixels(Protocol):
     def read(
         self, entry: FrameEntry, size: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, Overlays | None]:
-        """Of a rendered frame: color (H, W, 3) float16 or float32, depth (H, W) float32, motion (H, W, 2) float32 or
-        None, in our conventions; and what lies over it, if it brings anything."""
+        """Return color (H, W, 3) float16 or float32, depth (H, W) float32 and motion (H, W, 2) float32 or None of a
+        rendered frame, in the project's conventions; and its overlays, if it has any."""
         ...
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
@@ -52,7 +52,8 @@ class Pixels(Protocol):
         ...
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
-        """The EXR file of our own form that holds the frame, if there is one: others link it."""
+        """Return the frame's EXR file in the project's own format, None if there is none. Other sequences can link
+        it."""
 
 
 class OwnPixels:
@@ -88,7 +89,7 @@ class OwnPixels:
 
 
 class ForeignPixels:
-    """Of other forms: what they give as `rendered` and `color` is all there is."""
+    """Pixels of other formats, from their functions `rendered` and `color`."""
 
     def __init__(self):
         self.notes: list[str] = []

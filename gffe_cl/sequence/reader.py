@@ -108,8 +108,8 @@ class Sequence:
         return [entry for entry in self.frames if entry.kind == "extrapolated"]
 
     def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
-        """The frame of `kind` whose time is `time` (seconds), to 1/50 of the interval of rendered frames there: what
-        everything matches frames by. `source`: only frames that were extrapolated from this one."""
+        """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. All
+        matching of frames uses this. `source`: only frames that were extrapolated from this one."""
         if source is not None:
             require_kind(source, str, "sequence: source", "a file name or None")
         return self._timeline.at(*_moment(kind, time), source)

@@ -19,8 +19,8 @@ _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
 
 
 class Acceleration(Stage):
-    """How movers' velocity changes, in cells of 4×4 pixels, and how far that has lasted: prediction adds what has,
-    turned on as it turned."""
+    """Change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the change,
+    rotated as it rotated before."""
 
     name = "acceleration"
     buffers = (
@@ -90,7 +90,7 @@ class Acceleration(Stage):
     )
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name; all are parts of one, so that what is kept can be lent."""
+        """Return new device buffers by name. All are parts of one buffer, so that the history can be lent."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
         for spec in specs:

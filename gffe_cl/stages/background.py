@@ -36,7 +36,7 @@ _SPARE = 8192  # bytes of lent memory beyond what this stage needs: parts of it 
 
 
 def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
-    """Keys and winners of what is offered to "fill" a level or to "push" to the next."""
+    """Return keys and winners of the candidates that "fill" a level, or that it can "push" to the next one."""
     return {f"{which}_{name}": Access(f"background.{{{which}_by}}_{name}", share) for name in ("keys", "winners")}
 
 
@@ -178,8 +178,8 @@ class Background(NearestStage):
         return options.levels > 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name; those of single levels are parts of those of all levels, which are parts of one;
-        keys are parts of what is lent."""
+        """Return new device buffers by name. Buffers of single levels are parts of those of all levels, and these
+        are parts of one; keys are parts of lent memory."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
         places = {spec.name: start for spec, start in self._places.items()}
@@ -195,8 +195,8 @@ class Background(NearestStage):
         return made
 
     def rendered(self, step: Step) -> None:
-        """Collect, into what `Surfaces` says is shown; after a reset nothing is kept, nor collected, because what moves
-        is not known yet."""
+        """Collect fragments behind the surfaces that `Surfaces` shows. After a reset nothing is kept or collected,
+        because movers are unknown yet."""
         collect = step.previous is not None
         if not collect:
             self.clear_keys("even_", "source")
@@ -212,9 +212,9 @@ class Background(NearestStage):
 
     @staticmethod
     def of_level(level: int) -> dict[str, str]:
-        """Which buffers say how deep that is what a level holds before anything is offered to it, and how deep what it
-        showed before was (only level 0 shows anything); and which keys have what is offered to it and to the next one:
-        once a level is settled its own are empty."""
+        """Return the buffers of a level: its depth before any candidate, the depth that it showed before (only level
+        0 is shown), and the keys of candidates for it and for the next level. A level's keys are free once it is
+        settled."""
         keys = dict(zip(("fill_by", "push_by"), ("odd", "even") if level % 2 else ("even", "odd"), strict=True))
         if level == 0:
             return keys | {"depth_of_taken": "rendered.depth", "depth_of_shown": "previous.depth"}

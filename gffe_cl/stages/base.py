@@ -1,4 +1,4 @@
-"""The contract of a stage: it declares the buffers it makes, and what each of its kernels reads and writes.
+"""Contract of a stage: it declares its buffers, and the buffers that each of its kernels reads and writes.
 
 From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
 of stages and memory, and the bytes per pixel that must move (`gffe bench`).
@@ -100,7 +100,7 @@ class Output(Owner):
         self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
 
     def keep(self, of: Mapping[str, cl.Buffer]) -> None:
-        """Enqueue copies of what is chosen."""
+        """Enqueue copies of the chosen buffers."""
         for name, buffer in self.buffer.items():
             cl.enqueue_copy(self.device.queue, buffer, of[name])
 
@@ -179,8 +179,8 @@ class Board:
         self.lent[stage, name] = list(self.stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
 
     def lend(self) -> None:
-        """Give every transient buffer its place in lent memory, or one of its own if there is none: once all stages are
-        made, and whenever they swapped."""
+        """Give every transient buffer its place in lent memory, or one of its own if none is lent. Call it once all
+        stages exist, and after every swap."""
         for stage, spec in self.transient:
             if place := self._places[stage.name, spec.name]:
                 (owner, name), start = place
@@ -216,8 +216,8 @@ class Board:
         return frozenset(range(start + used[0], start + used[-1] + 1))
 
     def let_go(self) -> None:
-        """Forget the stages. They and the board know each other: without this the memory of a pipeline that nobody has
-        any more would be free only when Python's garbage collector next looks for circles."""
+        """Drop the references to the stages. Stages and board refer to each other; with this cycle, memory of an
+        unused pipeline would wait for Python's cyclic garbage collector."""
         for known in (self.stages, self.transient, self.lent, self.__dict__.get("_places", {})):
             known.clear()
 
@@ -248,7 +248,8 @@ def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, u
 
 
 class Recorder(Protocol):
-    """Who takes down what stages would enqueue, while nothing is: a stage's `recorder`."""
+    """Recorder of the commands that stages would enqueue. Nothing is enqueued meanwhile. It is set as a stage's
+    `recorder`."""
 
     def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
         """`kernel` over `grid`; `values`: of its arguments, by name, and perhaps others."""
@@ -296,8 +297,8 @@ class Stage(Owner):
         return True
 
     def look_at(self, names: set[str] | None) -> None:
-        """From the next frame on somebody looks at the buffers `names`, such as "correction.refined" (None: at all of
-        them): what nobody looks at need not be made."""
+        """From the next frame on the buffers `names`, such as "correction.refined", are wanted (None: all of them).
+        Others need not be computed."""
 
     def rendered(self, step: Step) -> None:
         """Work on a rendered frame, once, after it was submitted."""
@@ -312,7 +313,7 @@ class Stage(Owner):
         return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
 
     def own(self, name: str) -> cl.Buffer:
-        """A buffer of this stage; with an apostrophe what is kept of the frame before."""
+        """Return a buffer of this stage; with an apostrophe the one of the previous frame."""
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:

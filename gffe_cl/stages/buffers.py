@@ -1,4 +1,4 @@
-"""Named buffers on the device: what they mean, how large they are, and who has them.
+"""Named buffers on the device: their meaning, size and owner.
 
 A buffer is called "<owner>.<name>": "rendered.depth" and "previous.depth" are of the rendered frame and of the one
 before, "frame.color" of the extrapolated frame, all others of the stage that makes them: "history.dynamic_mask". An
@@ -170,7 +170,7 @@ class BufferSpec:
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of its own grid, one plane, on the device."""
+        """Bytes per pixel of its own grid, one plane, on the device."""
         return self.stored_channels * np.dtype(self.stored_dtype).itemsize
 
     @property
@@ -192,8 +192,8 @@ class BufferSpec:
         return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
 
     def host_array(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """For an image of `size`, or none for "once": a new array (planes?, H, W, channels) of what is stored, and the
-        C-contiguous one that shares its memory and lies as the device has it."""
+        """Return two views of new memory for an image of `size` (none for "once"): an array (planes?, H, W,
+        channels) of the stored values, and the C-contiguous one in the device's layout."""
         shape = (self.planes,) * (self.planes > 1) + (size[1], size[0]) * (self.grid != "once")
         if not self.planar:
             array = np.empty((*shape, self.stored_channels), self.stored_dtype)
@@ -232,8 +232,8 @@ EXTRAPOLATED = (
 
 
 class Owner:
-    """Who has named buffers: `name`, `buffers` (their descriptions), `buffer` (by name, on the device) and `nbytes` of
-    what was allocated for them."""
+    """Owner of named buffers: `name`, `buffers` (their descriptions), `buffer` (by name, on the device) and `nbytes`
+    allocated for them."""
 
     name = ""
     buffers: tuple[BufferSpec, ...] = ()
@@ -314,8 +314,9 @@ def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
 
 
 def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | PooledBuffer | None:
-    """The device buffer that `array`, for what `spec` describes, is, as such or by its handle (`cl_mem`), which is
-    retained as long as the result is in use; None for others. GffeError for one that `device` cannot use in place."""
+    """Return the device buffer of `array` for the buffer `spec`: the object itself, or the one with this handle
+    (`cl_mem`), which is retained while the result is in use. None for other arrays. Raises GffeError for a buffer
+    that `device` cannot use in place."""
     what = f"frame: {spec.name}"
     if isinstance(array, Array):
         if array.offset or not array.flags.c_contiguous:

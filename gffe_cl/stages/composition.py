@@ -1,4 +1,4 @@
-"""Composition: what lies over the picture and is not warped with it (the paper's limitation 'effects without depth';
+"""Composition of overlays that are not warped with the picture (the paper's limitation 'effects without depth';
 frame generation SDKs' masks and UI layers)."""
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ class Composition(Stage):
         return replace(frame, depth=self.buffer["depth"])
 
     def compose(self, color: cl.Buffer, alpha: float, rendered: bool = False) -> cl.Buffer:
-        """`color` (display) with the overlays at t + α; `rendered`: it is the rendered frame's, in which what stays in
-        place is in its place."""
+        """Return `color` (display) with the overlays at t + α. `rendered`: it is the rendered frame's, which shows
+        overlays fixed in place already."""
         self.launch(
             "compose",
             self._step(alpha),

@@ -141,8 +141,8 @@ class ShadingCorrection(Stage):
 
     @property
     def works_beside(self) -> bool:
-        """Whether the network works in a thread of its own while the device goes on, until `finish`: where they are not
-        the same processor, and no other stage needs the final image."""
+        """Whether the network runs in a thread of its own while the device continues, until `finish`. This requires
+        that they are different processors, and that no other stage needs the final image."""
         same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
         return not same and next(reversed(self.board.stages.values())) is self
 
@@ -165,7 +165,7 @@ class ShadingCorrection(Stage):
 
     @property
     def is_begun(self) -> bool:
-        """Whether there is something to `finish`."""
+        """Whether a call of `finish` is pending."""
         return self._begun is not None
 
     def finish(self) -> None:
@@ -185,7 +185,7 @@ class ShadingCorrection(Stage):
         self.compose(step, self.board.options.focus_mask)
 
     def use(self, network: Network) -> None:
-        """Take what runs the network from now on."""
+        """Set the runner of the network from now on."""
         network.prepare(*reversed(self.sizes.of("network")))
         self.network = network
         self.upload("head", network.head)
@@ -245,8 +245,8 @@ class ShadingCorrection(Stage):
             self._mappings.append(event)
 
     def take_network_milliseconds(self) -> dict[str, float]:
-        """Since last taken, apart from the kernels'; the device must have finished. "network": time in the network;
-        "network copies": from the device to what runs the network, and back, if the queue has profiling."""
+        """Return milliseconds since the last call, kernels excluded; the device must have finished. "network": time
+        in the network; "network copies": transfers between the device and the network, if the queue has profiling."""
         mapping = sum(event.profile.end - event.profile.start for event in self._mappings) * 1e-6
         taken = {"network": self._network_milliseconds}
         if self.device.profiles:

@@ -1,4 +1,4 @@
-"""Frame block: the struct of sizes, cameras, times and options that kernels are given beside their buffers."""
+"""Frame block: the struct of sizes, cameras, times and options that kernels receive in addition to buffers."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def reprojection(source: Camera, target: Camera) -> np.ndarray:
 
 
 def zoom(source: Camera, target: Camera) -> np.ndarray:
-    """(2,) float32: target pixels per source pixel of what is equally far from both cameras."""
+    """Return (2,) float32: target pixels per source pixel for a surface at equal depth in both cameras."""
     return np.array([target.fx / source.fx, target.fy / source.fy], np.float32)
 
 

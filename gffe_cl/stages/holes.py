@@ -1,4 +1,4 @@
-"""Hole filling: what neither the rendered frame nor the background shows (paper: 'Shading correction network').
+"""Hole filling: pixels that neither the rendered frame nor the background shows (paper: 'Shading correction network').
 
 A way to fill holes is one entry of `FILLINGS`: its stage and the sentence that tells about it.
 """
@@ -33,7 +33,7 @@ def _filled(share: Share) -> dict[str, Access]:
 
 
 class HoleFilling(Stage):
-    """Fills, in place, what is still invalid; filled pixels carry depth and motion."""
+    """Fills invalid pixels in place. Filled pixels have depth and motion."""
 
     name = "holes"
     reach = 0  # px, in which the far side is looked for
@@ -83,8 +83,8 @@ class Downsampled(HoleFilling):
 
 
 class FarSide(Downsampled):
-    """Continues the far side of a disocclusion, and takes the downsampled image beyond its reach. What the
-    background has filled is mixed with the far side."""
+    """Continues the surface behind a disocclusion. Beyond its reach the downsampled image is used. Colors from the
+    background are mixed with the far side."""
 
     kernels = (
         Kernel(

@@ -1,5 +1,5 @@
-"""Whether a pipeline finds room on a device: asked before anything is allocated, for drivers that promise what they do
-not have."""
+"""Memory budget: whether a pipeline fits on a device, checked before allocation because some drivers promise more
+memory than they have."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _MARGIN = 0.97  # of what would fit: sides are rounded
 
 
 def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], int]) -> None:
-    """GffeError that says what would fit, unless images of `sizes` find room on the device; `allocated_for` makes all
-    buffers for other sizes, and says how many bytes these are."""
+    """Raise a GffeError that names a size that fits, unless images of `sizes` fit on the device. `allocated_for`
+    returns the bytes of all buffers for other sizes."""
     pixels = _pixels(sizes)
     if pixels * _SURELY <= device.memory:
         return

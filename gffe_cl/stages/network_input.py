@@ -72,7 +72,7 @@ class NetworkInput(Stage):
         self._looked_at = names is None or any(name.startswith(f"{self.name}.") for name in names)
 
     def extrapolated(self, step: Step) -> None:
-        """Fill `frames`; after a reset there is nothing to go by."""
+        """Fill `frames`. After a reset there is no input."""
         if step.previous is None or (self.board.stages[ShadingTrend.name].is_still and not self._looked_at):
             return
         self.fill("histogram", 0)

@@ -1,4 +1,4 @@
-"""How values lie packed in device buffers (by background.cl and mover_grid.h), and what they mean on the host."""
+"""Packed pixel formats of device buffers (by background.cl and mover_grid.h), and their conversion on the host."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cuts and teleports, found without being told (no part of the paper, which is told of them)."""
+"""Detection of cuts and teleports that the input does not mark (the paper requires marks)."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ TELEPORT = 10.0  # times the step before it, of a step beyond half of what is se
 
 
 class SceneCuts(Stage):
-    """Whether the frame before shows anything of what this one shows. Depths are compared along the motion vectors, and
-    the contrast between neighbors, which light that changes leaves as it is."""
+    """Test whether the previous frame shows any part of the present one. Depths are compared along the motion
+    vectors, and so is the contrast between neighbors, which does not depend on the light."""
 
     name = "scene_cuts"
     buffers = (

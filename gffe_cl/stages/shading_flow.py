@@ -1,5 +1,5 @@
-"""How shading moved between the warped previous frame and the new one, and what is known of it. Beyond the paper: a
-candidate that the shading correction network may choose."""
+"""Flow of shading between the warped previous frame and the new one, and its confidence. Beyond the paper: a
+candidate of the shading correction network."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ assert _CONSTANTS["CANDIDATES"] == CANDIDATE_PLANES
 
 class ShadingFlow(Stage):
     """The flow from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade, 1981),
-    coarse to fine, over encoded brightness; and what the network is told of flow and trend.
+    coarse to fine, over encoded brightness; and the network's inputs from flow and trend.
 
     Level l of a pyramid has 1/2^l of the sides of the network's frames; level 1, the finest, is a quarter of the
     display. Sums are over some 6×6 pixels of each level. The flow of every second pixel is found.

@@ -1,5 +1,5 @@
-"""The trend of shading: what lights do slowly, found in the last two intervals and carried on. Beyond the paper: a
-candidate that the shading correction network may choose."""
+"""Trend of shading: slow changes of light, found in the last two intervals and continued. Beyond the paper: a
+candidate of the shading correction network."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
 
 
 class ShadingTrend(Stage):
-    """How encoded color changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1;
-    both carried on to t + α. What both agree on is likely to go on.
+    """Change of encoded color on static surfaces from t − 1 to t, averaged over wide areas, and from t − 2 to t − 1;
+    both carried on to t + α. A change that both share is likely to continue.
 
     Changes are of encoded color (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
     in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
@@ -107,7 +107,7 @@ class ShadingTrend(Stage):
         return self._known is not None and not self._changed[0]
 
     def rendered(self, step: Step) -> None:
-        """Find the trend, and whether anything changes; after a reset there is none."""
+        """Find the trend, and whether any light changes. After a reset there is none."""
         self._known = None
         if step.previous is None:
             self.fill("trend", 0)
@@ -123,7 +123,7 @@ class ShadingTrend(Stage):
         self.launch("find_trend", step)
 
     def extrapolated(self, step: Step) -> None:
-        """Carry both trends on to the new frame, unless there is nothing to correct."""
+        """Carry both trends to the new frame, unless there is nothing to correct."""
         if not self.is_still:
             self.launch("carry_trends", step)
 

@@ -1,4 +1,4 @@
-"""Contrast-adaptive sharpening of what upscaling shows; its history is never sharpened."""
+"""Contrast-adaptive sharpening of upscaled frames. The history of upscaling is never sharpened."""
 
 from __future__ import annotations
 

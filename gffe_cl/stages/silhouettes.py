@@ -1,5 +1,4 @@
-"""Soft silhouettes: edges of what moves over something else stay antialiased as the rendered frame has them (not in the
-paper)."""
+"""Soft silhouettes: edges of movers stay antialiased as in the rendered frame (not in the paper)."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ SOFTENED = share_of("softened", "silhouettes.coverage")
 
 
 class Silhouettes(Stage):
-    """Unmixes the pixels at silhouettes of the rendered frame, and composes them anew over what lies behind in the new
+    """Unmixes the pixels at silhouettes of the rendered frame, and blends them with the surface behind in the new
     frame."""
 
     name = "silhouettes"

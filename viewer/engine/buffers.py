@@ -51,8 +51,8 @@ class Shot:
 
 @dataclass(frozen=True)
 class DeviceLayer:
-    """An image in a device buffer, as `spec` says; `size`: (width, height); `known`: the layer that tells where it
-    holds anything, see `BufferSpec`."""
+    """An image in a device buffer, described by `spec`; `size`: (width, height); `known`: the layer that marks its
+    valid places, see `BufferSpec`."""
 
     buffer: cl.Buffer
     spec: BufferSpec
@@ -95,8 +95,8 @@ class DeviceLayer:
         return lambda: spread(stored[0, ..., 0], *grids, *block), events
 
     def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
-        """The pixel or texel that belongs to display pixel `px` and to `source_px`, a position in the rendered image;
-        None where there is none."""
+        """Return the pixel or texel for display pixel `px` and for `source_px`, a position in the rendered image;
+        None if there is none."""
         if lies_on_source(self.spec.grid):
             if source_px is None:
                 return None
@@ -124,7 +124,8 @@ def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
 
 
 def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]) -> dict[str, np.ndarray]:
-    """Those of `wanted` that exist, each (planes?, H, W, channels?) in an array of its own, with one wait for all."""
+    """Return those of `wanted` that exist, each (planes?, H, W, channels?) in an array of its own, with one wait for
+    all."""
     events, finish = start_reading(pipeline, layers, wanted)
     if events:
         cl.wait_for_events(events)
@@ -134,7 +135,7 @@ def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iter
 def start_reading(
     pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]
 ) -> tuple[list[cl.Event], Callable[[], dict[str, np.ndarray]]]:
-    """As `read_layers`, without waiting: events, and what returns the images after these."""
+    """Start `read_layers` without waiting. Returns events, and a function that returns the images after them."""
     queue = pipeline.device.queue
     layers = {name: layers[name] for name in wanted if name in layers}
     read = {name: layer.read(queue) for name, layer in layers.items()}

@@ -92,8 +92,8 @@ class FrameCache:
             )
 
     def put(self, key: FrameKey, result: Result) -> bool:
-        """Keep a result beside the layers that are kept of its slot already; whether it was taken in. Its pictures must
-        not be written to any more."""
+        """Store a result together with the layers already stored for its slot. Returns whether it was accepted. Its
+        pictures must not be changed afterwards."""
         for image in result.images.values():
             image.flags.writeable = False
         with self._lock:

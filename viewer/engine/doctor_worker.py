@@ -15,7 +15,7 @@ _WRONG_PLACE = "does not follow the frame before it (doctor)"
 
 
 class Doctor:
-    """Examines `sequence` on a thread of its own.
+    """The doctor for `sequence`, on a thread of its own.
 
     Attributes
     ----------

@@ -110,7 +110,7 @@ class Engine(Exchange):
         return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, weights_of(setup.options))
 
     def poll_metrics(self) -> Metrics | None:
-        """The next metrics that became known: those of a slot come one by one, with what was known before."""
+        """Return the next new metrics. Those of a slot arrive one by one, together with the earlier ones."""
         return self._scorer.take()
 
     # ---- on the thread -----------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ class Engine(Exchange):
     _do_slot_b = _do_slot
 
     def _do_ahead(self, request: Request) -> None:
-        """Make a slot beside; if something else is asked for meanwhile, it is given up and made later."""
+        """Make a slot in advance. A new request interrupts it; then it is made later."""
         key = FrameKey(self.recipe(request.setup), request.slot)
         if self.cache.get(key, request.layers, request.metrics):
             return

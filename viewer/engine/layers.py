@@ -112,8 +112,8 @@ FRAME_LAYERS = {name: layer_of(FRAME_GROUP, spec, name) for name, spec in FRAME_
 
 
 def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
-    """All layers by name: the frame's own ("gae" where it is not "final"), then those of every stage in the order of
-    the pipeline, with what each stage leaves of the extrapolated frame."""
+    """Return all layers by name: the frame's own ("gae" if it is not "final"), then those of every stage in the
+    order of the pipeline, with each stage's output."""
     made = [
         layer_of(owner.name, spec, of_generated=_only_for_generated(owner))
         for owner, spec in pipeline.named_buffers()

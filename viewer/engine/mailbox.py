@@ -60,13 +60,13 @@ class Exchange:
             return bool(self.activity or self._posted.keys() - {"inspection"})
 
     def open_source(self, make: Callable[[Device], FrameSource], serial: int = 0) -> None:
-        """Have `make` open a source on the thread; `source` is it then, and what was asked before is given up. If it
-        fails the old one stays."""
+        """Open a source with `make` on the thread. Then it is `source`, and earlier requests are dropped. If it
+        fails, the old source stays."""
         self._post("source", (make, serial))
 
     def submit(self, request: Request, source: FrameSource | None = None) -> None:
-        """Ask for a slot; replaces a request of its role that was not taken up yet. Ignored if it was meant for a
-        `source` that is not the one any more. What is in the cache is made anew: look there first."""
+        """Request a slot. It replaces a waiting request of its role. Ignored for a `source` that is not open any
+        more. Cached slots are computed again: look into the cache first."""
         with self._news:
             if source in (None, self.source):
                 self._posted["slot" if request.role == "a" else f"slot_{request.role}"] = request
@@ -78,8 +78,8 @@ class Exchange:
             self._posted.pop("slot" if role == "a" else f"slot_{role}", None)
 
     def prefetch(self, requests: Iterable[Request], source: FrameSource | None = None) -> None:
-        """Have slots made for the cache, in this order, whenever there is nothing else to do; replaces what was planned
-        before. Their role is to be "ahead". What fails there is left out without a word."""
+        """Plan slots to make for the cache, in this order, when the thread is idle. It replaces the earlier plan.
+        Their role is "ahead". Failures are ignored."""
         with self._news:
             if source in (None, self.source):
                 self._plan = deque(request for request in requests if request not in self._hopeless)
@@ -93,23 +93,23 @@ class Exchange:
                 self._news.notify()
 
     def poll_survey(self) -> tuple[Request, Recipe, Result | None] | None:
-        """The next slot made for a survey, and what it depends on; no result if it cannot be made."""
+        """Return the next slot of a survey and its dependencies; no result if it cannot be made."""
         with self._news:
             return self._surveyed.popleft() if self._surveyed else None
 
     @property
     def prefetching(self) -> bool:
-        """Whether something is planned or made beside."""
+        """Whether slots are planned or being made in advance."""
         with self._news:
             return bool(self._plan) or self._beside
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None = None, request: Request | None = None) -> None:
-        """Ask what the slot of `request`, or else the one last computed, holds at display pixel (x, y); `layers`: None
-        for all."""
+        """Request the values at display pixel (x, y) of the slot of `request`, or of the last computed one.
+        `layers`: None for all."""
         self._post("inspection", (x, y, layers, request))
 
     def reload_kernels(self) -> None:
-        """Build the kernels anew if their text changed, and the last slot with them."""
+        """Rebuild the kernels if their text changed, and compute the last slot with them."""
         self._post("kernels", None)
 
     def measure_bandwidth(self) -> None:
@@ -163,7 +163,7 @@ class Exchange:
         return "", None
 
     def _give_up(self, source: FrameSource) -> None:
-        """`source` is the one from now on: what was asked of another one does not come."""
+        """Make `source` the current one. Results for others are dropped."""
         self._hopeless = set()
         with self._news:
             for kind in ("slot", "slot_b", "inspection"):

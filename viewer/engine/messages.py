@@ -26,8 +26,8 @@ class Setup:
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that the slots of a source depend on: what was opened how often, poses that were flown, the setup, which
-    kernels and which weights."""
+    """Dependencies of a source's slots: how often it was opened, flown poses, the setup, version of kernels and of
+    weights."""
 
     source: int
     flight: int
@@ -38,9 +38,9 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Request:
-    """A wish for a slot. `layers`: names of what to read back; `metrics`: measure it against the truth; `role`: which
-    pipeline makes it, so that each goes on where it was: "a" and "b" are shown, "ahead" is made beside; `keep`: in the
-    cache."""
+    """Request for a slot. `layers`: names of the layers to read back; `metrics`: measure it against the truth;
+    `role`: the pipeline that makes it, so that each can continue: "a" and "b" are displayed, "ahead" fills the
+    cache; `keep`: store it in the cache."""
 
     slot: int
     setup: Setup

@@ -1,4 +1,4 @@
-"""Measuring slots against ground truth, beside everything else."""
+"""Measurement of slots against ground truth, on a thread of its own."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond th
 
 
 class Scorer:
-    """Measures slots by every metric on a thread of its own, the latest first; what it measured it remembers."""
+    """Measures slots by every metric on a thread of its own, the latest first, and stores the results."""
 
     def __init__(self, notify: Callable[[], None], report: Callable[[Exception], None]):
         self._notify, self._report = notify, report

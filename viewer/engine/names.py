@@ -1,4 +1,4 @@
-"""The layers that the viewer knows by name. All others it takes from the pipeline as they come."""
+"""Names of layers with special treatment in the viewer. All others come from the pipeline."""
 
 from __future__ import annotations
 

@@ -25,8 +25,8 @@ WATCH_SECONDS = 0.5  # between looks at the kernels' files
 
 
 class Kernels(dict):
-    """`Device.programs` that holds on to the last texts that built: while what is on disk does not build, new pipelines
-    take the programs of those texts."""
+    """`Device.programs` with the last texts that built. While the files on disk do not build, new pipelines use the
+    programs of those texts."""
 
     def __init__(self, device: Device):
         super().__init__(device.programs)

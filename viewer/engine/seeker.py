@@ -31,8 +31,8 @@ WARM_UP = 8  # rendered frames submitted before the one that is wanted
 
 
 class Seeker:
-    """Holds the pipeline, and knows how far it has come. `check` is called before each rendered frame, and may raise to
-    give up."""
+    """A pipeline and its position in the sequence. `check` is called before each rendered frame, and may raise to
+    stop."""
 
     def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
         self.device, self.source, self._check = device, source, check
@@ -69,8 +69,8 @@ class Seeker:
         self._options, self._kernels = setup.options, setup.kernels
 
     def go_to(self, k: int, alpha: float) -> list[str]:
-        """Submit what is missing up to rendered frame `k`, from a new pipeline on unless that is a little ahead.
-        Frames that cannot be read are left out, but for `k` itself; returns sentences about them."""
+        """Submit the missing frames up to rendered frame `k`, with a new pipeline unless that is a little ahead.
+        Unreadable frames other than `k` are left out; returns messages about them."""
         source, at = self.source, self._at
         if at is not None and at <= k <= at + WARM_UP and not source.outdated(k, alpha):
             frames = range(max(at + 1, source.reset_before(k)), k + 1)

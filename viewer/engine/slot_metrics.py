@@ -28,7 +28,7 @@ REGIONS = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """One figure of a slot. `worse`: 1 if more is worse, −1 if less is, 0 if it says nothing of that."""
+    """One figure of a slot. `worse`: 1 if larger is worse, −1 if smaller is, 0 if neither."""
 
     label: str
     unit: str
@@ -50,8 +50,8 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Part:
-    """A region: its share of the pixels and of the squared error, 0 to 1; the mean over the whole image of what is its
-    squared error; and PSNR in it (NaN if it is empty)."""
+    """A region: its share of the pixels and of the squared error, 0 to 1; its squared error as a mean over the whole
+    image; and PSNR in it (NaN if it is empty)."""
 
     pixels: float
     error: float

@@ -1,4 +1,4 @@
-"""Making slots: the pipeline of one role, what it made last, and what can be asked about that."""
+"""Computation of slots: the pipeline of one role, its last result, and queries about it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gffe_cl.viewer.engine.sources.source import FrameSource
 
 
 class SlotMaker:
-    """Makes slots of `source`, which nobody else uses, one after the other.
+    """Makes slots of `source`, one after the other. It is the only user of `source`.
 
     `check` is called between rendered frames, and may raise to give up what is being made.
 
@@ -130,7 +130,7 @@ class SlotMaker:
         return traffic.bytes_per_pixel(pipeline, self._seeker.launched, traffic.counters(pipeline))
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
-        """Return the values of the last slot at display pixel (x, y); None outside, and where there is no slot."""
+        """Return the values of the last slot at display pixel (x, y); None outside, and without a slot."""
         seeker = self._seeker
         if not (seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
             return None

@@ -1,4 +1,4 @@
-"""A thread that works beside everything else."""
+"""A background thread for jobs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 class Worker:
-    """Does the jobs that `take` gives, one after the other, on a thread that starts when there is the first one.
+    """Runs the jobs from `take`, one after the other, on a thread that starts with the first job.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Worker:
         self._closing = False
 
     def wake(self) -> None:
-        """There is something to take; call it with the lock held."""
+        """Signal a new job; call it with the lock held."""
         if self._thread is None and not self._closing:
             self._thread = threading.Thread(target=self._run, name=f"gffe-viewer-{self._name}", daemon=True)
             self._thread.start()

@@ -1,4 +1,4 @@
-"""Doctor: what does not fit in the sequence that is open; its marks are on the timeline, too."""
+"""Doctor panel: faults of the open sequence. Its marks are also on the timeline."""
 
 from __future__ import annotations
 

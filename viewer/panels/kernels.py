@@ -1,4 +1,4 @@
-"""Kernels: reloading them while the viewer runs, and what the compiler says."""
+"""Kernels panel: reloading while the viewer runs, and the compiler's messages."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def draw(app) -> None:
 
 
 def _modules(model, options: dict[str, Option]) -> None:
-    """Their switches, in two columns where there is room."""
+    """Draw the switches of modules, in two columns if they fit."""
     listed, spacing = list(options.items()), imgui.get_style().item_spacing
     first = listed[: math.ceil(len(listed) / 2)]
     column = _width(first) + spacing.x

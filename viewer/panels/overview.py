@@ -43,7 +43,7 @@ def _size(count: int, room: tuple[int, int], picture: tuple[int, int], caption: 
 
 
 def _tile(model, place, origin, caption: int, clicked: bool) -> None:
-    """Its name, and what the pointer does to it."""
+    """Draw a tile's name, and handle the pointer on it."""
     marks, at = imgui.get_window_draw_list(), imgui.get_mouse_pos()
     left, top = origin.x + place.x, origin.y + place.y
     right, bottom = left + place.width, top + place.height

@@ -14,8 +14,8 @@ _STEPS = 20  # of a number that is not whole, over its usual range
 
 
 class Palette:
-    """`text`: what has been typed, None while it is closed; `at`: which of the hits is chosen; `asked`: the number that
-    is asked for, by its name, instead of an action."""
+    """Command palette. `text`: typed text, None while it is closed; `at`: index of the chosen hit; `asked`: name of
+    the number being asked for in place of an action."""
 
     def __init__(self):
         self.text: str | None = None

@@ -1,4 +1,4 @@
-"""The picture: zoom at the cursor, pan, wipe, pick a pixel; what is drawn over it."""
+"""Picture panel: zoom at the cursor, pan, wipe, choice of a pixel; overlays on the picture."""
 
 from __future__ import annotations
 
@@ -240,7 +240,7 @@ def short(value: float, letters: int) -> str:
 
 
 def _trajectory(model, place, marks) -> None:
-    """The picked pixel, and where what it shows came from."""
+    """Draw the picked pixel, and the origin of its content."""
     if model.pointing.picked is None:
         return
     x, y = model.pointing.picked
@@ -296,7 +296,8 @@ def _rectangle(model, place, marks) -> None:
 
 
 def _caption(model, origin, width, height, marks) -> list[Rectangle]:
-    """Write layer names and what changes their look into the corners; return where, in the picture's pixels."""
+    """Write layer names and changed display settings into the corners. Returns their rectangles, in the picture's
+    pixels."""
     view, covers = model.view, []
 
     def label(text: str, x: float, y: float, right: bool = False) -> None:

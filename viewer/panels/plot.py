@@ -1,4 +1,4 @@
-"""Plot under the picture: what every generated frame is worth, for A and B; clicked, it goes there."""
+"""Plot under the picture: the quality of every generated frame, for A and B. A click goes to the frame."""
 
 from __future__ import annotations
 

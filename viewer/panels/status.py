@@ -1,4 +1,4 @@
-"""Status bar: kernels that do not build, the newest message, and what is open."""
+"""Status bar: build errors of kernels, the newest message, and the open source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Timeline: rendered and generated frames told apart, in and out points, scrubbing; transport buttons."""
+"""Timeline: rendered and generated frames in different colors, in and out points, scrubbing; transport buttons."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def draw(app) -> None:
 
 
 def _following(app) -> None:
-    """Of a running program: which frame is shown, and what can be done with it."""
+    """Draw the timeline of a running program: the displayed frame, and actions for it."""
     model, result = app.model, app.model.contents.result
     with widgets.in_rows(indent=0.0) as row:
         for name, icon, text in (

@@ -75,8 +75,8 @@ def _pacing(told: list) -> None:
 
 
 def _cost(model, milliseconds: float, longest: float | None, color, must: float | None = None) -> None:
-    """Three cells: a bar, full for the `longest` stage, milliseconds, and bytes per pixel, beside which stand
-    those that `must` move and are a darker part of the bar."""
+    """Draw three cells: a bar, full for the `longest` stage; milliseconds; and bytes per pixel with those that
+    `must` move, which are a darker part of the bar."""
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
     moved = milliseconds * 1e6 * bandwidth / pixels if bandwidth else None
     part = None if moved is None or must is None else must / max(moved, 1e-9)

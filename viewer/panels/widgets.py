@@ -46,7 +46,7 @@ def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
 def toggle(
     label: str, value: bool, change: Callable[[bool], None], help_text: str = "", reason: str | None = None
 ) -> None:
-    """A checkbox; grayed out with `reason` where there is one."""
+    """Draw a checkbox, grayed out with `reason` if there is one."""
     imgui.begin_disabled(reason is not None)
     changed, new = imgui.checkbox(label, value)
     imgui.end_disabled()
@@ -95,7 +95,7 @@ def beside(label: str) -> None:
 
 
 def leave_room_for(label: str) -> None:
-    """Make the next item leave room for `label` beside it."""
+    """Make the next item leave space for `label` on its right."""
     _leave_room(imgui.calc_text_size(label).x + 2 * imgui.get_style().item_spacing.x)
 
 
@@ -168,8 +168,8 @@ def heading(text: str) -> None:
 
 @contextmanager
 def in_rows(indent: float = 1.4) -> Iterator[Callable[[float], None]]:
-    """Items side by side, in as many rows as they need, `indent` em from the left; what is yielded is called with the
-    width of each, pixels, before it."""
+    """Lay items out side by side, in as many rows as needed, `indent` em from the left. Yields a function to call
+    with the width of each, pixels, before it."""
     first, gap = True, hello_imgui.em_size(0.8 if indent else 0.5)
     if indent:
         imgui.indent(hello_imgui.em_size(indent))

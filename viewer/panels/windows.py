@@ -1,4 +1,4 @@
-"""Windows that come and go: help, a path to open, what is being saved, messages."""
+"""Temporary windows: help, a path to open, progress of saving, messages."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _columns(table: list) -> list[list]:
 
 
 class OpenPath:
-    """A field for the path where there is no file dialog. `text`: what is typed, None while it is closed."""
+    """Field for a path, without a file dialog. `text`: typed text, None while it is closed."""
 
     def __init__(self):
         self.text: str | None = None

@@ -108,8 +108,8 @@ class Canvas:
     # ---- layers ----------------------------------------------------------------------------------------
 
     def upload(self, name: str, array: np.ndarray, spec: LayerSpec, frame: FrameInfo | None = None) -> None:
-        """Put an image under `name`: (H, W), (H, W, C) or, with `spec.planes` > 1, (planes, H, W[, C]); C ≤ 4. `frame`:
-        what it refers to, if not to what the others do.
+        """Upload an image as `name`: (H, W), (H, W, C) or, with `spec.planes` > 1, (planes, H, W[, C]); C ≤ 4. `frame`:
+        its reference frame, if it differs from the others'.
 
         float16, float32 and uint8 go as they are (fastest when C-contiguous), other types as float32. An image wider
         or higher than the GPU's largest texture goes with every n-th pixel. An empty one is ignored.
@@ -158,8 +158,8 @@ class Canvas:
     # ---- drawing ---------------------------------------------------------------------------------------
 
     def draw(self, view: View, size: Size, target: str = "canvas") -> moderngl.Texture:
-        """Draw `view` at `size` (width, height); returns RGBA8, opaque, first row on top. `target` tells apart pictures
-        that are needed at the same time."""
+        """Draw `view` at `size` (width, height); returns RGBA8, opaque, first row on top. `target` distinguishes
+        pictures that exist at the same time."""
         framebuffer = self._target(target, size)
         with self.ctx.scope(framebuffer, moderngl.NOTHING):
             framebuffer.clear(*view.background, 1.0)
@@ -369,7 +369,7 @@ class Canvas:
 
 
 def read(texture: moderngl.Texture) -> np.ndarray:
-    """(H, W, 4) uint8 of what `Canvas` has drawn, top row first."""
+    """Return (H, W, 4) uint8 of a texture that `Canvas` has drawn, top row first."""
     width, height = texture.size
     return np.frombuffer(texture.read(alignment=1), np.uint8).reshape(height, width, 4)
 

@@ -1,4 +1,4 @@
-"""Colors of what is not a color: depths, motions, masks and labels."""
+"""False colors for depths, motions, masks and labels."""
 
 from __future__ import annotations
 

@@ -51,7 +51,8 @@ class Contents:
 
     @property
     def resets(self) -> dict[int, str]:
-        """Rendered frames after which nothing older is used, and why: those that are told, and cuts found so far."""
+        """Rendered frames that start without history, with the reason: those marked in the input, and cuts found so
+        far."""
         found = self.result.cuts if self.result is not None else ()
         return dict.fromkeys(sorted(found), "a cut was found here") | dict.fromkeys(self.source.resets[1:], "reset")
 

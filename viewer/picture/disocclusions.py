@@ -1,4 +1,4 @@
-"""Disocclusions over the picture: what a generated frame had no pixels for, also while the camera flies."""
+"""Disocclusions over the picture: pixels without a fragment in a generated frame, also while the camera flies."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _SPEC = LayerSpec(NAME, "Disocclusions", "overlay", "label", labels=tuple(enumer
 
 
 class Share(NamedTuple):
-    """Of the picture, 0 to 1: what is still empty after crack closing, and the part of it that lies outside of the
-    rendered frame, which a larger rendering window would have."""
+    """Shares of the picture, 0 to 1: pixels that are empty after crack closing, and those of them outside the
+    rendered frame, which a larger rendering window would contain."""
 
     all: float
     out_of_screen: float
@@ -58,7 +58,7 @@ class Disocclusions:
         self._view.overlay = OVERLAY if on else "none"
 
     def forget(self) -> None:
-        """There is another source."""
+        """Drop the result after a change of the source."""
         self._setup, self.share = None, None
         self._shares.clear()
 
@@ -73,7 +73,7 @@ class Disocclusions:
         return Share(*np.mean(self._shares, 0).tolist()) if self._shares else None
 
     def text(self) -> str:
-        """Return the result in words; empty where there is none."""
+        """Return the result in words; empty without one."""
         parts = [f"disoccluded {self.share}"] if self.share else []
         if len(self._shares) > 1:
             parts.append(f"last {len(self._shares)} frames {self.mean}")

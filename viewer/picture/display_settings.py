@@ -18,7 +18,7 @@ _LARGEST_EXPOSURE = 16.0  # stops
 
 
 class Looks:
-    """Displays of layers by name; what the user chose is in `saved` too. A display is never changed in place."""
+    """Displays of layers by name. The user's choices are in `saved`, too. A display is never changed in place."""
 
     def __init__(self, contents: Contents, saved: dict[str, dict]):
         self._contents, self._saved = contents, saved
@@ -42,7 +42,7 @@ class Looks:
                 self._displays[name] = self._first(spec)
 
     def forget(self) -> None:
-        """Other pictures: what was fitted to the old ones does not hold for them."""
+        """Drop values that were fitted to the pictures, after a change of the source."""
         self._displays.clear()
 
     def change(self, name: str, **values) -> None:
@@ -50,7 +50,7 @@ class Looks:
         self._keep(name, replace(self.of(name), **values))
 
     def choose_plane(self, name: str, plane: int) -> None:
-        """Show another plane; of a scalar with a range of its own."""
+        """Show another plane; a scalar plane gets a range of its own."""
         self.change(name, plane=plane)
         spec = self._contents.spec(name)
         if spec is not None and shown_as(spec, self.of(name))[0] == "scalar":

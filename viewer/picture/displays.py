@@ -58,7 +58,7 @@ class Display:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Display:
-        """From `to_dict`; what is unknown or makes no sense is left at its default."""
+        """Return the display from `to_dict`; unknown or invalid values get their default."""
         display = cls()
         for field in fields(cls):
             value = values.get(field.name) if isinstance(values, Mapping) else None
@@ -206,7 +206,8 @@ def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = N
 
 
 def _distances(values: np.ndarray, uv: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """World units from positions (N, 4) in view space to what `depth` gives at their pixels, if known and different."""
+    """Return the distance in world units between positions (N, 4) in view space and the points by `depth` at their
+    pixels, where known and different."""
     height, width = depth.shape
     z = depth[(uv[:, 1] * height).astype(int), (uv[:, 0] * width).astype(int)].astype(np.float64)
     rays = (uv * (width, height) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)

@@ -1,4 +1,4 @@
-"""Files made from what the viewer shows. Each is whole or not there at all."""
+"""Files from the viewer's contents, written atomically."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def save_layers_exr(
     specs: Mapping[str, LayerSpec],
     cancelled: Callable[[], bool] = lambda: False,
 ) -> list[Path]:
-    """Write each layer to `folder`/<layer>.exr, its channels named after its components ("Y" for a single one,
-    "1.x" … for planes), float16 or float32; returns the paths, none if `cancelled`, asked before each layer, said so.
+    """Write each layer to `folder`/<layer>.exr, its channels named after its components ("Y" for a single one, "1.x" …
+    for planes), float16 or float32. Returns the paths, none if `cancelled`, called before each layer, returned true.
 
     `folder` is made if only it is missing. Then, and when GffeError is raised, no file has been added or changed.
     """

@@ -1,4 +1,4 @@
-"""Maps of NVIDIA's FLIP error between two color layers, computed beside the interface."""
+"""Maps of NVIDIA's FLIP error between two color layers, computed in the background."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class FlipMaps:
         return self._latest.ready
 
     def want(self, key, a: np.ndarray, b: np.ndarray, exposure: float) -> None:
-        """Ask for the map between colors `a` and `b` (H, W, 4), linear; `key` tells pairs apart. `take` gives it,
-        (H, W) float32 in 0 … 1."""
+        """Request the map between colors `a` and `b` (H, W, 4), linear; `key` identifies the pair. `take` returns
+        it, (H, W) float32 in 0 … 1."""
         self._latest.want(key, _flip, a, b, exposure)
 
 

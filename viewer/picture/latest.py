@@ -1,4 +1,4 @@
-"""Work beside the interface of which only the latest order counts."""
+"""Background work of which only the latest request counts."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Latest:
 
     @property
     def ready(self) -> bool:
-        """Whether what was made last is what was ordered last."""
+        """Whether the latest result belongs to the latest request."""
         return self._made is not None and self._made == self._wanted
 
     def want(self, key: Hashable, make: Callable[..., Any], *arguments: Any) -> None:
-        """Order what `make` returns; `key` tells orders apart."""
+        """Request the result of `make`; `key` identifies the request."""
         self._wanted = key
         if self._future is None and key != self._made:
             self._coming = key

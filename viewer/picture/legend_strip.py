@@ -1,4 +1,4 @@
-"""Legends drawn under saved pictures: what the colors mean, whoever sees the file later."""
+"""Legends under saved pictures, which explain the colors."""
 
 from __future__ import annotations
 

@@ -99,11 +99,12 @@ class Regions:
 
     @property
     def ready(self) -> bool:
-        """Whether what is shown belongs to the present images."""
+        """Whether the displayed regions belong to the present images."""
         return not self.on or self.why_not() is not None or self._maps.ready
 
     def update(self, canvas) -> str | None:
-        """Once per frame of the interface: take what is found, and have the next found. Returns what went wrong."""
+        """Call once per frame of the interface: take the result, and request the next. Returns an error message, if
+        any."""
         if not self.on:
             return None
         result, contents = self._contents.result, self._contents

@@ -127,7 +127,7 @@ class Selection:
         return self.rectangle is None or self._latest.ready
 
     def update(self) -> str | None:
-        """Once per frame of the interface. Returns what went wrong."""
+        """Call once per frame of the interface. Returns an error message, if any."""
         try:
             made = self._latest.take()
         except Exception as error:

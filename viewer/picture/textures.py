@@ -31,7 +31,7 @@ class Texture:
         self.frame: FrameInfo | None = None
 
     def have_mipmaps(self, levels: int) -> None:
-        """At least so many, to be drawn smaller: what lies between two of them is mixed from both."""
+        """Make at least this many mipmaps for smaller display, with interpolation between two of them."""
         if levels > self.mipmaps:
             self.texels.build_mipmaps(max_level=levels)
             self.texels.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
@@ -71,7 +71,7 @@ class PixelBuffers:
 
 
 def texels_of(array: np.ndarray, spec: LayerSpec, most: int) -> np.ndarray | None:
-    """(planes, H, W, C) of one of _DTYPES, C-contiguous; None if there is nothing in it."""
+    """Return (planes, H, W, C) of one of _DTYPES, C-contiguous; None for an empty image."""
     array = np.asarray(array)
     if spec.planes == 1 and array.ndim < 4:
         array = array[None]

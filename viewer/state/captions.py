@@ -21,8 +21,8 @@ from gffe_cl.viewer.state.comparing import Comparison
 
 @dataclass
 class Message:
-    """Something to tell, of a kind: "note", "error", or "title" of a script; `since`: when it was shown first, seconds
-    of the clock that playback goes by; `dismissed`: the user took it away from over the picture."""
+    """A message of the kind "note", "error", or "title" of a script; `since`: first display, seconds of the playback
+    clock; `dismissed`: the user removed it from the picture."""
 
     text: str
     kind: str
@@ -56,7 +56,7 @@ def disocclusion_colors() -> tuple[tuple[str, Rgb], ...]:
 
 
 def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    """Legends of what is shown; none for colors alone."""
+    """Return legends of the displayed layers; none for colors alone."""
     if comparison.flipped:
         return [*_layer(view.b, contents, looks, "B  "), *_overlay(view)]
     if view.compare in ("error", "flip error"):

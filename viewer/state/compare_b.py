@@ -1,4 +1,4 @@
-"""B where it is not another layer but other settings: the same slot, made beside A's."""
+"""B as other settings instead of another layer: the same slot, made in addition to A's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gffe_cl.viewer.state.presets import Kept
 
 
 class Second:
-    """Brings B's slots together with A's: what is shown is of one slot, so whichever is there first waits.
+    """Synchronizes B's slots with A's, because both must show one slot: the first result waits for the other.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Second:
 
     @property
     def waits(self) -> bool:
-        """Whether A's and B's results of what was asked for are not both there."""
+        """Whether A's or B's result of the last request is missing."""
         return self.kept is not None and self.asked is not None and self._shown != self.asked
 
     def request(self, first: Request, layers: frozenset[str]) -> Request:
@@ -85,7 +85,7 @@ class Second:
         self._first = first
 
     def take(self) -> tuple[Result, Result | None] | None:
-        """A's and B's results when both are there; B's is None if it failed."""
+        """Return A's and B's results when both are ready; B's is None if it failed."""
         made = self._engine.poll("b")
         if isinstance(made, Result) and made.request == self.asked:
             self._made = made

@@ -19,7 +19,7 @@ from gffe_cl.viewer.state.presets import Kept, KeptSettings
 
 
 class Scores:
-    """Metrics by what slots were made with, and by slot."""
+    """Metrics by the slots' dependencies, and by slot."""
 
     def __init__(self, engine: Engine):
         self._engine = engine
@@ -42,7 +42,7 @@ class Scores:
             self.add(metrics)
 
     def forget(self) -> None:
-        """There is another source."""
+        """Drop all metrics after a change of the source."""
         self._known.clear()
 
 
@@ -170,12 +170,12 @@ class Comparison:
 
     @property
     def ready(self) -> bool:
-        """Whether what is shown belongs to the present images."""
+        """Whether the displayed map belongs to the present images."""
         return self._view.compare != "flip error" or self._nothing or self._maps.ready
 
     def update(self, canvas) -> str | None:
-        """Once per frame of the interface: take the map that is made, and have the next one made. Returns what went
-        wrong, if something did: then nothing is compared any more."""
+        """Call once per frame of the interface: take the finished map, and request the next. Returns an error
+        message, if any; then the comparison is switched off."""
         self.follow()
         view, contents = self._view, self._contents
         if view.compare != "flip error":
@@ -216,7 +216,7 @@ class Comparison:
         return saved | ({"compare": "off", "b": None} if self.by_settings else {})
 
     def restore(self, saved: dict[str, Any]) -> None:
-        """Take over what `preferences` returned once; a damaged value costs only itself."""
+        """Restore the result of `preferences`. A damaged value affects only itself."""
         view = self._view
         for name, choices in (("compare", WAYS), ("error", ERRORS)):
             if saved.get(name) in choices:

@@ -1,4 +1,4 @@
-"""One frame of the interface after the other: what the engine has finished is taken, and what is due is asked for."""
+"""Loop over frames of the interface: take finished results from the engine, and request what is due."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ class Loop:
         self._was_playing = False
 
     def update(self, now: float, canvas) -> None:
-        """At `now`, seconds of the clock that playback goes by; `canvas`: what is drawn on, None where there is
-        nothing."""
+        """Update at `now`, seconds of the playback clock. `canvas`: None without a window."""
         model = self._model
         model.screen.canvas = canvas
         if model.previewer is not None and (preview := model.previewer.take()) is not None:

@@ -123,31 +123,31 @@ class Model:
         self.engine.open_source(make, self.asking.serial())
 
     def attach(self, name: str, frames: int = FRAMES) -> None:
-        """Follow the running program that is attached as `name`, which keeps its last `frames` rendered frames. Raises
+        """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
         GffeError if there is none."""
         self.program = RunningProgram(name, frames)
         self.follow()
 
     def follow(self) -> None:
-        """Show what the program does, with its pipeline's options."""
+        """Show the program live, with its pipeline's options."""
         program = self.program
         assert program is not None  # as `attach` was called
         self.engine.open_source(lambda device: AttachedSource(program), self.asking.serial())
 
     def freeze(self) -> None:
-        """Show the program's last rendered frames, which go on being what they are now."""
+        """Show the program's last rendered frames as they are now."""
         program = self.program
         assert program is not None
         self.engine.open_source(lambda device: FrozenSource(program, device), self.asking.serial())
 
     @property
     def follows(self) -> bool:
-        """Whether what is shown is what a running program does."""
+        """Whether a running program is displayed live."""
         return self.source is not None and self.source.follows
 
     @property
     def frozen(self) -> bool:
-        """Whether what is shown are a program's last frames."""
+        """Whether a program's last frames are displayed."""
         return isinstance(self.source, FrozenSource)
 
     def reload(self) -> None:
@@ -189,7 +189,7 @@ class Model:
         return None if self.source.live or self.follows else [self.source.time(k) for k in range(count)]
 
     def update(self, now: float, canvas) -> None:
-        """Take what the engine has finished into textures, and ask for what is wanted next."""
+        """Take finished results of the engine into textures, and request the next ones."""
         self._loop.update(now, canvas)
 
     def go_to(self, find: Callable[[], int | None]) -> None:
@@ -201,16 +201,16 @@ class Model:
 
     @property
     def from_cache(self) -> bool:
-        """Whether what is shown came from the cache."""
+        """Whether the displayed frame came from the cache."""
         return self.asking.from_cache
 
     @property
     def inspects(self) -> bool:
-        """Whether the engine is asked about pixels: not for what is played from the cache."""
+        """Whether the engine is asked for pixel values: not during playback from the cache."""
         return not (self.from_cache and self.playback.playing)
 
     def _inspect(self, x: int, y: int) -> None:
-        """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
+        """Request the values of a displayed pixel. Cached frames are not computed for that during playback."""
         if self.inspects:
             result = self.contents.result
             request = result.request if result is not None and self.from_cache else None
@@ -244,13 +244,13 @@ class Model:
 
     @property
     def warnings(self) -> list[str]:
-        """About what is open and what is shown."""
+        """Warnings about the open source and the displayed frame."""
         result = self.contents.result
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
     @property
     def settled(self) -> bool:
-        """Whether what is shown is what was asked for."""
+        """Whether the displayed frame is the requested one."""
         if self.follows:  # there is always another frame to come
             shown = self.asking.shows_wanted and self.screen.ready
             return shown and not (self.pointing.picked and self.pointing.story is None)
@@ -265,7 +265,7 @@ class Model:
         )
 
     def keep_as_b(self) -> None:
-        """Freeze what is computed now as B."""
+        """Keep the present settings as B."""
         kept = self.kept.keep(self.setup, self.recipe.kernels)
         self.comparison.with_settings(kept.name)
         self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
@@ -282,7 +282,7 @@ class Model:
         return command_line(setup, self.source, self.plan.seed)
 
     def set(self, name: str, value: Any) -> None:
-        """A parameter; what makes no sense is said."""
+        """Set a parameter. Invalid values give a message."""
         try:
             self.parameters.set(name, value)
         except GffeError as error:
@@ -343,7 +343,7 @@ class Model:
         return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
 
     def save(self, work: Callable[[Subject], Work]) -> None:
-        """Start saving beside the interface."""
+        """Start saving in the background."""
         self.export = work(self._subject)
 
     def save_recording(self) -> None:
@@ -369,7 +369,7 @@ class Model:
     # ---- telling -------------------------------------------------------------------------------------------
 
     def measure_cost(self) -> None:
-        """Bandwidth, and what the slot that is shown had to move."""
+        """Measure bandwidth, and the bytes that the displayed slot had to move."""
         self.engine.measure_bandwidth()
         if self.contents.result is not None:
             self.engine.count_traffic(self.contents.result.request)
@@ -380,7 +380,7 @@ class Model:
 
     @property
     def marks(self) -> dict[int, str]:
-        """Rendered frames that the doctor says something of."""
+        """Rendered frames with findings of the doctor."""
         return self.doctor.marks if self.doctor is not None else {}
 
     def say(self, text: str, error: bool = False) -> None:

@@ -87,7 +87,7 @@ class Walk:
         self._left: list[_Place] = []
 
     def forget(self) -> None:
-        """There is another source."""
+        """Drop positions after a change of the source."""
         self._left.clear()
 
     def why_not(self, link: Link) -> str | None:
@@ -121,7 +121,7 @@ class Walk:
         self.look_at(pixel)
 
     def look_at(self, pixel: tuple[int, int]) -> None:
-        """Tell its story; where only a part of the picture is seen, have it in the middle."""
+        """Tell the pixel's story. If only a part of the picture is visible, center it."""
         self._pointing.pick(pixel)
         view, size = self._view, self._contents.size
         if view.center != (size[0] / 2, size[1] / 2):

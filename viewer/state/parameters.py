@@ -169,7 +169,7 @@ class Parameters:
             self.options = self.options.changed(name, self._possible(value) if name == UPSCALING else value)
 
     def _possible(self, upscale: float) -> float:
-        """The nearest that there is: what is on disk was rendered for one factor."""
+        """Return the nearest possible value: a sequence on disk was rendered for one factor."""
         source = self._source
         if not upscale or source is None or source.live:
             return upscale
@@ -186,7 +186,7 @@ class Parameters:
         return self.network_fault if name == CORRECTION else None
 
     def switch(self, name: str, on: bool) -> None:
-        """Switch a module; what was wrong with shading correction is forgotten."""
+        """Switch a module. An earlier failure of shading correction is forgotten."""
         option = ALL[name]
         if name == CORRECTION:
             self.network_fault = None
@@ -208,7 +208,7 @@ class Parameters:
         self.options, self.window = replace(options, **self._always), window
 
     def use_defaults(self) -> None:
-        """... for all that is offered, but what is rendered."""
+        """Set all offered parameters to their defaults, except those of rendering."""
         self.network_fault = None
         for name in self.offered().keys() - {"window", "scene_window", "render_rate"}:
             self.set(name, ALL[name].default)
@@ -220,8 +220,8 @@ class Parameters:
         return {name: self.value(name) for name, option in ALL.items() if option.remembered}
 
     def restore(self, saved: dict[str, Any]) -> None:
-        """Take over what `preferences` returned once. What was chosen at the start stays, and a damaged value costs
-        only itself; a module that may be automatic is off or automatic."""
+        """Restore the result of `preferences`. Command line options stay, and a damaged value affects only itself. A
+        module that may be automatic is off or automatic."""
         chosen = {name for name, option in ALL.items() if self.value(name) != option.default}
         if self.options.scn_model is not None:
             chosen.add(CORRECTION)

@@ -150,7 +150,7 @@ class Playback:
         return {"mode": self._mode, "speed": self._speed, "loop": self._loop}
 
     def restore(self, preferences: dict) -> None:
-        """Take over what `preferences` returned once; whatever is damaged stays as it is."""
+        """Restore the result of `preferences`. Damaged values are ignored."""
         for name in self.preferences():
             value = preferences.get(name)
             if name != "loop" or isinstance(value, bool):

@@ -1,5 +1,4 @@
-"""Settings that were kept under a name, to be B beside those that go on being changed; and the command line that gives
-what settings give."""
+"""Named settings, kept to be B while the present ones change; and the command line for given settings."""
 
 from __future__ import annotations
 
@@ -20,8 +19,8 @@ _LONGEST = 60  # letters of a name
 
 @dataclass(frozen=True)
 class Kept:
-    """Settings under a name: modules, parameters, network and rendering window as they were. `kernels`: the build that
-    was in use, of this session; empty: the newest. `weights`: what told those of the network from others."""
+    """Named settings: modules, parameters, network and rendering window. `kernels`: the build in use, of this
+    session; empty: the newest. `weights`: identifies the network's weights."""
 
     name: str
     options: Options
@@ -79,7 +78,7 @@ class KeptSettings:
         self.b: Kept | None = None
 
     def keep(self, setup: Setup, kernels: str, name: str = "") -> Kept:
-        """Keep what is computed now, as B; the same under another name gets that name."""
+        """Keep the present settings as B. Equal settings under another name get that name."""
         made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, weights_of(setup.options))
         self.all = [kept for kept in self.all if replace(kept, name=made.name) != made and kept.name != made.name]
         self.all = [made, *self.all][:_MOST]
@@ -109,12 +108,12 @@ class KeptSettings:
         return [kept.to_json() for kept in self.all]
 
     def restore(self, saved: list) -> None:
-        """Take over what `preferences` returned once; what is damaged is left out. None of them is B."""
+        """Restore the result of `preferences` without damaged entries. None of them is B."""
         found = filter(None, map(Kept.from_json, saved))
         self.all = list({kept.name: kept for kept in found}.values())[:_MOST]
 
     def _unused(self, setup: Setup) -> str:
-        """A name that says what is not as usual, and is not taken."""
+        """Return an unused name that lists the differences from the defaults."""
         stem = told(setup)
         taken, number = {kept.name for kept in self.all}, 1
         while (name := stem if number == 1 else f"{stem} ({number})") in taken:

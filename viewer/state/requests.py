@@ -30,7 +30,7 @@ class Needed:
         self._regions, self._disocclusions, self._selection = regions, disocclusions, selection
 
     def all(self) -> frozenset[str]:
-        """Whatever there is."""
+        """All layers."""
         return frozenset(spec.name for spec in self._contents.layers) or frozenset({names.FINAL})
 
     def of_first(self) -> frozenset[str]:
@@ -54,7 +54,7 @@ _PLANNED = 16  # slots that the engine is told of at once
 
 
 class Prefetch:
-    """Plans what the engine computes beside.
+    """Plan of slots to compute in advance.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ class Prefetch:
         return self._cache.get(FrameKey(recipe, request.slot), request.layers, request.metrics)
 
     def update(self, now: float, recipe: Recipe, request: Request, nbytes: int, beside: bool) -> None:
-        """Once per frame of the interface. `request`: the one of the picture, whose slots take `nbytes` each; `beside`:
-        whether there may be computed beside."""
+        """Call once per frame of the interface. `request`: the picture's, whose slots take `nbytes` each; `beside`:
+        whether computation in advance is allowed."""
         if not self._cache.most:
             return
         playback, wanted = self._playback, (recipe, request.layers, request.metrics)
@@ -143,8 +143,8 @@ class Asking:
         self.asked = None
 
     def ask(self, request: Request, recipe: Recipe | None, second: Request | None, anew: bool, source) -> bool:
-        """Have slots of A and B shown, unless they are asked for already; whether they were not. `recipe`: of A, None
-        where nothing that is kept will do; `anew`: also the same request again."""
+        """Request slots of A and B unless they are requested already; returns whether they were not. `recipe`: of A,
+        None if no cached slot will do; `anew`: repeat an equal request."""
         wanted = request, recipe, second
         if wanted == self._wanted and self.asked is not None and not anew:
             return False
@@ -164,7 +164,7 @@ class Asking:
         return True
 
     def take(self, result: Result) -> None:
-        """A's result has been computed; one that was asked for before what is shown is too old."""
+        """Take A's computed result. Results requested before the displayed one are too old."""
         shown = self._contents.result
         if shown is None or result.request.serial >= shown.request.serial:
             self.from_cache = False
@@ -177,7 +177,7 @@ class Asking:
             self._show(*pair)
 
     def fill(self, now: float, recipe: Recipe, may_run: bool) -> None:
-        """Once per frame of the interface: have what is ahead made beside."""
+        """Call once per frame of the interface: request slots in advance."""
         result = self._contents.result
         if result is None or self._wanted is None:
             return
@@ -186,13 +186,13 @@ class Asking:
 
     @property
     def answered(self) -> bool:
-        """Whether what is shown is what was asked for."""
+        """Whether the displayed frame is the requested one."""
         result = self._contents.result
         return result is not None and result.request == self.asked and not self._second.waits
 
     @property
     def shows_wanted(self) -> bool:
-        """Whether what is shown was asked for with the layers and the setup that are wanted now."""
+        """Whether the displayed frame was requested with the present layers and setup."""
         result = self._contents.result
         wanted = self._wanted[0] if self._wanted else None
         return result is not None and bool(wanted) and wanted == replace(result.request, serial=wanted.serial)

@@ -1,4 +1,4 @@
-"""Saving what is seen into the working folder: the picture at once; layers and videos beside the running interface."""
+"""Saving into the working folder: pictures at once; layers and videos in the background."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _PATIENCE = 5.0  # seconds for writing to end after it was cancelled
 
 @dataclass(frozen=True)
 class Subject:
-    """Saved content: the contents, as `view`, which `shown` gives as it is compared and displayed; `settled` tells
-    whether what is shown is what was asked for."""
+    """Saved content: the contents, as `view`, with comparison and display settings from `shown`; `settled`: whether
+    the displayed frame is the requested one."""
 
     contents: Contents
     playback: Playback
@@ -53,9 +53,9 @@ class Subject:
 
 
 class Work:
-    """Something that is being saved: `done` of `total`; `layers` are read back for it; `advance` is called once per
-    frame of the interface until `finished`; then `outcome` is what to tell, if there is something, and `failed` whether
-    it went wrong. The writing is done on a thread."""
+    """A save in progress: `done` of `total`; `layers` are read back for it; `advance` is called once per frame of
+    the interface until `finished`. Then `outcome` is a message, if any, and `failed` an error. Files are written on
+    a thread."""
 
     def __init__(self, subject: Subject, path: Path, total: int):
         self.subject, self.path, self.done, self.total = subject, path, 0, total
@@ -78,7 +78,7 @@ class Work:
             self._proceed(canvas)
 
     def cancel(self) -> None:
-        """Stop, if it can be stopped; `finished` says when it has."""
+        """Stop if possible; `finished` then becomes true."""
 
     def close(self) -> None:
         """The viewer ends: nothing half done is left, unless it takes more than seconds to stop."""
@@ -90,7 +90,7 @@ class Work:
         raise NotImplementedError
 
     def _start(self, write: Callable[[], str]) -> None:
-        """Run `write`, which returns what to tell, on the thread."""
+        """Run `write`, which returns a message, on the thread."""
 
         def run() -> None:
             try:

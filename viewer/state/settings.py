@@ -123,11 +123,11 @@ class Settings:
         self.recent = _recent([os.path.abspath(path), *self.recent]) or []
 
     def forget_recent(self, path: str | Path) -> None:
-        """Take `path` out, because there is nothing any more."""
+        """Remove `path`, because it does not exist any more."""
         self.recent = [p for p in self.recent if p not in (str(path), os.path.abspath(path))]
 
     def _take(self, document: dict[str, Any]) -> list[str]:
-        """Take over what is sound; the names of what is not."""
+        """Set the valid values. Returns the names of invalid ones."""
         damaged = []
         for name, value in document.items():
             if name not in _CHECKS:

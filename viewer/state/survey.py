@@ -1,4 +1,4 @@
-"""The survey: what every generated slot is worth, for A and B, measured while there is nothing else to do."""
+"""The survey: the quality of every generated slot, for A and B, measured while the engine is idle."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HISTORY = 2  # rendered frames before the one that a slot is made of
 
 @dataclass(frozen=True)
 class Side:
-    """A or B: what is measured of it."""
+    """A or B, with its measured figures."""
 
     setup: Setup
     recipe: Recipe
@@ -59,7 +59,7 @@ class Survey:
     # ---- measuring -----------------------------------------------------------------------------------------
 
     def update(self, a: Setup, b: Setup | None, exposure: float, may_run: bool) -> None:
-        """Once per frame of the interface; `may_run`: whether there is nothing else to do."""
+        """Call once per frame of the interface; `may_run`: whether the engine is idle."""
         self.a, self.b = (None if setup is None else Side(setup, self._engine.recipe(setup)) for setup in (a, b))
         while (answer := self._engine.poll_survey()) is not None:
             self._planned = None
@@ -79,7 +79,7 @@ class Survey:
         self._engine.survey(self._missing() if run and self._measuring.waiting < _WAITING else ())
 
     def forget(self) -> None:
-        """There is another source."""
+        """Drop all figures after a change of the source."""
         self._known.clear()
         self._measuring.clear()
         self._planned = self._found = None
@@ -89,7 +89,7 @@ class Survey:
 
     @property
     def busy(self) -> bool:
-        """Whether there is something left to measure."""
+        """Whether slots are left to measure."""
         done, total = self.progress
         return self.on and done < total
 
@@ -180,7 +180,7 @@ class Survey:
     # ---- finding frames ------------------------------------------------------------------------------------
 
     def search(self, find: Callable[[], int | None]) -> tuple[int | None, str]:
-        """The slot that `find` (`worst`, `next`, `most_different`) gives, and what to tell; measuring begins if it has
+        """Return the slot by `find` (`worst`, `next`, `most_different`), and a message. Measuring starts if it has
         not."""
         started, self.on = not self.on, True
         slot, (done, total) = find(), self.progress

@@ -60,7 +60,7 @@ class Timings:
         return _mean(self._networks)
 
     def copies(self) -> float:
-        """From the device to what runs the network, and back."""
+        """Transfers from the device to the network's runtime, and back."""
         return _mean(self._copies)
 
     def wall(self) -> float:

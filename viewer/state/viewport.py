@@ -41,7 +41,7 @@ class Framing:
 
     @property
     def is_fitted(self) -> bool:
-        """Whether nobody has zoomed or panned since `fit`."""
+        """Whether the user has neither zoomed nor panned since `fit`."""
         return self._fitted == (self._view.zoom, self._view.center)
 
     def zoom(self, factor: float) -> None:
@@ -95,12 +95,12 @@ class Pointing:
         self.story_due = self.picked is not None
 
     def ask_again(self) -> None:
-        """There is another slot."""
+        """Repeat the requests for another slot."""
         self.story_due = self.picked is not None
         self._ask(self.picked or self._hovered)
 
     def open(self, size: tuple[int, int]) -> None:
-        """There is another picture, of `size` pixels."""
+        """Start with another picture, of `size` pixels."""
         self._size = size
         self.inspection = self.story = self.picked = None
         self.story_due = False
@@ -155,8 +155,8 @@ class Screen:
             self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
 
     def show(self, images: Mapping[str, np.ndarray], first: set[str]) -> None:
-        """Have these images, with those of other settings, and no others, which would be of another time, on the
-        canvas: those of `first` at once, the others as soon as there is time."""
+        """Show these images, with those of other settings, on the canvas, and remove all others, which belong to
+        another time. Those of `first` are uploaded at once, the others as time permits."""
         second = self._contents.second if images else None
         others = {} if second is None else {names.of_second(name): image for name, image in second.images.items()}
         self._waiting, self.upload_ms = dict(images) | others, 0.0

@@ -40,9 +40,9 @@ class Correspondences:
 
 
 def correspondences(depth: np.ndarray, motion: np.ndarray) -> Correspondences:
-    """Of depth (H, W), world units, and motion (H, W, 2), pixels, to the rendered frame before: a lattice of about
-    2,500 samples. Invalid depth and motion that is not finite are left out, and so is what comes from far outside the
-    image."""
+    """Return about 2,500 samples on a lattice, from depth (H, W), world units, and motion (H, W, 2), pixels, to the
+    rendered frame before. Pixels with invalid depth or motion are left out, and so are points far outside the
+    previous image."""
     height, width = depth.shape
     step = max(1.0, np.sqrt(width * height / _SAMPLES))
     x, y = ((np.arange(0.5 * step, n, step)).astype(int) for n in (width, height))

@@ -1,4 +1,4 @@
-"""The focal length of a capture: only turning tells it, translation looks the same through any lens."""
+"""The focal length of a capture. Only rotation determines it: translation looks the same through any lens."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ def view_of_lens(lens: Lens, size: tuple[int, int]) -> float:
 def find_focal(
     pairs: Sequence[Correspondences], size: tuple[int, int], center: np.ndarray, aspect: float
 ) -> tuple[Lens, float]:
-    """The lens that explains all pairs best, each with a movement of its own; and the standard deviation of its focal
-    length, relative to it, as far as noise goes: infinite where it could be any."""
+    """Return the lens that explains all pairs best, each pair with a camera movement of its own; and the relative
+    standard deviation of its focal length as estimated from noise, infinite if it is undetermined."""
     rng = np.random.default_rng(0)
     evenly = np.unique(np.linspace(0, len(pairs) - 1, _SPREAD).astype(int))
     chosen = [pairs[k].some(_SAMPLES, rng) for k in evenly]
@@ -90,7 +90,8 @@ def _refined(
 
 
 def _normal_equations(seen: Correspondences, lens: Lens, movement: Movement) -> tuple[np.ndarray, np.ndarray, float]:
-    """Of the movement and the logarithm of the focal length: (7, 7), (7,), and what one squared pixel counts for."""
+    """Return the normal equations of the movement and the logarithm of the focal length, (7, 7) and (7,), and the
+    weight of one squared pixel."""
     off = residuals(seen, lens, movement)
     weight = weights(off, reach_of(movement))
     at = moved(seen, lens, movement)

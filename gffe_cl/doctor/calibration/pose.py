@@ -192,7 +192,7 @@ def noise_of(off: np.ndarray, reach: float) -> float:
 
 
 def _step(slope: np.ndarray, off: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """(…, 6) the step of weighted Gauss-Newton; what the samples do not determine stays."""
+    """Return (…, 6) the step of weighted Gauss-Newton. Components that the samples do not determine stay unchanged."""
     weight = np.where(np.isfinite(off).all(-1), weight, 0.0)
     off = np.where(np.isfinite(off), off, 0.0)
     flat = slope.reshape(*slope.shape[:-3], -1, 6)  # both axes of all samples

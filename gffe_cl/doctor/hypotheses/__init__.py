@@ -1,1 +1,1 @@
-"""Hypotheses about how cameras, depth and motion vectors are meant, and the search for those that fit."""
+"""Hypotheses about the conventions of cameras, depth and motion vectors, and the search for those that fit."""

@@ -62,7 +62,7 @@ class CameraReading:
     focal: float = 1.0
 
     def read(self, camera: Camera) -> Camera:
-        """The camera that is meant."""
+        """Return the camera by this hypothesis."""
         matrix = camera.world_to_view
         if self.axes_before is not None:
             matrix = _four(self.axes_before) @ matrix
@@ -119,8 +119,8 @@ def axes_in_words(axes) -> str:
 
 
 def camera_readings() -> list[CameraReading]:
-    """All that are tried, the usual one first; of each and the one with all axes the other way round, one: `opposite`
-    makes the other, and depths that are negative tell them apart."""
+    """Return all hypotheses to try, the usual one first. Of two with opposite axes only one is listed: `opposite`
+    makes the other, and negative depths decide between them."""
     flips = [np.diag(signs) for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
     found = []
     for layout in _LAYOUTS:

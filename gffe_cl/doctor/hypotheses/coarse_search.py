@@ -28,8 +28,9 @@ class WideField:
         self._center = reaches[0].center
 
     def scores(self, motion: np.ndarray, scale: tuple[float, float], jitter: bool) -> list[tuple]:
-        """(agreement, CameraReading, DepthReading) of all that can be told of `motion` (N, 2) pixels; `scale`: the
-        coarsest and finest residuals that count (`log_score`). With `jitter` each frame may be off by a constant."""
+        """Yield (agreement, CameraReading, DepthReading) for all hypotheses that `motion` (N, 2) pixels can decide.
+        `scale`: the coarsest and finest residuals that count (`log_score`). With `jitter` each frame may have a
+        constant offset."""
         bench = self._bench
         use = bench.solid & np.isfinite(motion).all(-1)
         if use.sum() < 16:

@@ -49,7 +49,7 @@ _NEAR_RANGE = 0.05  # of the logarithm of what the range was stretched by
 
 
 def misread_range(factor: float) -> float | None:
-    """2 where 0 … 1 was taken for −1 … 1, 0.5 where −1 … 1 was; None where `factor`, of 1 / depth, is none of them."""
+    """Return 2 if 0 … 1 was taken for −1 … 1, 0.5 for the reverse, None if `factor`, of 1 / depth, fits neither."""
     return next((r for r in _RANGES if factor > 0 and abs(np.log(factor / r)) < _NEAR_RANGE), None)
 
 
@@ -105,8 +105,8 @@ class Planes:
 
 
 def fit_depth(model: DepthModel, basis: np.ndarray, a: np.ndarray, b: np.ndarray, frame=None) -> DepthReading | None:
-    """The parameters by which most samples fit a · w = b (`a`, `b`: (N, 2), in pixels), w = `basis` · c; None if
-    nothing can be told: the camera does not move. `frame` (N,) int: a · w = b + a constant of each frame instead."""
+    """Return the parameters that fit a · w = b (`a`, `b`: (N, 2), in pixels), w = `basis` · c, for most samples;
+    None if the camera does not move. With `frame` (N,) int the model is a · w = b + a constant per frame."""
     power = (a * a).sum(-1)
     ok = np.isfinite(basis).all(-1) & np.isfinite(b).all(-1) & (power > 0) & np.isfinite(power)
     if ok.sum() < 16:

@@ -33,8 +33,8 @@ def silhouettes(depth: np.ndarray) -> np.ndarray:
 
 
 def edge_agreement(looks: list[Look]) -> float:
-    """How much stronger colors change at silhouettes than they would upside down, from −1 to 1: below 0 color and depth
-    have different row orders. 0 where too little tells."""
+    """Return how much better color edges match silhouettes than they would upside down, from −1 to 1. Below 0 color
+    and depth have different row orders. 0 without enough evidence."""
     found = []
     for look in looks:
         if look.image is None or min(look.size) < 8:

@@ -47,7 +47,7 @@ def without_camera(search: Search) -> Verdict | None:
 
 
 def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:
-    """The camera and the depth with which colors fit best; what is given where nothing is clearly better."""
+    """Return the camera and the depth that fit colors best, or those given unless others are clearly better."""
 
     def cost(pair) -> float:
         camera, depth = pair

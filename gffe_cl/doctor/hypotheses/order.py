@@ -78,8 +78,8 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
 
 
 def shuffled_order(looks: dict[int, Look], count: int, step: float) -> list[int] | None:
-    """The order of frames whose vectors, as given, fit other frames than those before them; None if there is none, or
-    if it mostly runs backwards: then it is the vectors that lead to the next frame."""
+    """Return the order of frames if their vectors, as given, fit other frames than the previous ones. None if there
+    is no such order, or if it is mostly reversed: then the vectors lead to the next frame."""
     if len(looks) < count:
         return None
     before = {}
@@ -105,7 +105,7 @@ def _best_other(looks: dict[int, Look], index: int, reading: Reading, step: floa
 
 
 def _chain(before: dict[int, int], count: int) -> list[int] | None:
-    """All frames in a row if `before` tells of all but one which frame it follows, and the row is not the given one."""
+    """Return all frames in a row if `before` has the predecessor of all but one, and the row is not the given one."""
     after = {previous: index for index, previous in before.items()}
     starts = set(range(count)) - set(before)
     if len(starts) != 1 or len(after) != len(before):

@@ -35,7 +35,7 @@ class WhichWayUp:
     twins: dict[Reading, tuple[Verdict, float]]
 
     def doubt(self, reading: Reading) -> Reading | None:
-        """The mirror image of `reading` if nothing tells it from that and it is about as simple."""
+        """Return the mirror image of `reading` if no evidence decides between them and it is about as simple."""
         if reading not in self.twins:
             return None
         twin, upright = self.twins[reading]
@@ -85,8 +85,8 @@ def _is_settled(best: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -
 
 
 def _upright(search: Search, reading: Reading) -> float:
-    """Evidence from −1 to 1 that the picture is upright as `reading` has it: sky is above, what is far is higher in the
-    picture, and up is one of the upward axes that worlds have."""
+    """Return evidence from −1 to 1 that the picture is upright by `reading`: sky is at the top, far surfaces are
+    higher in the picture, and the up vector is a usual world axis."""
     bench = search.full
     w = reading.depth.inverse(bench.stored, bench.reach(reading.camera, reading.motion.step).ray)
     heights = np.repeat([look.size[1] for look in bench.looks], [len(look.px) for look in bench.looks])
@@ -102,8 +102,8 @@ def _upright(search: Search, reading: Reading) -> float:
 
 
 def _world_is_usual(search: Search, reading: Reading) -> float:
-    """1 where world axes are right-handed with y or z up, −1 for left-handed ones with y or z down; 0 for what is usual
-    both ways, and where cameras look in all directions."""
+    """Return 1 if world axes are right-handed with y or z up, −1 if left-handed with y or z down, 0 if both are
+    usual or cameras look in all directions."""
     rotations = [reading.camera.read(look.camera).world_to_view[:3, :3] for look in search.full.looks]
     up = -np.mean([m[1] for m in rotations], 0)
     axis = 1 + int(np.abs(up[1:]).argmax())

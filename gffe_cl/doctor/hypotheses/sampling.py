@@ -71,12 +71,12 @@ class Look:
 
     @property
     def solid(self) -> np.ndarray:
-        """(N,) bool: there is a surface, whatever its depth means."""
+        """(N,) bool: the pixel shows a surface, for any meaning of its depth."""
         return np.isfinite(self.depth) & (np.abs(self.depth) < _FAR)
 
     @property
     def textured(self) -> np.ndarray:
-        """(N,) bool: the color tells this place from others nearby."""
+        """(N,) bool: the color distinguishes this place from others nearby."""
         return self.contrast > _TEXTURED
 
     def camera_of(self, step: int) -> Camera:
@@ -189,7 +189,7 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
 
 
 def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, int]]]:
-    """Counts of what is no number, and where the first one of each kind is."""
+    """Return counts of invalid values, and the position of the first one of each kind."""
     kinds: dict[str, Any] = {"depth": ~(np.asarray(frame.depth) > 0)}
     for name, values in (("color", frame.color), ("motion", frame.motion)):
         finite = np.ones(1, bool) if values is None else np.isfinite(values)

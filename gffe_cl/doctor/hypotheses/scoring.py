@@ -1,4 +1,4 @@
-"""Two witnesses and what they say of each other: motion vectors, cameras with depth, and the colors that judge both.
+"""Scores of hypotheses from two kinds of evidence: motion vectors against depth and cameras, and colors against both.
 
 Samples of several frames lie one after the other: `Bench`. Nothing here knows what is right.
 """
@@ -68,11 +68,11 @@ class Bench:
 
     @cached_property
     def has(self) -> dict[int, np.ndarray]:
-        """{step → (N,) bool: there is a frame in that direction}"""
+        """{step → (N,) bool: the sample has a frame in that direction}"""
         return {s: np.repeat([s in look.neighbors for look in self.looks], self._counts) for s in (PREVIOUS, NEXT)}
 
     def motion(self, reading: MotionReading) -> np.ndarray:
-        """(N, 2) pixels; NaN where there is none."""
+        """(N, 2) pixels; NaN where the file has none."""
         found = []
         for look, count in zip(self.looks, self._counts, strict=True):
             v = reading.pixels(look)
@@ -110,7 +110,7 @@ class Bench:
         return np.where(count >= 8, total / np.maximum(count, 1), np.nan)
 
     def color_scores(self, motion: np.ndarray, step: int) -> np.ndarray:
-        """(…, N) how well the color is met where `motion` (…, N, 2) leads: 1 exactly; NaN where that says nothing."""
+        """Return (…, N) the agreement of colors along `motion` (…, N, 2): 1 for equal ones, NaN without evidence."""
         score = np.full(motion.shape[:-1], np.nan)
         for k, look in enumerate(self.looks):
             other = look.neighbors.get(step)
@@ -130,13 +130,14 @@ def mostly_nothing(length: np.ndarray) -> bool:
 
 
 def trimmed(by_frame: np.ndarray) -> float:
-    """Mean over frames without the worst third of them; NaN if there is none. A few frames may be wrong otherwise."""
+    """Return the mean over frames without the worst third, because a few frames may have other faults; NaN without
+    frames."""
     values = np.sort(by_frame[np.isfinite(by_frame)])
     return float(values[len(values) // 3 :].mean()) if len(values) else float("nan")
 
 
 def frame_offsets(bench: Bench, off: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """(looks, 2) what most of `off` (N, 2) in each frame have in common: the center of where they are dense."""
+    """Return (looks, 2) the common offset of most of `off` (N, 2) in each frame: the center of the densest region."""
     found = np.zeros((len(bench.looks), 2))
     for k in range(len(found)):
         values = off[use & (bench.frame == k)]

@@ -29,8 +29,8 @@ _MOST_JITTER = 1.6  # pixels between two frames
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read all three: motion vectors, cameras, depth. `jitter`: what lacks it or has too much of it,
-    "motion", "camera" or ""; `rows`: the BUFFERS whose rows are stored from the bottom up."""
+    """A hypothesis about motion vectors, cameras and depth together. `jitter`: the part with missing or doubled
+    jitter, "motion", "camera" or ""; `rows`: the BUFFERS whose rows are stored from the bottom up."""
 
     motion: MotionReading = MOTION_AS_GIVEN
     camera: CameraReading = CAMERA_AS_GIVEN
@@ -40,15 +40,15 @@ class Reading:
 
     @property
     def edits(self) -> float:
-        """How much it differs from what is given."""
+        """Number of differences from the sequence as given."""
         depth = 0 if self.depth == AS_GIVEN else 1.5 if self.depth.model.terms == 2 else 1
         focal = self.camera.focal != 1
         rest = depth + focal + 2 * bool(self.jitter) + bool(self.rows)
         return len(self.motion.parts) + len(self.camera.parts) + rest
 
     def mirrored(self) -> Reading:
-        """What says the same of pictures turned upside down: all buffers whose rows this reading takes as they are are
-        turned, and only those, with y of motion vectors and cameras the other way round."""
+        """Return the equivalent reading for pictures turned upside down: it turns exactly the buffers whose rows
+        this one leaves, and negates y of motion vectors and cameras."""
         rows = tuple(name for name in BUFFERS if name not in self.rows)
         return replace(self, motion=self.motion.mirrored(), camera=self.camera.mirrored(), rows=rows)
 
@@ -69,7 +69,7 @@ class Verdict:
 
     @property
     def colors(self) -> float:
-        """All that colors say."""
+        """Evidence from colors in total."""
         return float(np.nansum([self.motion_color, self.camera_color, self.edges]))
 
     @property
@@ -89,8 +89,8 @@ class Search:
         self._color: dict = {}
 
     def agreement(self, bench: Bench, motion: np.ndarray, static: np.ndarray, jitter="", sharp=False) -> float:
-        """How well motion vectors agree with what depth and cameras say; relative to their own length. `sharp`: small
-        residuals count too."""
+        """Return the agreement of motion vectors with depth and cameras, relative to the vectors' length. With
+        `sharp` small residuals count too."""
         use = bench.solid & np.isfinite(motion).all(-1)
         off = motion - static
         if jitter:
@@ -103,7 +103,7 @@ class Search:
         return trimmed(bench.by_frame(score, use))
 
     def _scale(self, motion: np.ndarray) -> tuple[float, float]:
-        """The coarsest and the finest residuals that tell something, in pixels."""
+        """Return the coarsest and the finest residuals that are evidence, in pixels."""
         length = np.linalg.norm(motion, axis=-1)
         known = np.isfinite(length)
         scale = max(float(np.median(length[known])) if known.any() else 0.0, _SMALLEST)
@@ -124,7 +124,7 @@ class Search:
         return motion, static
 
     def motion_color(self, reading: MotionReading) -> float:
-        """How well colors are met along motion vectors, where there is motion."""
+        """Return the agreement of colors along motion vectors, where there is motion."""
         if reading not in self._color:
             self._color[reading] = self._along(self.full.motion(reading), reading.step)
         return self._color[reading]
@@ -139,7 +139,7 @@ class Search:
         return trimmed(self.full.by_frame(score, np.isfinite(score) & self.full.solid))
 
     def camera_color(self, camera: CameraReading, depth: DepthReading) -> float:
-        """How well colors are met where depth and cameras say that static surfaces were."""
+        """Return the agreement of colors along the static motion by depth and cameras."""
         key = camera, depth
         if key not in self._color:
             self._color[key] = self.static_color(self.full.static(camera, depth), PREVIOUS)

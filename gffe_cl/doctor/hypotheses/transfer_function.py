@@ -1,4 +1,4 @@
-"""Whether colors are linear: antialiased silhouettes tell.
+"""Test whether colors are linear, by antialiased silhouettes.
 
 A pixel that a silhouette crosses holds a mixture of both surfaces, with the same share in red, green and blue. So it
 is of linear colors: after a display curve the shares differ from channel to channel. Only silhouettes count, which the
@@ -31,8 +31,8 @@ def srgb_to_linear(color: np.ndarray) -> np.ndarray:
 
 
 class Votes(NamedTuple):
-    """Of silhouettes between two flat sides: how many fit sRGB values better than linear ones, how many tell, how many
-    have a mixture between the sides, and how many there are."""
+    """Counts of silhouettes between two flat sides: those that fit sRGB values better than linear ones, those that
+    are evidence, those with a mixture between the sides, and all."""
 
     encoded: int = 0
     telling: int = 0
@@ -45,7 +45,7 @@ class Votes(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """ "display values", "doubtful", or "" for linear colors and where nothing tells."""
+        """ "display values", "doubtful", or "" for linear colors and without evidence."""
         if self.telling < _LEAST or self.mixed < _MIXED * self.silhouettes or self.share < _DOUBTFUL:
             return ""
         return "display values" if self.share >= _SURE else "doubtful"

@@ -1,1 +1,1 @@
-"""The table of `gffe eval`: every method on every sequence, in cells that are kept by what they are made of."""
+"""The table of `gffe eval`: every method on every sequence. Cells are cached by a hash of their inputs."""

@@ -62,8 +62,8 @@ class MotionVectors:
 
 
 class OpticalFlow:
-    """Flow from t to t−1 by OpenCV's DIS (Kroeger et al., ECCV 2016) on what is displayed, carried on at constant speed
-    and warped forward; holes take the nearest vector. It needs pictures only."""
+    """Flow from t to t−1 by OpenCV's DIS (Kroeger et al., ECCV 2016) on displayed pictures, continued at constant
+    speed and warped forward. Holes take the nearest vector. It needs pictures only."""
 
     def __init__(self, exposure: float):
         import cv2
@@ -107,9 +107,9 @@ class GuidedExtrapolation:
 
 
 class Interpolation:
-    """Between t and the rendered frame after it, along the latter's motion vectors: the latency that extrapolation
-    saves, as a reference. Both frames are looked up and mixed by time where they show one surface; what only t shows
-    follows t's own vectors."""
+    """Interpolation between t and the next rendered frame along the latter's motion vectors. It is a reference with
+    the latency that extrapolation avoids. Where both frames show one surface they are mixed by time. Surfaces that
+    only t shows follow t's own vectors."""
 
     def submit(self, shot: Shot) -> None:
         self._shot = shot
@@ -137,8 +137,8 @@ class Interpolation:
 
 
 def guided_fill(color: np.ndarray, known: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """`color` (H, W, 3) with means of known pixels of like `depth` (H, W) where it is not `known`, from ever farther
-    off; what finds none takes the nearest pixel."""
+    """Return `color` (H, W, 3), filled where it is not `known`: with means of known pixels of similar `depth` (H,
+    W), from increasing distances, or else with the nearest pixel."""
     color, known = color.copy(), known.copy()
     nearness = np.where(np.isfinite(depth), 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
     height, width = depth.shape

@@ -43,7 +43,7 @@ class Cache:
         return Cell(document, pictures)
 
     def write(self, key: str, cell: Cell) -> None:
-        """The JSON comes last: a cell without it is none."""
+        """Write a cell. The JSON is written last, so that an incomplete cell does not count."""
         try:
             for name, data in cell.pictures.items():
                 with replacing(self.path / f"{key}.{name}.webp") as part:
@@ -77,7 +77,7 @@ def key_of(subject: dict, method: dict | None) -> str:
 
 @cache
 def sources() -> str:
-    """A hash of what the modules that take part in figures do: comments and docstrings do not matter."""
+    """Return a hash of the modules that figures depend on. Comments and docstrings do not change it."""
     root, total = Path(str(files("gffe_cl"))), hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)

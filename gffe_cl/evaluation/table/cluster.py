@@ -1,4 +1,4 @@
-"""The same cells on many machines: workers of a Dask cluster compute them, and what comes back is kept here."""
+"""Computation of cells on a Dask cluster. Their results are stored on this machine."""
 
 from __future__ import annotations
 

@@ -95,9 +95,10 @@ Subject = SceneSubject | FolderSubject
 
 @dataclass(frozen=True)
 class Guide:
-    """G-buffers of the new frame and what they tell of the rendered frame at t, exact. `depth` (H, W) float32, view z;
-    `motion` (H, W, 2) float32, pixels: where the surface is in the displayed image of t, minus here; `source_depth`
-    (H, W) float32: its view z there (NaN where it is behind that camera); `moving` (H, W) bool: it moves by itself."""
+    """Exact G-buffers of the new frame, and their correspondence with the rendered frame at t. `depth` (H, W)
+    float32, view z; `motion` (H, W, 2) float32, pixels: position of the surface in the displayed image of t, minus
+    here; `source_depth` (H, W) float32: its view z there (NaN behind that camera); `moving` (H, W) bool: it moves by
+    itself."""
 
     depth: np.ndarray
     motion: np.ndarray
@@ -122,8 +123,8 @@ class Moment:
 
 @dataclass(frozen=True)
 class Shot:
-    """A rendered frame, what is shown of it (H, W, 3) linear, the moments after it that count, the rendered frame that
-    follows it, if one does, and, with guides, which of what is shown (H, W) moves by itself."""
+    """A rendered frame; its displayed picture (H, W, 3) linear; the moments after it that count; the next rendered
+    frame, if there is one; and, with guides, a mask (H, W) of displayed movers."""
 
     frame: RenderedFrame
     shown: np.ndarray
@@ -146,8 +147,8 @@ class Footage:
         self._kept: dict[str, list[Shot]] = {}
 
     def shots(self, window: str = "off") -> Iterator[Shot]:
-        """In order of time. `window`: "off" for frames as they are shown; "given": as they were recorded, small ones if
-        there is upscaling; or, where `windows` can be had, any other mode of `WindowChooser`."""
+        """Return the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded,
+        small ones with upscaling; or, if `windows` are available, any other mode of `WindowChooser`."""
         window = "off" if self.windows and window == "given" and not self.upscale else window
         if window in self._kept:
             yield from self._kept[window]
@@ -168,7 +169,7 @@ class Footage:
 
     @property
     def knows_rendered(self) -> bool:
-        """Whether `Shot.shown` is what a rendered frame should look like: not if it is a small one, resampled."""
+        """Whether `Shot.shown` is a reference for rendered frames: not if it is a small one, resampled."""
         return self.exact or not self.upscale
 
     def _make(self, window: str) -> Iterator[Shot]:
@@ -212,7 +213,8 @@ class _Scene(Footage):
             before = frame
 
     def _reference(self, window):
-        """Of each rendered frame: what is shown, the moments after it, and what moves: the same for all windows."""
+        """Return the displayed picture, the later moments and the movers of each rendered frame: the same for all
+        windows."""
         if "off" in self._kept:
             yield from ((shot.shown, shot.moments, shot.moving) for shot in self._kept["off"])
             return
@@ -326,8 +328,8 @@ def parse_subject(
 
 
 def truths_after(sequence: Sequence) -> dict[str, list]:
-    """Entries of ground truth by the file of the rendered frame they follow, where that one has history and a rendered
-    frame comes after it: what interpolates needs that, and all methods are measured at the same moments."""
+    """Return entries of ground truth by the file of the rendered frame before them. That frame must have history and
+    a rendered frame after it, because interpolation needs it and all methods are measured at the same moments."""
     found: dict[str, list] = {}
     rendered, since, usable = sequence.rendered, 0, []
     for k, entry in enumerate(rendered):

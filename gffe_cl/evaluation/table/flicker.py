@@ -1,4 +1,4 @@
-"""Flicker: what shows of the error when rendered and generated frames alternate.
+"""Flicker: visible error when rendered and generated frames alternate.
 
 At 60 Hz people do not see how far a single frame is off; they see that every second one is: lit edges that pulse,
 shadows that jump to and fro. The eye follows what moves, so the difference between shown and true frame is what counts,
@@ -38,7 +38,7 @@ class Flicker:
         return change
 
     def cut(self) -> None:
-        """Begin anew: the next frame is not shown right after the last one added."""
+        """Start a new sequence: the next frame is not displayed right after the last one added."""
         self._before = None
 
     @property

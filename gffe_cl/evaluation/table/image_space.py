@@ -1,4 +1,4 @@
-"""Warping pictures by motion in pixels, without geometry: what baselines are made of. NumPy, whole images at a time."""
+"""Warping of pictures by motion in pixels, without geometry, for baselines. NumPy, whole images at a time."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def splat(place: np.ndarray, depth: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Carry `values` (H, W, C) of every pixel to `place` (H, W, 2), onto the four pixels around: the nearest `depth`
-    (H, W) wins, what lies within 5% of it is mixed by its share of the pixel. Returns (H, W, C) float32, and (H, W)
-    bool where anything landed."""
+    """Carry `values` (H, W, C) of every pixel to `place` (H, W, 2), onto the four pixels around. The nearest `depth`
+    (H, W) wins; surfaces within 5% of it are mixed by their share of the pixel. Returns (H, W, C) float32, and (H,
+    W) bool of the pixels reached."""
     height, width = depth.shape
     finite = np.isfinite(place).all(-1) & ~np.isnan(depth)
     at, z, carried = place[finite] - np.float32(0.5), depth[finite].astype(np.float32), values[finite]

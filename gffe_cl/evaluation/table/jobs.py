@@ -79,8 +79,8 @@ def compute_cell(
     network: tuple[str | None, str] = (None, "cpu"),
     on_moment: Callable[[], None] = lambda: None,
 ) -> Cell:
-    """The cell of the method of that name; None: what is the same for all methods. In any process: it opens its own
-    OpenCL device. `videos`: names of `VIDEO_METRICS` to measure, too."""
+    """Return the cell of the method of that name; None for the values that all methods share. It may run in any
+    process and opens its own OpenCL device. `videos`: names of `VIDEO_METRICS` to measure in addition."""
     footage = _footage(subject, device)
     if method is None:
         return _describe(footage)
@@ -238,7 +238,7 @@ class _Lap:
 
 
 def _finish(runner) -> None:
-    """Wait for what a pipeline still has to do for the rendered frame."""
+    """Wait until a pipeline has finished its work for the rendered frame."""
     if isinstance(runner, PipelineRunner):
         runner.finish()
 

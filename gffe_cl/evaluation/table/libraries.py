@@ -68,9 +68,9 @@ class RemappedFlow(Remapped):
 
 
 class TorchSplat:
-    """Forward splat by motion vectors. Pixels claim the depth of the pixel nearest to their new place, the nearest
-    surface wins, and what lies within 5% of it is mixed by its share of the pixel. Pixels that nothing reaches keep
-    the color of t."""
+    """Forward splat by motion vectors. Pixels claim the depth of the pixel nearest to their new place. The nearest
+    surface wins, and surfaces within 5% of it are mixed by their share of the pixel. Pixels that nothing reaches
+    keep the color of t."""
 
     def __init__(self):
         import torch

@@ -18,9 +18,9 @@ from gffe_cl.stages.frame_block import mapping
 
 
 class PipelineRunner:
-    """Our pipeline, with the options of a method; with upscaling where frames are smaller than what is shown.
-    `window` is a rule, `knows_camera` whether that of the new frame is given. `pipeline` is its own; `milliseconds` of
-    kernels and the network, per rendered frame with one new one."""
+    """The project's pipeline with the options of a method, with upscaling if frames are smaller than the display.
+    `window`: rule of the rendering window; `knows_camera`: whether the new frame's camera is given; `pipeline`: its
+    own; `milliseconds` of kernels and network per rendered frame with one new one."""
 
     upscales = True
 
@@ -37,7 +37,7 @@ class PipelineRunner:
         self._submitted = None
 
     def finish(self) -> None:
-        """Wait for the device; what it did so far since `submit` counts for each new frame."""
+        """Wait for the device. Its work since `submit` counts for each new frame."""
         taken = self._taken()
         self._submitted = taken if self._submitted is None else self._submitted
 
@@ -83,7 +83,7 @@ class RenderedUpscaled(PipelineRunner):
 
 
 class UpscaledFirst(PipelineRunner):
-    """Rendered frames are upscaled, and new ones extrapolated from what is shown of them, all at the display's size."""
+    """Upscaling before extrapolation: new frames are extrapolated from upscaled frames, all at the display's size."""
 
     def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
         super().__init__(options, window, knows_camera, footage, device)
@@ -104,7 +104,7 @@ class UpscaledFirst(PipelineRunner):
 
 
 class TrueMotion(PipelineRunner):
-    """Position prediction is given the true position of every fragment: what is missing then, nothing could predict."""
+    """Pipeline with the true position of every fragment: an upper bound for position prediction."""
 
     def extrapolated(self, moment):
         assert moment.true_positions is not None  # see Method.needs
@@ -112,7 +112,7 @@ class TrueMotion(PipelineRunner):
 
 
 class TrueGeometry(PipelineRunner):
-    """Upscaling is given the exact depth and motion of the new frame: what is missing then is not the warp's fault."""
+    """Upscaling with exact depth and motion of the new frame: its remaining error is not the warp's."""
 
     def submit(self, shot):
         super().submit(shot)

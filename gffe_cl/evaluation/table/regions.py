@@ -76,7 +76,7 @@ def labels_of(parts: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def exact_parts(shot: Shot, guide: Guide) -> dict[str, np.ndarray]:
-    """Masks but for "focus" and "rest", from what the renderer knows; `shot` without a window."""
+    """Return masks from the renderer, all except "focus" and "rest". `shot` is without a window."""
     height, width = guide.depth.shape
     with np.errstate(invalid="ignore"):
         place = pixel_centers(height, width) + guide.motion
@@ -111,7 +111,8 @@ def same_surface(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _found_parts(shot: Shot, found: dict, static_holes: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
-    """The same as the pipeline found it; `static_holes`: what is disoccluded where everything counts as static."""
+    """Return the same masks by the pipeline's own buffers. `static_holes`: disocclusions if everything counts as
+    static."""
     holes = found["disoccluded"] != 0
     height, width = holes.shape
     outside = np.zeros_like(holes)

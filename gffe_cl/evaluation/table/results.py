@@ -57,7 +57,7 @@ class Column:
     higher_is_better: bool
 
     def text(self, value: float | None, signed: bool = False) -> str:
-        """A figure for people, "–" where there is none."""
+        """Return a figure as text, "–" if undefined."""
         if value is None or not math.isfinite(value):
             return "–"
         return f"{round(value, self.digits) + 0.0:{'+' if signed else ''}.{self.digits}f}"
@@ -107,7 +107,7 @@ def results_of(filled: Filled, late: dict[float, Filled] | None = None, command:
 
 
 def versions() -> dict[str, str]:
-    """Of Python and the packages that figures hang on, as far as they are installed."""
+    """Return versions of Python and of the installed packages that figures depend on."""
     found = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
@@ -137,8 +137,8 @@ def budget(errors: RegionErrors) -> list[dict]:
 
 
 def gains(filled: Filled) -> list[dict]:
-    """Return each of `GAINS`, pooled over the sequences that have both rows: by how much PSNR is higher with it,
-    in dB, over the whole frame, over its region and in the mean of the frames, beside the paper's gain."""
+    """Return each of `GAINS`, pooled over the sequences that have both rows: the increase of PSNR in dB over the
+    whole frame, over its region and in the mean of the frames, and the paper's gain."""
     found = []
     for gain in GAINS:
         both = [
@@ -244,7 +244,7 @@ def _skipped(filled: Filled) -> list[dict]:
 
 
 def _average(cell: Cell, name: str) -> float:
-    """Over frames, of what is defined."""
+    """Return the mean of defined values over frames."""
     values = [frame[name] for frame in cell.document["frames"] if frame.get(name) is not None]
     return float(np.mean(values)) if values else float("nan")
 

@@ -19,7 +19,7 @@ Executor = Callable[[list["Work"], dict], Iterator[tuple["Work", Cell | GffeErro
 
 @dataclass(frozen=True)
 class Work:
-    """A cell to compute: `method` None is what describes the sequence."""
+    """A cell to compute; `method` None stands for the description of the sequence."""
 
     subject: Subject
     method: str | None
@@ -28,9 +28,9 @@ class Work:
 
 @dataclass
 class Filled:
-    """The table: cells by (name of the sequence, name of the method), what describes each sequence, and why the others
-    are missing; `broken`: why, of sequences that cannot be measured at all, by their names; `computed`: how many cells
-    were not there before."""
+    """The table: cells by (name of the sequence, name of the method), the description of each sequence, and reasons
+    for missing cells; `broken`: reasons by name for sequences that cannot be measured; `computed`: number of cells
+    not taken from the cache."""
 
     methods: dict[str, Method]
     subjects: list[Subject]
@@ -71,9 +71,9 @@ def fill(
     executor: Executor | None = None,
     on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
 ) -> Filled:
-    """Fill the table; cells are kept in `folder`. `on_plan` takes the number of moments to come and returns what is
-    called after each of them. Finished cells stay whatever ends it; a sequence with faults is left out. Raises
-    GffeError if all have some."""
+    """Fill the table; cells are cached in `folder`. `on_plan` takes the number of moments to come and returns a
+    function that is called after each of them. Finished cells survive an interrupt. Sequences with faults are left
+    out. Raises GffeError if all have faults."""
     names = [subject.name for subject in order.subjects]
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")

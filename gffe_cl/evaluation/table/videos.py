@@ -68,7 +68,7 @@ VIDEO_METRICS = {
 def measured_or_reason(
     metric: VideoMetric, shown: list[np.ndarray], truth: list[np.ndarray], fps: float
 ) -> tuple[float | None, str | None]:
-    """The figure, or why there is none."""
+    """Return the figure, or the reason why there is none."""
     try:
         return metric.measure(shown, truth, fps), None
     except ModuleNotFoundError as error:

@@ -27,9 +27,7 @@ _HAIR = ((0.03, 0.02, 0.015), (0.12, 0.06, 0.025), (0.35, 0.24, 0.1), (0.3, 0.3,
 
 @dataclass(frozen=True)
 class _Joint(Motion):
-    """A limb: hangs from `offset` in its parent's space and swings about x by `angle(phase of the gait)`
-    radians.
-    """
+    """A limb, attached at `offset` in its parent's space. It swings about x by `angle(phase of the gait)` radians."""
 
     parent: Motion
     offset: tuple

@@ -1,4 +1,4 @@
-"""Lamps that move: what throws traveling light and shadows. Each returns its lights and its groups."""
+"""Moving lamps that throw traveling light and shadows. Each function returns its lights and its groups."""
 
 from __future__ import annotations
 

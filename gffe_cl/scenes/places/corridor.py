@@ -209,7 +209,7 @@ def _outside(rng) -> list[Group]:
 
 
 def _people(rng) -> list[Group]:
-    """Two lanes beside the camera's, and free walking beyond its reach."""
+    """Return people in two lanes next to the camera's lane, and free walkers beyond its reach."""
     groups = []
     for side in (1.0, -1.0):
         a, b = (1.15, 1.6) if side > 0 else (-1.15, -1.65)

@@ -236,7 +236,7 @@ def _crane(rng, yellow) -> tuple[list[Light], list[Group]]:
 
 
 def _people(rng) -> list[Group]:
-    """Workers beyond the curtain and beside the belt."""
+    """Return workers beyond the curtain and along the belt."""
     groups = []
     for x, z in ((0.6, -8.0), (2.2, -13.5)):
         ring = [(x + 1.4 * np.cos(a), z + 1.3 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 8)[:-1]]

@@ -194,7 +194,7 @@ def _sculptures(rng) -> list[Group]:
 
 
 def _people(rng) -> list[Group]:
-    """Visitors in lanes beside the camera's, and one at the far end."""
+    """Return visitors in lanes next to the camera's lane, and one at the far end."""
     groups = []
     for side in (1.0, -1.0):
         near, far = rng.uniform(2.5, 5.0), rng.uniform(-6.5, -4.0)

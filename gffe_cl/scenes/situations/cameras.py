@@ -23,7 +23,7 @@ def handheld(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def cab(seed: int, rng: np.random.Generator) -> Scene:
-    """A cab that drives between trees and shakes: what belongs to it is fixed to the camera."""
+    """A shaking cab that drives between trees. Its parts are fixed to the camera."""
     groups, cameras, _ = _cab(seed, rng)
     return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), cameras)
 
@@ -49,7 +49,8 @@ def wipers(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def _cab(seed: int, rng: np.random.Generator) -> tuple[list[Group], tuple[Callable, Callable], Held]:
-    """Groups of a cab between trees, paths of eye and target, and the motion of what is fixed to the camera."""
+    """Return the groups of a cab between trees, the paths of eye and target, and the motion of parts fixed to the
+    camera."""
     ground = Material(vary(rng, (0.2, 0.26, 0.1)), (0.3, 0.26, 0.18), "cobbles", scale=0.5, contrast=0.5, seed=seed)
     road = Material((0.16, 0.16, 0.17), (0.1, 0.1, 0.1), "cobbles", scale=0.2, contrast=0.4, roughness=0.9, seed=seed)
     groups = [

@@ -109,7 +109,7 @@ def lamplight(rng: np.random.Generator, strength: float = 1.0) -> tuple[list[Lig
 
 
 def still_camera(rng: np.random.Generator, eye=(0.0, 1.55, 2.0), target=(0.0, 1.3, -3.0)) -> tuple[Callable, Callable]:
-    """Paths of eye and target of a camera that hardly moves: what is seen, moves by itself."""
+    """Return paths of eye and target of a nearly still camera, so that visible motion is the objects' own."""
     phase = rng.random(3)
     eye_path = wave(eye, (0.25, 0.04, 0.1), (9.0, 7.0, 11.0), phase)
     return eye_path, wave(target, (0.15, 0.03, 0.0), (8.0, 9.0, 1.0), phase)

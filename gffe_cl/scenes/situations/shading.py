@@ -1,4 +1,4 @@
-"""Situations of light that moves over what stands still."""
+"""Situations of light that moves over static surfaces."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Looking into a running program: what works in the program, what the viewer has of it, and how they talk."""
+"""Attached programs: the side of the program, the side of the viewer, and their messages."""

@@ -133,7 +133,7 @@ class Listener:
 
 
 def connect(name: str) -> Channel:
-    """To the program that is attached as `name`. GffeError if there is none, or if it is another user's."""
+    """Connect to the program attached as `name`. Raises GffeError if there is none, or if it is another user's."""
     require_linux()
     require_name(name)
     with _folder_to_oneself() as folder:
@@ -149,7 +149,7 @@ def connect(name: str) -> Channel:
 
 
 def _peer_uid(connected: socket.socket) -> int:
-    """Who runs the process at the other end, as the kernel says."""
+    """Return the user of the process at the other end, from the kernel."""
     _, uid, _ = struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i")))
     return uid
 
@@ -174,7 +174,7 @@ def _folder_to_oneself() -> Iterator[Path]:
 
 
 def _living(folder: Path) -> Iterator[str]:
-    """Names of programs that are attached; what dead ones have left is removed."""
+    """Return names of attached programs, and remove the files of dead ones."""
     for path in sorted(folder.glob("*.socket"), key=lambda path: path.stem):
         connected = _connected(path)
         if connected is not None:
@@ -185,7 +185,7 @@ def _living(folder: Path) -> Iterator[str]:
 
 
 def _connected(path: Path) -> socket.socket | None:
-    """None where nobody listens any more."""
+    """Return the connection, None if nobody listens any more."""
     connected = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         connected.connect(str(path))

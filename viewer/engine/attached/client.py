@@ -171,7 +171,7 @@ def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer | None:
 
 
 class _Viewer:
-    """A viewer that looks: its wishes, which come on a thread of their own, and what it was given."""
+    """A connected viewer: its requests, which arrive on a thread of their own, and the answers sent."""
 
     def __init__(self, channel: Channel, recorder: Recorder | None):
         self.channel, self.recorder = channel, recorder
@@ -333,7 +333,7 @@ class _Watcher:
         return Shot(Moment(self._number, made.alpha, made.time, made.camera, *cameras), buffers)
 
     def _start(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: Look, start: float) -> None:
-        """Have the layers read beside what the program does next."""
+        """Start reading the layers back while the program continues."""
         board, before = (pipeline.board, bool(pipeline.presentation), bool(pipeline.composition)), self._specs_of
         if before is None or before[0] is not board[0] or before[1:] != board[1:]:
             self._specs_of = board
@@ -350,7 +350,7 @@ class _Watcher:
         viewer.pending = _Pending(shot.moment, events, images, launched, self._frame_ms, milliseconds)
 
     def _finish(self, viewer: _Viewer, pipeline: Pipeline) -> None:
-        """Wait for what is read, and send it."""
+        """Wait for the layers, and send them."""
         start, pending, viewer.pending = time.perf_counter(), viewer.pending, None
         assert pending is not None
         if pending.events:

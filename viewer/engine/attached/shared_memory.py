@@ -29,7 +29,7 @@ _LEAST_FRAMES = 3
 
 
 class SharedBlock:
-    """`nbytes` of memory that others can map by `descriptor`. OSError where there is no memory."""
+    """`nbytes` of memory that other processes can map by `descriptor`. Raises OSError without memory."""
 
     def __init__(self, nbytes: int):
         self.nbytes = _rounded(nbytes)
@@ -90,7 +90,8 @@ def _rounded(nbytes: int) -> int:
 
 @dataclass(frozen=True)
 class RecordingPlan:
-    """`count` frames of `size`, one after the other in a block; `display`: width and height of what is shown."""
+    """Layout of `count` frames of `size`, one after the other in a block; `display`: width and height of displayed
+    frames."""
 
     count: int
     size: tuple[int, int]
@@ -99,7 +100,7 @@ class RecordingPlan:
 
     @classmethod
     def of(cls, wanted: int, size: tuple[int, int], display: tuple[int, int], fps: float) -> RecordingPlan:
-        """As many frames as are `wanted`, or as there is memory for."""
+        """Return a plan for the `wanted` frames, or for as many as fit into memory."""
         fitting = cls(1, size, display, fps)
         return cls(max(min(wanted, _MOST_BYTES // fitting.nbytes), _LEAST_FRAMES), size, display, fps)
 
@@ -117,8 +118,8 @@ class RecordingPlan:
         return self.count * self.stride
 
     def head(self, memory: mmap.mmap, slot: int) -> np.ndarray:
-        """(3,) uint64: number of the change that was begun last, of that which was finished last, and bytes of what is
-        said about the frame. Where the first two differ, it is being written."""
+        """(3,) uint64: number of the last change begun, of the last change finished, and bytes of the frame's
+        description. If the first two differ, the frame is being written."""
         return np.ndarray(3, np.uint64, memory, slot * self.stride)
 
     def about(self, memory: mmap.mmap, slot: int) -> np.ndarray:
@@ -136,7 +137,7 @@ class RecordingPlan:
 
 @dataclass
 class _About:
-    """A recorded frame without its pixels. `cameras`: of what was extrapolated from it, by their times."""
+    """A recorded frame without its pixels. `cameras`: of the frames extrapolated from it, by their times."""
 
     number: int
     time: float
@@ -148,8 +149,8 @@ class _About:
 
 
 class Recorder:
-    """Keeps the last rendered frames in shared memory: the program's side. The device copies them there on a queue of
-    its own, beside what comes next; a frame counts once that has ended."""
+    """The program's side of a recording: it keeps the last rendered frames in shared memory. The device copies them
+    there on a queue of its own while the program continues. A frame counts once its copy has finished."""
 
     def __init__(self, plan: RecordingPlan):
         self.plan, self.block = plan, SharedBlock(plan.nbytes)
@@ -210,8 +211,8 @@ class Recorder:
 
 
 def recorded(plan: RecordingPlan, memory: mmap.mmap, name: str) -> Sequence | None:
-    """The last frames that the program has recorded, copied: those up to the newest that follow each other. It may go
-    on writing meanwhile, or be dead. None if there is none yet."""
+    """Return copies of the last recorded frames, the consecutive ones up to the newest. The program may continue
+    writing, or be dead. None if there is none yet."""
     found: dict[int, tuple[_About, list[np.ndarray]]] = {}
     for slot in range(plan.count):
         before = plan.head(memory, slot).copy()

@@ -34,9 +34,8 @@ class Greeting:
 
 @dataclass(frozen=True)
 class Look:
-    """A wish for the next frame with these layers; `generated`: not for a rendered one, where the
-    program makes others. There is one answer, `Seen`,
-    and nothing more until the next wish."""
+    """Request for the next frame with these layers. `generated`: skip rendered frames if the program generates
+    others. Each request has one answer, `Seen`."""
 
     layers: frozenset[str]
     generated: bool = False
@@ -64,7 +63,7 @@ class Use:
 
 @dataclass(frozen=True)
 class Program:
-    """Who has answered: sizes are (width, height). `refused`: why nobody may look, if so."""
+    """Description of the answering program: sizes are (width, height). `refused`: the reason if viewers are refused."""
 
     version: str
     pid: int = 0
@@ -85,9 +84,9 @@ class Recording:
 
 @dataclass(frozen=True)
 class Seen:
-    """A frame. `images`: where they are in the shared block, whose descriptor comes with the first message and
-    whenever there is another one; `specs`: of all layers, None if they are as before; `frame_ms`: from the last frame
-    to this one, without what looking took; `look_ms`: that. The others as in `Result`."""
+    """A frame. `images`: their places in the shared block, whose descriptor comes with the first message and after
+    each change of the block; `specs`: of all layers, None if unchanged; `frame_ms`: from the last frame to this one,
+    without the viewer's cost; `look_ms`: that cost. Other fields as in `Result`."""
 
     moment: Moment
     images: dict[str, Placed]

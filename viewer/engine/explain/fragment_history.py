@@ -1,4 +1,4 @@
-"""A fragment of a rendered frame: what history tracking and prediction know of it, for the story of a pixel."""
+"""Data of history tracking and prediction on one fragment of a rendered frame, for the story of a pixel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CELLS = constants("mover_grid.h")
 
 @dataclass(frozen=True)
 class Fragment:
-    """A fragment of the rendered frame: what history tracking and prediction know of it."""
+    """A fragment of the rendered frame, with its data from history tracking and prediction."""
 
     trajectory: tuple[tuple[float, float], ...]
     dynamic: bool
@@ -97,8 +97,8 @@ def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bo
 
 
 def _residual(shot: Shot, px, depth: float, motion, error) -> float | None:
-    """Pixels between where its motion says that the fragment was and where it was if static, beyond errors of
-    quantization, `error` (4,); None if not tested."""
+    """Return the distance in pixels between the fragment's previous position by its motion and the static one,
+    beyond quantization errors, `error` (4,); None if not tested."""
     if shot.moment.previous_camera is None or not (0 < depth < np.inf) or not np.isfinite(motion).all():
         return None
     was, z = shot.moment.previous_camera.project(shot.moment.render_camera.unproject(px, depth))
@@ -154,7 +154,8 @@ def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshol
 
 
 def _known_places(shot: Shot, px_prev, met_depth: float, history) -> list[np.ndarray]:
-    """P_1 … as far as they are known, in the view space of the rendered camera. `history`: what is stored, if it is."""
+    """Return P_1 … as far as known, in the view space of the rendered camera. `history`: the stored positions, if
+    any."""
     if shot.moment.previous_camera is None or not met_depth > 0:
         return []
     world = shot.moment.previous_camera.unproject(px_prev, met_depth)

@@ -1,4 +1,4 @@
-"""The way of a fragment through the last rendered frames, as their motion vectors tell it."""
+"""Trail of a fragment through the last rendered frames, along their motion vectors."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def way_of(queue: cl.CommandQueue, passed: Iterable[Passed], px: tuple[float, fl
 
 
 def _met(queue: cl.CommandQueue, frame: Passed, px: tuple[float, float], expected: float | None):
-    """(position, depth, motion) of the surface at depth `expected` that is met at `px`, or beside it, as motion vectors
-    at silhouettes miss by a pixel; None if there is none. `expected`: None for whatever is there."""
+    """Return (position, depth, motion) of the surface at depth `expected` at `px` or one pixel beside it, because
+    motion vectors at silhouettes miss by a pixel; None if there is none. `expected`: None for any depth."""
     best, least = None, _SAME
     for dx, dy in _AROUND:
         at = px[0] + dx, px[1] + dy

@@ -1,4 +1,4 @@
-"""Telling the story of how a pixel came about, from what the buffers of its slot hold."""
+"""Story of a pixel: the stages that made it, from the buffers of its slot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Source of an attached program: its frames as they come, or its last frames, frozen."""
+"""Source for an attached program: its frames live, or its last frames, frozen."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from gffe_cl.viewer.engine.sources.source import FrameSource
 
 
 class AttachedSource(FrameSource):
-    """The frames of `program` as they come: there is one slot, which is another frame whenever it is asked for, and
-    `RemoteSlots` makes it."""
+    """Live frames of `program`. It has one slot, which is another frame at each request; `RemoteSlots` makes it."""
 
     follows = True
     count = 1
@@ -50,7 +49,7 @@ class FrozenSource(RecordedSource):
 
 
 class RemoteSlots:
-    """Has the program make what is asked for: as `SlotMaker`, for an `AttachedSource`.
+    """`SlotMaker` of an `AttachedSource`: the program makes the requested slots.
 
     `check` is called while the program is waited for, and may raise to give up.
     """

@@ -12,7 +12,7 @@ _DESCRIPTIONS = ("sequence.json", "cameras.json")
 
 
 class Growth:
-    """Tells when the capture at `place` has become another one; `look` is called now and then, from one thread."""
+    """Detects changes of the capture at `place`. `look` is called repeatedly from one thread."""
 
     def __init__(self, place: Path):
         self.place = place
@@ -20,8 +20,8 @@ class Growth:
         self._known = self._seen = self._state()
 
     def look(self) -> Sequence | None:
-        """The capture opened anew, if it has changed since it was opened last, and not since the last look: whoever
-        writes it is not in the middle of something. One that cannot be opened is looked at again."""
+        """Return the reopened capture if it has changed since it was opened and not since the last look, so that no
+        writer is in the middle of something. If it cannot be opened, the next look tries again."""
         before, self._seen = self._seen, self._state()
         if self._seen == self._known or self._seen != before:
             return None

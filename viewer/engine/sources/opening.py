@@ -1,4 +1,4 @@
-"""Opening the device, and what the user names: a sequence's folder or a built-in scene."""
+"""Opening of the device and of the user's target: a sequence's folder or a built-in scene."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def make_source(
     check: bool = False,
     previewer: Previewer | None = None,
 ) -> FrameSource:
-    """The sequence in the folder `target` (or of its sequence.json, or with this file), else the scene of that name.
-    With `check` its `suspicions` will say whether the first frames of a sequence fit. `previewer`: of this target, if
-    one has opened it already. Raises GffeError."""
+    """Return the sequence in the folder `target` (or of its sequence.json, or with this file), else the scene of
+    that name. With `check`, its `suspicions` are those of the sequence's first frames. `previewer`: of this target,
+    if one has opened it already. Raises GffeError."""
     if is_scene(target):
         source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, plan.fps, window)
     else:

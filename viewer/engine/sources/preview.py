@@ -27,13 +27,13 @@ class Preview:
 
 
 def place_of(target: str) -> Path:
-    """The folder or JSON file that is meant: of an image, the folder that it is in."""
+    """Return the folder or JSON file to open: for an image its folder."""
     path = Path(target).expanduser()
     return path.parent if path.suffix.lower() in _IMAGES and path.is_file() else path
 
 
 class Previewer:
-    """Opens `target`, and reads its first rendered frame, on a thread of its own."""
+    """Opens `target` and reads its first rendered frame, on a thread of its own."""
 
     def __init__(self, target: str):
         self.target = target
@@ -52,7 +52,7 @@ class Previewer:
         return self._sequence
 
     def take(self) -> Preview | None:
-        """The preview when it is there, once; where slot 0 needs a device there is none."""
+        """Return the preview once it is ready, one time only. There is none if slot 0 needs a device."""
         made, self._made = self._made, None
         return made
 

@@ -48,8 +48,8 @@ class FrameSource(Protocol):
     suspicions: Iterable[str] = ()
 
     def sibling(self) -> FrameSource:
-        """The same frames for another pipeline, which uses it on the same thread: with a window and a place of its own.
-        What is read is shared; `fly` and `close` are called for this one only."""
+        """Return a source of the same frames for another pipeline on the same thread, with its own window and
+        position. Files are shared; `fly` and `close` affect this one only."""
         return copy.copy(self)
 
     def configure(self, window: str | None, n: int, upscale: float = 0.0) -> bool:
@@ -62,7 +62,8 @@ class FrameSource(Protocol):
         """The next frame asked for has none before it."""
 
     def outdated(self, k: int, alpha: float) -> bool:
-        """Whether frames delivered since `restart` must be delivered anew before `time(k, alpha)` is shown."""
+        """Return whether frames delivered since `restart` must be delivered again before `time(k, alpha)` is
+        displayed."""
         return False
 
     def reset_before(self, k: int) -> int:
@@ -77,7 +78,8 @@ class FrameSource(Protocol):
         """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
 
     def truth(self, k: int, alpha: float) -> np.ndarray | None:
-        """(H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, if there is one."""
+        """Return (H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, None if there is
+        none."""
 
     def time(self, k: int, alpha: float = 0.0) -> float:
         """Seconds: of frame `k`, and `alpha` times the interval before it later."""
@@ -92,7 +94,7 @@ class FrameSource(Protocol):
         return False
 
     def look_closer(self) -> None:
-        """The first slot is made: now there is time for `suspicions`."""
+        """Start the search for `suspicions`, after the first slot is made."""
 
     def close(self) -> None:
-        """Stops what runs beside."""
+        """Stop background work."""
