@@ -75,16 +75,16 @@ def scenes_table() -> str:
 
 
 def situation_scenes_table() -> str:
-    return table(("situation", "what it shows"), [(f"`{name}`", text) for name, text in SITUATIONS.items()])
+    return table(("situation", "content"), [(f"`{name}`", text) for name, text in SITUATIONS.items()])
 
 
 def formats_table() -> str:
-    """Every form of captures that is opened: what it is, what its folder holds."""
+    """Return all supported formats of captures, with an example of a folder."""
     rows = [
         (f"`{one.name}`", one.sentence, "<br>".join(f"`{line}`" for line in one.example.splitlines()))
         for one in FORMATS.values()
     ]
-    return table(("form", "what it is", "the folder, for example"), rows)
+    return table(("format", "description", "folder, for example"), rows)
 
 
 TABLES: dict[str, Callable[[], str]] = {

@@ -9,6 +9,11 @@ from html import escape
 WIDTH, HEIGHT = 760, 400
 _LEFT, _RIGHT, _TOP, _BOTTOM = 40, 20, 30, 44  # margins
 _FONT, _LETTER = 12, 7.0  # size of the font, and the mean width of a letter
+_STEPS = (1, 2, 5, 10, 20, 50, 100)
+_STYLE = (
+    "rect { fill: #fff; } text { fill: #222; } line { stroke: #ddd; } @media (prefers-color-scheme: dark)"
+    " { rect { fill: #18191b; } text { fill: #e6e6e8; } line { stroke: #34363b; } }"
+)
 _SIDES = ((9, 4, "start"), (-9, 4, "end"), (0, -10, "middle"), (0, 19, "middle"), (9, 16, "start"), (9, -8, "start"))
 
 
@@ -40,10 +45,10 @@ def scatter(points: list[Point], x_title: str, y_title: str) -> str:
         taken.append(box)
         body.append(_text(x + dx, y + dy, point.label, side))
     size = f'width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}"'
-    style = f'font-family="sans-serif" font-size="{_FONT}" fill="#222"'
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" {size} {style}>',
-        '<rect width="100%" height="100%" fill="#fff"/>',
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="{_FONT}">',
+        f"<style>{_STYLE}</style>",
+        '<rect width="100%" height="100%"/>',
     ]
     return "\n".join([*lines, *body, "</svg>\n"])
 
@@ -53,14 +58,15 @@ def _axes(place, most: float, low: int, high: int) -> list[str]:
     for exponent in range(round(math.log10(most)) + 1):
         x, bottom = place(10**exponent, low)
         found += [_line(x, _TOP, x, bottom), _text(x, bottom + 16, str(10**exponent) if exponent else "≤ 1", "middle")]
-    for y_value in range(low, high + 1, max(1, (high - low) // 6)):
+    step = next(step for step in _STEPS if (high - low) / step <= 7)
+    for y_value in range(-(-low // step) * step, high + 1, step):
         x, y = place(1, y_value)
         found += [_line(x, y, WIDTH - _RIGHT, y), _text(x - 8, y + 4, str(y_value), "end")]
     return found
 
 
 def _line(x1: float, y1: float, x2: float, y2: float) -> str:
-    return f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="#ddd"/>'
+    return f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
 def _text(x: float, y: float, text: str, anchor: str) -> str:
