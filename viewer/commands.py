@@ -134,7 +134,7 @@ def register(app) -> None:
         "Ctrl+D",
         app.examine,
         recorded,
-        tooltip="What does not fit: conventions of motion, depth and cameras, and frames in the wrong place",
+        tooltip="Find faults: conventions of motion, depth and cameras, and the order of frames",
     )
     add("theme", "Light theme", "Tools", "Ctrl+T", lambda: _theme(app), checked=lambda: model.settings.theme == "light")
     add("larger", "Larger interface", "Tools", "Ctrl+=", lambda: app.scale_by(1.1))
@@ -161,7 +161,7 @@ def _comparing(app, add, opened) -> None:
         model.say(f"copied: {line}")
 
     add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
-        tooltip="Modules, parameters, kernels, network and window are B now; A goes on being changed")  # fmt: skip
+        tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
     add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", lambda: copy(model.setup), opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip

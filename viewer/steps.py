@@ -338,7 +338,7 @@ def _seconds(text: str, _app) -> float | str:
 def _picture_file(text: str, _app) -> Path:
     path = Path(text)
     if path.suffix.lower() != ".png" or not path.absolute().parent.is_dir():
-        raise GffeError(f"{text}: expected a .png in a folder that is there")
+        raise GffeError(f"{text}: expected a .png in an existing folder")
     return path
 
 
@@ -368,13 +368,13 @@ COMMANDS: dict[str, Command] = {
     "set": Command("set OPTION VALUE: a parameter or module of the panel, as on, off, a number or a choice", _setting,
                    _set),
     "do": Command("do ACTION: an action by its id or label (gffe view --actions)", _known_action, _run, _action_fits),
-    "panel": Command("panel NAME: in front of those beside it", _panel, lambda app, name: app.docks.show(name)),
+    "panel": Command("panel NAME: bring it to the front", _panel, lambda app, name: app.docks.show(name)),
     "palette": Command("palette TEXT: the palette with this typed into it; none: closed", _text, _palette),
     "steer": Command(
         "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
         _flight, _steer,
     ),
-    "say": Command("say TEXT: a title over the picture's foot", _text, _say),
+    "say": Command("say TEXT: show a title at the bottom of the picture", _text, _say),
     "wait": Command(
         "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured, examined or saved", _seconds
     ),

@@ -262,7 +262,7 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())
     out.print(f"Must move: as the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
     sizes = ", ".join(f"{stage} {nbytes / 2**20:.1f}" for stage, nbytes in last.memory_by_stage.items())
-    out.print(f"Device memory there, MiB: {sizes}; two rendered frames beside, motion of one.")
+    out.print(f"Device memory at these sizes, MiB: {sizes}; two rendered frames beside, motion of one.")
 
 
 def _print_kernels(results: list[SizeBench]) -> None:

@@ -50,7 +50,7 @@ def devices(
     if infos:
         out.print(table)
     if default:
-        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh probes anew)")
+        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh repeats the tests)")
     verdicts = _provider_verdicts(refresh)
     for found in verdicts:
         out.print(plain(f"network's provider {found.provider}: {found.summary()}"))

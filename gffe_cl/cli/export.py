@@ -54,7 +54,7 @@ def export(
             frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None}, options.upscale
         )
     written = write(output, opened, options)
-    out.print(f"{len(written)} files in {plain(output)}: README.md says how to build and call them.")
+    out.print(f"{len(written)} files in {plain(output)}: README.md explains how to build and call them.")
     if source:
         made = write_frames(output / "frames", source, count)
         out.print(f"{made} rendered frames in {plain(output / 'frames')} for the example, gffe_example.")

@@ -121,7 +121,7 @@ def _check_quickly(source: Recorded | Live, target: Path) -> None:
 
     suspicion = quick_warning(source.sequence, source.exposure) if isinstance(source, Recorded) else None
     if suspicion:
-        warn(f"{suspicion}; `gffe check {target}` says more")
+        warn(f"{suspicion}; `gffe check {target}` has details")
 
 
 def open_source(

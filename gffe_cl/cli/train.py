@@ -125,7 +125,9 @@ def train(
                 if processes.first:
                     made = len(finished_clips(data, seed, wanted))
                     late = made < wanted
-                    out.print(f"clips: {made} of {wanted}" + ("; the same command goes on from here" if late else ""))
+                    out.print(
+                        f"clips: {made} of {wanted}" + ("; run the same command again to continue" if late else "")
+                    )
                     write_json(json_path, {"clips": made, "done": False})
                 return
             count = complete_clips(data, seed, wanted)
@@ -244,5 +246,5 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
     for name, value in (facts | {name: f"{value:.4g}" for name, value in figures.items()}).items():
         out.print(f"{name}: {value}")
     if not done:
-        out.print("not finished: the same command goes on from here")
+        out.print("not finished: run the same command again to continue")
     write_json(json_path, {"step": training.step, "done": done, "validation": figures, **facts})

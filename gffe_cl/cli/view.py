@@ -158,7 +158,7 @@ def view(
         name for name, given in (("--screenshot", screenshot), ("--measure", measure), ("--script", script)) if given
     ]
     if attach is not None and target is not None:
-        raise GffeError(f"--attach {attach}: a running program is looked into (expected no sequence or scene beside)")
+        raise GffeError(f"--attach {attach}: expected no sequence or scene in addition to a running program")
     if not 3 <= last <= 256:
         raise GffeError(f"--last must be 3 to 256 rendered frames, got {last}")
     if attach is not None and measure is not None:

@@ -251,7 +251,7 @@ def _judge_colors(found: Diagnosis) -> None:
     if votes.verdict:
         sure = votes.verdict == "display values"
         words = "colors are display values (sRGB), not linear" if sure else "colors may be display values (sRGB)"
-        sentence = f"{words}: {votes.share:.0%} of {votes.telling} antialiased silhouettes say so"
+        sentence = f"{words}: {votes.share:.0%} of {votes.telling} antialiased silhouettes are evidence of it"
         figures = votes._asdict()
         found.findings.append(
             Finding(FAULT if sure else NOTE, "color", DISPLAY_VALUES, sentence, "colors are made linear", figures)
@@ -273,8 +273,8 @@ def _tell_unknown(found: Diagnosis, search: Search) -> None:
         return
     if np.quantile(shifted[use], 0.9) < _VISIBLE:
         if np.quantile(turned[use], 0.9) < _VISIBLE:
-            sentence = "the camera stands still: nothing can be said of cameras and depth, and of motion only by movers"
+            sentence = "the camera stands still: cameras and depth cannot be checked, and motion only on movers"
             found.findings.append(Finding(UNKNOWN, "camera", "still camera", sentence))
         else:
-            sentence = "the camera only turns: nothing can be said of depth, and of the cameras' positions"
+            sentence = "the camera only turns: depth and the cameras' positions cannot be checked"
             found.findings.append(Finding(UNKNOWN, "depth", "rotation only", sentence))

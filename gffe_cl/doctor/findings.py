@@ -112,7 +112,9 @@ def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
     stretched = misread_range(c[-1]) if depth.model in (RANGE, PLANAR) else None
     if stretched:
         figures = {"factor": stretched, "offset": c[0] if depth.model is RANGE else 0.0}
-        return Finding(FAULT, "depth", RANGE_MISREAD, _RANGES[stretched], "depths are made linear anew", figures)
+        return Finding(
+            FAULT, "depth", RANGE_MISREAD, _RANGES[stretched], "depths are converted to linear again", figures
+        )
     if depth.model is DEVICE:
         return _device_fault(depth, stored)
     if depth.model is PLANAR:

@@ -235,7 +235,7 @@ def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal
         expected = [operation for operation in whole if operation.buffers() <= has]
         if take != expected:
             raise GffeError(
-                f"export: {_difference(take, expected)} depends on the image or the frame, which C does not know"
+                f"export: {_difference(take, expected)} depends on the image or the frame, which C does not have"
                 " (expected numbers that change to be members of the frame block, kernels/frame.h)"
             )
     return whole

@@ -235,7 +235,7 @@ def _grid(name: str) -> tuple[str, int]:
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
         raise GffeError(
-            f"export: C does not know the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
+            f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
         )
     return f"GFFE_{name.upper()}", 0
 

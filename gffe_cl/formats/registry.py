@@ -61,7 +61,7 @@ FORMATS = {
         ),
         Format(
             "sintel",
-            "MPI Sintel: a scene's folder of colors, beside flow, depth and camdata_left",
+            "MPI Sintel: a scene's folder of colors, with folders flow, depth and camdata_left next to its parent",
             "training/final/alley_1/frame_0001.png …\ntraining/flow/alley_1/frame_0001.flo …\n"
             "training/depth/alley_1/frame_0001.dpt …\ntraining/camdata_left/alley_1/frame_0001.cam …",
             datasets.is_sintel,

@@ -118,7 +118,7 @@ class UnrealPixels(ForeignPixels):
                 if self._meaning != _USUAL:
                     self.notes.append(_said(entry.file, self._meaning, residuals))
                 return
-        self.notes.append("the camera moves too little to tell the scale of the motion vectors: 2 is assumed")
+        self.notes.append("the camera moves too little to determine the scale of the motion vectors: 2 is assumed")
 
     def _depth(self, depth: np.ndarray, camera: Camera, along_rays: bool) -> np.ndarray:
         nothing = ~(depth < (SKY if depth.dtype != np.float16 else _HALF_MAX))

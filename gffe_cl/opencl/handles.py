@@ -43,7 +43,7 @@ def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event
         try:
             its_context, status = event.context, event.command_execution_status
         except cl.Error as error:  # some drivers do not keep the context of an event
-            raise GffeError(f"{what}[{number}]: the driver does not know it: {str(error)[:120]}") from None
+            raise GffeError(f"{what}[{number}]: the driver rejects it: {str(error)[:120]}") from None
         if its_context != context:
             raise GffeError(f"{what}[{number}] belongs to another OpenCL context than the pipeline's device")
         if status < 0:

@@ -79,7 +79,7 @@ class OutputFolder:
         check_file_name(name, str(self.path))
         path = self.path / name
         if name in self._claimed:
-            raise GffeError(f"{path}: is written twice (expected a file of its own for each frame)")
+            raise GffeError(f"{path}: is written twice (expected a different file for each frame)")
         if Path(name).parts[0] in (STAGING, _JOURNAL) or not self._is_inside(path):
             raise GffeError(f"{path}: cannot be written there (expected another folder)")
         if path.is_dir() or (name not in self._own and os.path.lexists(path)):

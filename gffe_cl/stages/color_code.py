@@ -17,7 +17,7 @@ class ColorCode(Stage):
     buffers = (
         BufferSpec(
             "codes", np.float16, RGBA, "source",
-            "colors as they are interpolated and mixed; NaN is 0, infinities are clamped", "color",
+            "colors in the code for interpolation; NaN is 0, infinities are clamped", "color",
         ),
     )  # fmt: skip
     kernels = (

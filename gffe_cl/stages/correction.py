@@ -69,8 +69,8 @@ class ShadingCorrection(Stage):
             " focus mask (5); half resolution", planes=5,
         ),
         BufferSpec(
-            "refined", np.float16, RGBA, "target", "the network's image, without focus mask; made where somebody looks"
-            " at it", "color",
+            "refined", np.float16, RGBA, "target", "the network's image, without focus mask; computed only on"
+            " demand", "color",
         ),
         BufferSpec("focus_mask", np.float16, (), "target", "where it counts (M), 0 below 1/32"),
         BufferSpec("color", np.float16, RGBA, "target", "the final image: refined within M, else GAE", "color"),

@@ -68,7 +68,7 @@ class HistoryTracking(Stage):
             np.float32,
             _CLASSES,
             "once",
-            "largest error of quantized motion vectors by component and sign, px; ε holds beside it; 0: not quantized",
+            "largest error of quantized motion vectors by component and sign, px; ε is added to it; 0: not quantized",
         ),
         BufferSpec(
             "residual_histogram",

@@ -54,15 +54,16 @@ class ShadingFlow(Stage):
             planes=_PRODUCTS, scratch=True,
         ),
         BufferSpec(
-            "differences", np.float32, (), "network2", "mean squared difference of brightness around: as it is (1), and"
-            " along the flow (2); of its change from that of the interval before: as it is (3), and along the flow (4)",
+            "differences", np.float32, (), "network2", "mean squared difference of brightness nearby: in place (1) and"
+            " along the flow (2); of its change from the previous interval's change: in place (3) and along the"
+            " flow (4)",
             planes=_DIFFERENCES,
         ),
         BufferSpec(
-            "candidates", np.float32, (), "network1", "inputs of the network beside its frames: flow / 4 (1, 2), 4 ×"
-            " root of both differences (3, 4) and their ratio (5), 4 × change along the flow until t + α (6–8),"
-            " 4 × trends (9–12),"
-            " 4 × difference of brightness (13), how far the trend held (14), valid share (15), α (16)",
+            "candidates", np.float32, (), "network1", "inputs of the network in addition to its frames: flow / 4"
+            " (1, 2), 4 × root of both differences (3, 4) and their ratio (5), 4 × change along the flow until t + α"
+            " (6–8), 4 × trends (9–12),"
+            " 4 × difference of brightness (13), agreement with the previous trend (14), valid share (15), α (16)",
             planes=CANDIDATE_PLANES, mapped=True,
         ),
     )  # fmt: skip

@@ -67,8 +67,8 @@ class ShadingTrend(Stage):
     )
     buffers = (
         BufferSpec(
-            "changes", np.float32, (), "cells", "change of encoded color since t − 1 (1–3), and share of samples"
-            " that tell (4)", planes=_CHANGES, kept=True,
+            "changes", np.float32, (), "cells", "change of encoded color since t − 1 (1–3), and share of valid"
+            " samples (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
             "changed_samples", np.uint8, (), "cells", "samples, of four in 8×8 pixels, that move or change by more than"

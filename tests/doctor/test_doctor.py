@@ -340,7 +340,7 @@ def test_a_run_warns_of_what_does_not_fit(gffe, tmp_path):
     code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn")
     said = " ".join(err.split())
     assert code == 0 and "warning: motion vectors do not fit depth and cameras (median" in said
-    assert f"`gffe check {bad}` says more" in said
+    assert f"`gffe check {bad}` has details" in said
     code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check")
     assert code == 0 and "do not fit" not in err
 

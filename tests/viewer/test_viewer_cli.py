@@ -236,7 +236,7 @@ WRONG_SCRIPTS = {
     "steer 1,2": "expected steer RIGHT,UP,FORWARD,YAW,PITCH",
     "steer 0,0,0,inf,0": "expected a number",
     "panel Nonsense": "no panel is called 'Nonsense' (expected Picture, Layers",
-    "shot there/a.png": "expected a .png in a folder that is there",
+    "shot there/a.png": "expected a .png in an existing folder",
 }
 
 

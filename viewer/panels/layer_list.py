@@ -18,7 +18,7 @@ _OVERLAYS = ("none", "edges", "residual motion", "disocclusions")
 _OVERLAY_HELP = {
     "edges": "Edges of depth are red, of motion green, of color blue: white where all three meet",
     "residual motion": "Motion minus the camera's; its hue is its direction",
-    "disocclusions": "What the generated frame had no pixels for",
+    "disocclusions": "Pixels without a fragment of the rendered frame",
 }
 
 

@@ -121,6 +121,6 @@ def _measure(model, bandwidth: float | None) -> None:
     if imgui.button(f"{'measure' if bandwidth is None else 'count again'}###bandwidth"):
         model.measure_cost()
     widgets.tooltip(
-        "Bandwidth as in `gffe bench` (takes a second and 512 MiB on the device), and the bytes that the frame shown"
-        " had to move: open a stage to see them beside those measured"
+        "Bandwidth as in `gffe bench` (takes a second and 512 MiB on the device), and the bytes that the displayed"
+        " frame had to move. Open a stage to compare them with the measured ones"
     )

@@ -52,7 +52,7 @@ def socket_folder() -> Path:
     except OSError as error:
         raise GffeError(f"attach: {folder}: {error.strerror} (expected a folder that can be written to)") from None
     if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid() or state.st_mode & 0o077:
-        raise GffeError(f"attach: {folder} must be a folder of your own that nobody else can enter (chmod 700)")
+        raise GffeError(f"attach: {folder} must be a folder that only you can enter (chmod 700)")
     return folder
 
 

@@ -186,7 +186,7 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
         said.append(Step(hides, *_to_source(shot, source_px)))
     if getattr(pipeline.stages.get("holes"), "mixes", False):
         said.append(
-            "Its color is mixed with that of the surface beside the hole, the nearer and the more uniform the more."
+            "Its color is mixed with that of the surface beside the hole; a near and uniform surface counts more."
         )
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)

@@ -69,4 +69,4 @@ def _suspicion(sequence: Sequence, target: str) -> str | None:
     from gffe_cl.doctor import quick_warning
 
     suspicion = quick_warning(sequence, sequence.exposure)
-    return suspicion and printable(f"{suspicion}; `gffe check {target}` says more")
+    return suspicion and printable(f"{suspicion}; `gffe check {target}` has details")
