@@ -35,7 +35,7 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define FAR_SIDE 1.3f            /* inverse depths up to this times another are of the same surface, or of a farther one */
-#define NEARER 0.98f             /* times a depth: what is shown nearer than this hides it */
+#define IN_FRONT 0.98f           /* times the depth that is shown: nearer surfaces lie in front of it */
 
 /* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1; 0: none. */
 inline int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask, const uchar hole) {
@@ -128,19 +128,19 @@ inline float3 continued(const float3 beside, const float3 px_source, const Frame
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
-/* Whether the rendered frame shows something nearer at a place inside of it. */
-inline bool was_hidden(const float3 px_source, const Frame *frame, __global const float *source_depth) {
+/* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows there. */
+inline bool can_be_at(const float3 px_source, const Frame *frame, __global const float *source_depth) {
     const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
-    return !INVALID_DEPTH(shown) && shown < NEARER * px_source.z;
+    return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
 
-/* Of the surfaces beside a disocclusion, those can be behind it that stand still and that, continued into it, were hidden in the
-   rendered frame. The one that counts most, by the inverse of its distances, gets weights; others get 0. Where there is none, the
-   far side gets them. */
+/* Weights of the border of a disocclusion for the surface behind it. Candidates are static surfaces that, continued into the
+   disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances counts;
+   without candidates the far side. */
 inline void weigh_surface_behind(const Border a, const float3 *px_source, const Frame *frame, const Images f, float *weight) {
     bool behind[DIRECTIONS];
     for (int k = 0; k < a.count; ++k)
-        behind[k] = !f.is_dynamic[a.px[k]] && f.filled_by[a.px[k]] != BY_HIDDEN_PART && was_hidden(px_source[k], frame, f.source_depth);
+        behind[k] = !f.is_dynamic[a.px[k]] && f.filled_by[a.px[k]] != BY_HIDDEN_PART && can_be_at(px_source[k], frame, f.source_depth);
     float most = 0.0f, inverse = 0.0f;
     for (int j = 0; j < a.count; ++j) {
         float sum = 0.0f;

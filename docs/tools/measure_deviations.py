@@ -117,7 +117,9 @@ GAE: dict[str, Change] = {
     ),
     "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
-    "holes continue surfaces that were hidden": Change(constants={"holes.cl": {"NEARER": "0.0f"}}),
+    "holes continue surfaces that can be there": Change(
+        edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown)": "return false"}}
+    ),
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"= !(all > 0.0f);": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
     ),

@@ -116,8 +116,8 @@ def is_outside(at, image):
 
 
 def surface_behind(met, ways, source_depth):
-    """[(weight, values)] of the surface behind a disocclusion, of what was `met` beside it: standing surfaces that were
-    hidden, continued into it (`ways`: x, y, depth in the rendered frame); else of the far side."""
+    """[(weight, values)] of the surface behind a disocclusion, of what was `met` beside it: static surfaces that do not
+    lie in front of what the rendered frame shows at `ways` (x, y, depth there); else of the far side."""
 
     def are_as_far(a, b):
         return not a > b * HOLES.FAR_SIDE and not b > a * HOLES.FAR_SIDE
@@ -125,7 +125,7 @@ def surface_behind(met, ways, source_depth):
     candidates = []
     for (inverse, closeness, values, stands), at in zip(met, ways, strict=True):
         shown = source_depth[int(at[1]), int(at[0])]
-        if stands and shown > 0 and shown < F(HOLES.NEARER) * at[2]:
+        if stands and shown > 0 and not at[2] < F(HOLES.IN_FRONT) * shown:
             candidates.append((inverse, closeness, values))
     if not candidates:
         least = min(inverse for inverse, *_ in met)
