@@ -75,7 +75,7 @@ class App:
         self.on_picture: Callable[[App], None] | None = None
         self.canvas: Any = None  # a Canvas, made when there is a GL context
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
-        self.clock = time.perf_counter  # what playback goes by
+        self.clock = time.perf_counter  # the clock of playback
         self.steering = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
         self.actions = Actions()
@@ -93,7 +93,7 @@ class App:
         self.foot: tuple[float, float] | None = None  # of the picture: the middle of its lower edge, screen pixels
         self._drawn = self._texture = self._tiles = None
         self._all_there = True  # when the overview was drawn
-        self._told: tuple = (None, None)  # the pixel and the rectangle that the inspector tells of
+        self._told: tuple = (None, None)  # the inspector's pixel and rectangle
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._layers_known: list = []  # those that have actions
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
@@ -208,7 +208,7 @@ class App:
         self.docks.update()
         if self.clock is time.perf_counter:
             self.picture_frames.show()
-            # what is drawn just before the next slot is due would delay it
+            # drawing just before the next slot is due would delay it
             time.sleep(min(model.playback.rest(self.clock()), _LONGEST_REST))
         model.update(self.clock(), self.canvas)
         if model.contents.layers is not self._layers_known:

@@ -37,7 +37,7 @@ class Docks:
 
     def __init__(self, app, panels: dict[str, tuple[Callable, str]], scale: Callable[[], float]):
         self._app, self._panels, self._scale = app, panels, scale
-        self._runner: hello_imgui.RunnerParams | None = None  # what is set there is a copy of what it is set to
+        self._runner: hello_imgui.RunnerParams | None = None  # it stores a copy of the assigned value
         self.hidden = False  # the panels on both sides
         self._before_hiding: list[str] = []
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
@@ -137,7 +137,7 @@ class Docks:
         shown = {name: self.panel(name).is_visible for name in self._panels}
         return shown | (dict.fromkeys(self._before_hiding, True) if self.hidden else {})
 
-    # ---- sizes, and what is in front -----------------------------------------------------------------------
+    # ---- sizes, and stacking order -------------------------------------------------------------------------
 
     def update(self) -> None:
         """Once per frame of the interface."""

@@ -48,7 +48,7 @@ class Director:
         self.frames: list[np.ndarray] = []
         self._time = 0.0
         self._waits = 0  # steps of the clock still to pass
-        self._until_done = False  # ... and not filmed, until what works beside is done
+        self._until_done = False  # ... and not filmed, until background work is done
         self._still = 0
         self._patience: float | None = None
         self._taken = True

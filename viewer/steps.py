@@ -113,7 +113,7 @@ def perform(app, command: str, value: Any) -> None:
     do(app, value)
 
 
-# ---- where and what ------------------------------------------------------------------------------------------
+# ---- places and names ----------------------------------------------------------------------------------------
 
 
 def _slot(text: str, _app) -> int:
@@ -142,7 +142,7 @@ def found_layer(model, name: str) -> str:
 
 def _nearest(model, text: str) -> list[str]:
     """Return similar names of layers, best first."""
-    known: dict[str, str] = {}  # full names by what somebody may write
+    known: dict[str, str] = {}  # full names by possible spellings
     for spec in model.contents.layers:
         for written in (spec.name, spec.name.partition(".")[2], spec.label.lower()):
             known.setdefault(written, spec.name)

@@ -22,7 +22,7 @@ def apply(name: str, scale: float) -> None:
     for what in dir(usual):  # themes and scaling change sizes for good
         if not (what.startswith(("_", "font_")) or callable(getattr(usual, what))):
             setattr(style, what, getattr(usual, what))
-    style._main_scale = 1.0  # what scale_all_sizes multiplies
+    style._main_scale = 1.0  # factor of scale_all_sizes
     for kind in _ROUNDED:
         setattr(style, f"{kind}_rounding", _ROUNDING)
     style.frame_border_size = style.child_border_size = 1.0

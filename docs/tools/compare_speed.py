@@ -62,7 +62,7 @@ BUSY = 1.15  # wall time : CPU time from which a warning is printed
 def serve(footage: Path, device: str, scn: bool) -> None:
     """Time the frames that standard input asks for, a line of JSON each."""
     replies = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what drivers print
+    os.dup2(2, 1)  # output of drivers
     import pyopencl as cl
 
     import gffe_cl as gffe  # the public names: modules have other places in other versions

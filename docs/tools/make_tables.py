@@ -26,7 +26,7 @@ from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.upload import Upload
 
-# Hole filling as it is by default, and what is made where there are NumPy arrays, a window, or overlays.
+# Default hole filling, and the stages for NumPy arrays, a window, and overlays.
 _USUAL = (FarSide if stage is HoleFilling else stage for stage in STAGES)
 SHOWN: tuple[type[Stage], ...] = (Upload, *_USUAL, Presentation, Composition)
 

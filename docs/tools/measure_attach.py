@@ -28,7 +28,7 @@ from gffe_cl.scenes import load_scene
 NAME = "measure_attach"
 BLOCK, SETTLING = 8, 3  # frames in a turn of a case, and those of them that do not count
 RECORDED = 8  # rendered frames that are kept
-CASES = {  # what the viewer does: rendered frames that are recorded, and the layer that is looked at
+CASES = {  # the viewer's requests: recorded rendered frames, and the displayed layer
     "alone": None,
     "attached": None,
     "recorded": (RECORDED, ""),
@@ -52,7 +52,7 @@ def look() -> None:
             program, stop = RunningProgram(NAME, int(frames)), threading.Event()
             thread = threading.Thread(target=_see, args=(program, layer, stop), daemon=True)
             thread.start()
-            time.sleep(0.3)  # the program has made room for what is recorded
+            time.sleep(0.3)  # the program has allocated memory for the recording
         print("done", flush=True)
 
 

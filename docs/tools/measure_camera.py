@@ -41,8 +41,8 @@ HEADS = (
     *("PSNR, dB: camera known", "order 1", "order 2", "auto"),
 )
 DISTANCE = 3.0  # world units
-RATE = 960  # steps per second of what shakes
-# Springs of what shakes: hertz, damping, and root mean square in radians of each turn and in world units of each move.
+RATE = 960  # steps per second of the shake
+# Springs of the shake: hertz, damping, and root mean square in radians of each turn and in world units of each move.
 SHAKES: dict[str, list[tuple[float, float, float, float]]] = {
     "steady": [],
     "hand-held": [(1.3, 0.4, 0.004, 0.008), (7.0, 0.15, 0.0012, 0.0)],

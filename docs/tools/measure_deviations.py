@@ -80,7 +80,7 @@ class Change:
         return text
 
 
-# By what is named in docs/deviations.md.
+# By the names in docs/deviations.md.
 GAE: dict[str, Change] = {
     "fragments cover what their pixel maps to": Change({"crack_closing": False}),
     "color is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),

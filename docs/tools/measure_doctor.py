@@ -40,7 +40,7 @@ _APART = (  # faults of which no two make a case: they cancel, or one undoes the
     {"color rows", "depth rows", "motion rows", "all rows"},
     {"depth in centimeters", "camera in centimeters"},
 )
-_ALONE = {"motion zero", "color tone-mapped"}  # nothing is left of what these take away
+_ALONE = {"motion zero", "color tone-mapped"}  # these remove information that cannot be restored
 
 
 def cases() -> list[tuple[str, ...]]:
@@ -70,7 +70,7 @@ def measure(good: Kept, names: tuple[str, ...]) -> dict:
     chosen = selected(diagnosis, fixed_by(diagnosis))  # display values as well
     repaired = [frame for _, frame in Repair(bad, chosen).frames()]
     motion, static = restored(repaired, good.images)
-    share = static if "motion zero" in names else min(motion, static)  # what moved by itself is lost
+    share = static if "motion zero" in names else min(motion, static)  # motion of movers is lost
     color = all(_same_color(a, b) for a, b in zip(repaired, good.images, strict=True))
     return {
         "faults": list(names),

@@ -39,7 +39,7 @@ ENCODINGS = (
     "", "half-uv", "half-uv,two-lookups", "unorm8", "unorm16", "rounded", "rounded,two-lookups", "half-depth",
     "noisy-camera", "engine",
 )  # fmt: skip
-BELOW, FACTOR = 0.2, 1.5  # dB below the best fixed threshold, and of the share of dynamic pixels: what is aimed at
+BELOW, FACTOR = 0.2, 1.5  # targets: dB below the best fixed threshold, and factor of the share of dynamic pixels
 RECORD = MEASURED / "encodings.json"
 
 

@@ -16,8 +16,8 @@ from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames
 
-BESIDE = 2  # pixels round what moves that are its silhouettes
-CHANGED = 0.02  # of display values, mean over R, G and B: what light makes brighter or darker
+BESIDE = 2  # pixels around movers that count as their silhouettes
+CHANGED = 0.02  # least change by light, display values, mean over R, G and B
 
 
 def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...], time: float) -> np.ndarray:

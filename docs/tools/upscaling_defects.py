@@ -29,7 +29,7 @@ W, H, SCALE, FPS = 192, 128, 2, 30
 SEED = 2
 JITTER = Jitter(16)
 SHIMMER_SIZE, SETTLED, SEEN = (240, 136), 24, 16
-FAR, NEAR = 12, 6  # meters to the wall, and to what is before it
+FAR, NEAR = 12, 6  # meters to the wall, and to the movers
 GRAY = Rect((0, 0, FAR), (40, 40), frequency=0, tint=(0.2,) * 3)
 AFTER = 6  # frames
 FLAT = 1e-3

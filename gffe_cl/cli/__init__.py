@@ -13,7 +13,7 @@ def main() -> None:
     """Entry point: structural faults become one line and exit code 2. The commands are imported when signals are
     taken care of."""
     _open_missing_streams()
-    if not sys.warnoptions:  # what libraries warn of, of damaged files above all, is no message of ours
+    if not sys.warnoptions:  # warnings of libraries, mostly about damaged files, are not the program's messages
         warnings.simplefilter("ignore")
     with Interrupts() as interrupts:
         from gffe_cl.cli.faults import explain

@@ -165,7 +165,7 @@ class _Lines(Progress):
         super().__init__(console=err, disable=True)
         self._started = self._told = time.monotonic()
         self._begun: dict[int, tuple[float, float]] = {}  # of tasks: when, and how much was done then
-        self._first: dict[int, tuple[float, float]] = {}  # likewise, after the first unit
+        self._first: dict[int, tuple[float, float]] = {}  # the same, after the first unit
         self._finished: set[int] = set()
 
     def add_task(self, *arguments, **options):

@@ -12,7 +12,7 @@ import typer
 from gffe_cl.core.errors import GffeError
 from gffe_cl.pipeline.options import OPTIONS, Option, Options
 
-SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # what the commands that only measure offer
+SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # options of the commands that only measure
 
 
 def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:

@@ -190,7 +190,7 @@ def view(
     asked = options.shading_correction, options.scn_model, options.scn_provider
     remark = ""
     if options.corrects_shading and asked != (None, None, "cpu"):
-        remark = load_network(options.scn_model, options.scn_provider).remark  # what was asked for must work
+        remark = load_network(options.scn_model, options.scn_provider).remark  # an explicit request must work
     require_display()
     by_hand = not alone
     settings, warning = Settings.load() if by_hand else (Settings(), None)

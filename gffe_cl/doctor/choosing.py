@@ -12,7 +12,8 @@ from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids
 from gffe_cl.doctor.hypotheses.depths import AS_GIVEN
 
-ON_REQUEST = finding_id("color", DISPLAY_VALUES)  # only antialiased silhouettes speak for it: renderers can fool them
+# The only evidence is antialiased silhouettes, which some renderers draw differently.
+ON_REQUEST = finding_id("color", DISPLAY_VALUES)
 
 
 def require_findings(names: Collection[str], option: str) -> None:

@@ -24,14 +24,14 @@ _DEEP = 5  # frames that are looked at closely, with those before and after them
 _SAMPLES = 2500  # of each frame
 _MOST_READ, _MOST_PIXELS = 40, 80_000_000  # frames and pixels that are read, whichever is more
 _DOUBTFUL = 0.5  # agreements below that make one look for another order of frames
-_MARGIN = 0.06  # of the sum of scores, by which another reading must be better than what is given
-_VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
-_UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
+_MARGIN = 0.06  # of the sum of scores, by which another reading must be better than the given one
+_VISIBLE = 0.3  # least motion by the camera's rotation and by its translation, pixels
+_UNEXPLAINED = 0.35  # share of samples that must agree roughly; below it there is an unknown fault
 _TELLING = 0.02  # of agreements: by less they do not decide
 _COLORS_ALONE = 0.12  # of color scores, where they have to decide alone
-_COMPARABLE = 0.5  # color score of what stands still, below which movers' colors decide nothing
+_COMPARABLE = 0.5  # color score of static samples, below which movers' colors decide nothing
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
-_ALIKE = 0.01  # difference of agreements below which two readings say the same
+_ALIKE = 0.01  # difference of agreements below which two readings are equivalent
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
 _SKY_STILL = 0.05  # pixels
 
@@ -182,7 +182,7 @@ def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
     for verdict in verdicts:
         motion = verdict.reading.motion
         if verdict.reading == replace(Reading(), motion=motion) and motion.step == PREVIOUS and not motion.held_by:
-            comparable = given.camera_color > _COMPARABLE  # what stands still is met again: the exposure is the same
+            comparable = given.camera_color > _COMPARABLE  # static surfaces have equal colors: the exposure is constant
             return verdict if comparable and verdict.motion_color > given.motion_color + _COLORS_ALONE else given
     return given
 

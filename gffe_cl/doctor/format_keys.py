@@ -15,7 +15,7 @@ from gffe_cl.frame.conventions import DIRECTIONS
 
 _TO_PREVIOUS, _FROM_PREVIOUS = DIRECTIONS
 _AXES = {"OpenGL axes": (1, -1, -1), "y up": (1, -1, 1), "z backward": (1, 1, -1)}
-_UNIT_OF = {  # motion's unit as described, and what is found → the unit that it is in
+_UNIT_OF = {  # motion's unit as described, and the finding → its actual unit
     ("pixels", "in UV"): "uv",
     ("pixels", "in NDC"): "ndc",
     ("uv", "twice too long"): "ndc",
@@ -92,7 +92,7 @@ def _camera(finding: Finding, found: set, settings: FolderSettings) -> dict:
     rules = settings.cameras
     if finding.name == "inverted":
         return {"matrix": "world_to_view" if rules.view_to_world else "view_to_world"}
-    if finding.name in _AXES and not settings.has_projections:  # a projection says which way its axes are
+    if finding.name in _AXES and not settings.has_projections:  # a projection defines its axes
         axes = tuple(np.multiply(CONVENTIONS[rules.convention][1], _AXES[finding.name]).tolist())
         named = next((name for name, (_, other) in CONVENTIONS.items() if tuple(other) == axes), None)
         return {"convention": named} if named else {}

@@ -10,7 +10,7 @@ from gffe_cl.frame.transfer_function import to_display
 
 _FINEST, _COARSEST = 1 / 64, 64.0  # pixels: steps that are looked for
 _SAME_VALUE = 1 / 1024  # pixels
-_FEWEST = 64  # samples that tell
+_FEWEST = 64  # least number of samples
 _REPEATED = 4  # samples for each value, in the mean
 _RARE = 1 / 500  # of the samples: values that may be those of another encoding
 _OFF_GRID = 0.06  # of a step, and the share of samples that may be

@@ -22,7 +22,7 @@ _AGREES = 0.1  # of the motion's length
 _LEAST = 0.75  # pixels: residuals that do no harm
 _COLORS = 0.1  # of color scores, by which no motion at all must fit better
 _TURNED = 0.15  # of the share of samples and the color score, by which buffers must fit better upside down
-_FEWEST = 64  # samples whose colors tell
+_FEWEST = 64  # least number of samples with distinctive colors
 _UPSIDE_DOWN = {(buffer,): f"{buffer} is upside down against the other buffers" for buffer in BUFFERS} | {
     BUFFERS: "y of motion vectors and cameras does not fit the rows of the buffers",
 }

@@ -18,7 +18,7 @@ from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 
 _FAR = 1e9  # stands for infinity where directions are reprojected
-_OWN = 0.25  # pixels: what moves by less than this beside the camera is static
+_OWN = 0.25  # pixels: samples that move by less than this, apart from the camera's motion, are static
 _ONE_SURFACE = 0.1  # relative difference of depths
 _USUAL_DEPTH = 5.0  # world units: of two units that are both consistent, the one with depths nearer to this is chosen
 _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which parameters are rounded, if so near

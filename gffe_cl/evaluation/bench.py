@@ -75,14 +75,14 @@ class SizeBench:
     wall: float
     bandwidth: float  # GB/s, read and written
     memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames, motion of one only
-    memory_gae: int  # without what shading correction has
+    memory_gae: int  # without shading correction
     must_move: dict[str, float]  # bytes per pixel by part, as the stages declare (`traffic`)
     shares: dict[str, float]  # of the pixels, by which they declare it
     memory_by_stage: dict[str, int]  # bytes
     kernels: dict[str, float]  # milliseconds by "stage.kernel", all launches for the two frames together
     commands: dict[str, int]  # enqueued for the two frames: kernels, fills and copies; "GAE" and "SCN"
-    provider: str = ""  # onnxruntime's name of what ran the network
-    remark: str = ""  # what a user should know of that
+    provider: str = ""  # onnxruntime's name of the network's provider
+    remark: str = ""  # a remark for the user
 
 
 class Copier:

@@ -24,7 +24,7 @@ from gffe_cl.stages.presentation import present
 SCENE, SCENE_FRAME = "plaza", 31  # by default: the later one of a scene's two frames, at SCENE_FPS
 SCENE_FPS = 30.0
 WARM_UP = 3  # pairs of a scene that do not count
-SETTLED = 2  # frames after a reset that do not count: nothing is known of movers, or of what they hide
+SETTLED = 2  # frames after a reset that do not count: movers, and surfaces behind them, are still unknown
 _LOOP = 6  # frames of a sequence
 _SURFACE = 0.05  # neighbors whose inverse depths differ by less are taken for one surface,
 _STRAIN = 1.0  # if their motion differs by less than that, pixels

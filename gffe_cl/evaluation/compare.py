@@ -188,7 +188,7 @@ def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = N
 
 
 def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comparison:
-    metrics = measurable()  # imports what is slow to import: once, before the threads
+    metrics = measurable()  # slow imports: once, before the threads
     notes = list(notes)
     if a.exposure != b.exposure:
         notes.append(f"exposure {b.exposure:g} of {b.path} is used for both ({a.exposure:g} in {a.path})")

@@ -41,7 +41,7 @@ _HIDDEN = ("GFFE_DEVICE", "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES")  # would choos
 _KERNEL = re.compile(r"^Instructions executed for kernel '(\w+)':$")
 _COUNT = re.compile(r"^\s*(\d+) - (.*)$")
 _MEMORY = re.compile(r"(load|store) global \((\d+) bytes\)")
-_GLOBAL = r"PU3AS1V?K?(Dh|[a-z])"  # a pointer to global memory, and what to, in C++'s mangled names
+_GLOBAL = r"PU3AS1V?K?(Dh|[a-z])"  # a pointer to global memory, and its type, in C++'s mangled names
 _VECTOR = re.compile(rf"call _Z\d+v(load|store)a?_?(?:half)?(\d*)(?:_rt[ezpn])?(?:Dv\d+_)?\w*{_GLOBAL}\w*\(\)")
 _ATOMIC = re.compile(rf"call _Z\d+atom(?:ic)?_\w+{_GLOBAL}\w*\(\)")
 _BYTES = {"Dh": 2} | dict(zip("ahcstijflmd", (1, 1, 1, 2, 2, 4, 4, 4, 8, 8, 8), strict=True))
@@ -73,7 +73,7 @@ def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTra
         (folder / "asked").write_bytes(pickle.dumps((footage, asdict(options))))
         variables = {name: value for name, value in os.environ.items() if name not in _HIDDEN}
         variables |= {"GFFE_LANES": str(lanes), "PYOPENCL_NO_CACHE": "1"}
-        # One thread: the order of execution, and with it what atomics find, is always the same.
+        # One thread: the order of execution, and so the result of atomics, is always the same.
         started = [command, "--inst-counts", "--num-threads", "1", sys.executable, "-m", __name__, str(folder)]
         with open(folder / "counts", "w") as counts:
             child = subprocess.run(started, stdout=counts, stderr=subprocess.PIPE, text=True, env=variables)

@@ -53,7 +53,7 @@ def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callab
         timed = _Turn(device, replace(frame, color=np.ascontiguousarray(rgba[..., :channels], dtype)))
         times = []
         for turn in range(WARM_UP + turns):
-            taken = timed(backward=turn % 2 == 1)  # what comes second finds the arrays in caches
+            taken = timed(backward=turn % 2 == 1)  # the second measurement finds the arrays in caches
             if turn >= WARM_UP:
                 times.append(taken)
                 on_turn()

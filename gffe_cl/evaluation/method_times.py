@@ -35,7 +35,7 @@ WITHOUT_NETWORK = "no-scn"
 MOMENTS = 6  # new frames whose quality is measured, and which are timed again and again
 _REST = 0.02  # seconds before each turn, in which the threads of the method before come to rest
 
-Step = Callable[[str, int], Callable[[], None]]  # what is done, and in how many parts → what is called after each
+Step = Callable[[str, int], Callable[[], None]]  # description, number of parts → function to call after each
 
 
 class Clip(Footage):

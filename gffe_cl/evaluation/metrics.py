@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gffe_cl.core.validation import require_array, require_exposure
-from gffe_cl.frame.transfer_function import to_display as to_display  # what metrics are taken on
+from gffe_cl.frame.transfer_function import to_display as to_display  # inputs of metrics
 from gffe_cl.stages.shading import FOCUS_SMAPE, SMAPE_EPSILON
 
 PSNR_CAP = 100.0  # dB
@@ -20,7 +20,7 @@ _HALF_MAX = 65504.0
 _SSIM_WINDOW = 7  # scikit-image's default
 
 
-# ---- what is measured ----------------------------------------------------------------------------------
+# ---- measurements --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def counters(pipeline: Pipeline) -> dict[str, float]:
     return {share.name: share.count(pipeline.board) for share in [*shares, FOCUS]}
 
 
-Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with what was given to each launch
+Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with the arguments of each launch
 
 
 def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:

@@ -25,7 +25,7 @@ OCCASIONS = (
     "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
     "compose", "compose_rendered",
 )  # fmt: skip
-# What callers give, and what is shown of it: name, grid and bytes.
+# Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {
     **{
         f"{frame}.{name}": ("SOURCE", nbytes)
@@ -207,7 +207,7 @@ class Tables:
             return f"GFFE_BUFFER, {buffers.reference(given.buffer)}, 0"
         if given.is_frame_block:
             return "GFFE_FRAME_BLOCK, 0, 0"
-        assert given.constant is not None  # what is neither a buffer nor the frame block
+        assert given.constant is not None  # values other than buffers and the frame block
         return f"GFFE_CONSTANT, {self._constant(given.constant)}, {len(given.constant)}"
 
     def _constant(self, content: bytes) -> int:

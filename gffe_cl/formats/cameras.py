@@ -13,7 +13,7 @@ from gffe_cl.formats.json_schema import Keys
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import LAYOUTS, matrices, rigid, square
 
-# What makes a camera of view and projection, and the view's axes where there is no projection to tell them.
+# Constructors of a camera from view and projection, and the view's axes if there is no projection.
 CONVENTIONS = {
     "gffe": (Camera.from_vulkan, (1, 1, 1)),
     "opengl": (Camera.from_opengl, (1, -1, -1)),

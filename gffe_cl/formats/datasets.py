@@ -33,7 +33,7 @@ _MOST_TEXT = 64 << 20
 _SPRING_BASELINE = 0.065  # meters
 _NED = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])  # x forward, y right, z down → ours
 _TARTANAIR_FOCAL = 320.0
-_SKY = 1e4  # meters: what is farther is nothing
+_SKY = 1e4  # meters: farther pixels are sky
 
 
 class _Frame(NamedTuple):

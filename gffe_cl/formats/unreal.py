@@ -29,7 +29,7 @@ _HALF_MAX = 65504.0  # depth stored as half ends there
 _CAMERA, _LAYER_DATA = "unreal/camera/", "unreal/layerData/"  # of Movie Render Queue, and of its newer graph
 _NAME = re.compile(r"(.*?)(\d+)\.exr", re.IGNORECASE | re.DOTALL)
 _FPS = 30.0
-_TRIED, _MOVED = 6, 0.5  # frames at most; pixels that the picture must move by to tell anything
+_TRIED, _MOVED = 6, 0.5  # frames at most; least motion of the picture, pixels
 _GRID = 4  # every so many pixels
 
 

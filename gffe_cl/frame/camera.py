@@ -23,7 +23,7 @@ MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
 MOST_ALPHA = 1e6  # intervals
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
-_QUIETLY = np.errstate(all="ignore")  # what overflows is no camera, and said to be none
+_QUIETLY = np.errstate(all="ignore")  # cameras that overflow are reported as invalid
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
 

@@ -18,7 +18,7 @@ Vector = list[float]  # three
 Vectors = list[Vector]
 
 POSES = 12  # of which a prediction makes use
-JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
+JUMP = 4.0  # times the step before: a longer step is not steady movement
 LEAST = 1e-24  # squared change of velocity that is mere rounding
 FORGETTING = 0.9  # weight of an error, relative to that of the error an interval later
 RIDGE = 0.03  # share of the squared inputs that regularizes a regression
@@ -139,7 +139,7 @@ class _NextChange:
 
     def __init__(self):
         self.products = [[0.0] * 3 for _ in range(3)]  # of inputs and inputs
-        self.targets = [0.0] * 3  # products of inputs and what was to be predicted
+        self.targets = [0.0] * 3  # products of inputs and targets
         self.gained = self.moved = 0.0  # correction · error of the usual prediction, and squared correction
 
     def correction(self, inputs: Vectors, usual: Vector) -> Vector:

@@ -58,7 +58,7 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
         p[1] *= -1
     down = -1.0 if ndc_up else 1.0
     axes = np.diag([np.sign(p[0, 0]), down * np.sign(p[1, 1]), forward, 1.0])
-    with np.errstate(over="ignore"):  # `Camera` refuses what is not finite
+    with np.errstate(over="ignore"):  # `Camera` refuses non-finite values
         focal = np.abs(p[[0, 1], [0, 1]]) * (width / 2, height / 2)
         middle = (1 + p[:2, 2] * (forward, down * forward)) * (width / 2, height / 2)
         return Pinhole(axes @ v, *focal.tolist(), *middle.tolist())

@@ -41,7 +41,7 @@ _MOST = 1e6
 NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
 NEAR_SAMPLES = 8192  # pixels are enough for it
 MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
-_LEAST = 0.0005  # of the display's side: what four sides leave open is less than 0.2% of the display
+_LEAST = 0.0005  # of the display's side: the uncovered rest of four sides is less than 0.2% of the display
 AT_REST = 1e-4  # display pixels: rounding of a camera that does not move
 HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the virtual plane
 

@@ -41,7 +41,7 @@ __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "loa
 
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
-_loaded: dict[tuple, tuple] = {}  # (path, the CPU's, what was asked for) → (stamp of the file, Network)
+_loaded: dict[tuple, tuple] = {}  # (path, the CPU's, requested provider) → (stamp of the file, Network)
 _asked_for: list[Network] = []  # since remarks were last taken
 
 

@@ -88,7 +88,7 @@ def load_onnxruntime() -> ModuleType:
     import onnxruntime
 
     onnxruntime.disable_telemetry_events()
-    onnxruntime.set_default_logger_severity(4)  # what goes wrong is raised
+    onnxruntime.set_default_logger_severity(4)  # failures raise
     return onnxruntime
 
 

@@ -50,7 +50,7 @@ _WHERE_IT_IS = (
     "see `gffe devices --refresh`; where a program uses pyopencl before gffe_cl,"
     " call gffe_cl.prepare_runtimes() first of all"
 )
-_ABOUT_AS_FAST = 1.5  # times slower: which of such devices is the default must not hang on noise
+_ABOUT_AS_FAST = 1.5  # times slower: the default among such devices must not depend on noise
 _crashing: dict[str, DeviceInfo] = {}  # vendors that are hidden, by the name of their `.icd` file
 
 

@@ -25,7 +25,7 @@ from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 _NAME = "devices-{}.json"
 _MOST_FILES = 16
 _HOUR = 3600.0
-# What drivers are told by the environment, and where their libraries come from.
+# Environment variables of drivers and their libraries.
 TOLD = (
     "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
     "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from contextlib import suppress
 
-# Parameters of mallopt (malloc.h of glibc): what is freed at the end of the heap goes back to the system above so many
+# Parameters of mallopt (malloc.h of glibc): memory freed at the end of the heap goes back to the system above so many
 # bytes; so many allocations have pages of their own, which go back when they are freed; so many heaps.
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8
 _NEVER = 2**31 - 1

@@ -23,17 +23,17 @@ from gffe_cl.opencl.runtimes import NO_CACHE, VENDORS, hide_vendors, only_vendor
 from gffe_cl.opencl.subprocess_runner import run_child
 
 _SECONDS = 20.0  # for all drivers together, the broken ones too
-_FIRST_SECONDS = 6.0  # for all in one child; longer means that one of them hangs
+_FIRST_SECONDS = 6.0  # for all in one child process; a longer time means that one of them hangs
 _LIST_SECONDS = 6.0  # for the devices of one vendor
 _RANKING_SECONDS = 0.1  # of repeating the probe kernel: other processes disturb single runs
-_PROBED = "probed"  # last line of a child: what happens after it is no device's fault
+_PROBED = "probed"  # last line of a child process: later failures are no device's fault
 
 
 @dataclass
 class DeviceInfo:
     """Result of probing one OpenCL device."""
 
-    # "platform:device"; "–" of a driver that crashes before it has told its devices, and of `Device.from_context`.
+    # "platform:device"; "–" for a driver that crashes before it lists its devices, and for `Device.from_context`.
     index: str
     name: str
     platform: str

@@ -77,7 +77,7 @@ class Program:
             told = _told_names(kernel)
             parsed = [argument.name for argument in self.arguments.get(kernel.function_name, ())]
             assert told in (None, parsed), f"kernels/{name}.cl, {kernel.function_name}: takes {told}, read as {parsed}"
-            # Where pyopencl must find out itself what a number is, it takes some 20 µs for each.
+            # pyopencl takes some 20 µs to determine the type of a number.
             kernel.set_arg_types([a.numpy_type for a in self.arguments.get(kernel.function_name, ())])
 
     def launch(

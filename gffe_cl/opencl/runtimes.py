@@ -25,11 +25,11 @@ import platformdirs
 
 _KEPT = "GFFE_DEVICE_CACHE"
 VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` files, or one such file
-NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub knows folders only
+NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub only accepts folders
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
-# What libintelocl.so finds only when these are already loaded, in this order.
+# libintelocl.so finds these only if they are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")
-# All that it opens, as patterns: what must stand beside it.
+# Patterns of all files that it opens, which must be in the same folder.
 _INTEL_FILES = (
     "libintelocl.so", *_INTEL_NEEDS, "libtbbmalloc.so.2", "libcommon_clang.so.*", "libocl_svml_*.so",
     "cl.cfg", "cl*.rtl", "cl*.o",

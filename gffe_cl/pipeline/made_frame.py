@@ -17,7 +17,7 @@ from gffe_cl.opencl.device_errors import device_faults
 from gffe_cl.stages.buffers import EXTRAPOLATED, RGBA, BufferSpec, Sizes
 
 _SPECS = {spec.name: spec for spec in EXTRAPOLATED}
-_LIKE = {"gae": "color"}  # what is described like another buffer
+_LIKE = {"gae": "color"}  # buffers with the description of another one
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import require_number, require_positive
 
-_RECENT = 120  # refreshes of which jitter is told
-_COMPARED = 120  # rendered frames, of which the quickest says how long after its time one can be shown
-_LASTING = 16  # frames of which the slowest says how long making one takes
+_RECENT = 120  # refreshes over which jitter is measured
+_COMPARED = 120  # rendered frames, whose fastest gives the least delay from a frame's time to its display
+_LASTING = 16  # frames whose slowest gives the time to make one
 _SAME = 1e-3  # of a refresh: times closer than that are one
 
 

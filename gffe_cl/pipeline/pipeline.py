@@ -164,7 +164,7 @@ class Pipeline:
             int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
         self._exposure = 1.0
         self._bad_pixels = BadPixels()  # without those of the last upload
-        self._copied_bytes = 0  # without what the stage `upload` copied
+        self._copied_bytes = 0  # without the copies of the stage `upload`
         self.is_cut = False
         self._int64_atomics = int64_atomics
         self.watcher: Watcher | None = None
@@ -184,12 +184,12 @@ class Pipeline:
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._upload: Upload | None = None  # made with the first NumPy arrays
         self.composition: Composition | None = None  # made with the first frame that brings overlays
-        self._outputs: dict[str, Output] = {}  # what is kept of each stage's
+        self._outputs: dict[str, Output] = {}  # kept outputs of each stage
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
-        self._path: list[Camera] = []  # what they show through
+        self._path: list[Camera] = []  # their cameras
 
     @telling_device_faults
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:

@@ -12,7 +12,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.transfer_function import SRGB_TOE
 from gffe_cl.scn.network import encode
 
-VERSION = 5  # of what the terms mean: a run goes on only with its own
+VERSION = 5  # of the terms' definition: a run continues only with its own
 FOCUS_WEIGHT = 0.05  # λ_focus; the paper's is 1, and its mask covers large errors only
 PERCEPTUAL_WEIGHT = 0.01  # λ_vgg of the paper
 TEACHER_WEIGHT = 4.0  # of the frame of the network in floats, for one in integers

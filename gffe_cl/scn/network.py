@@ -25,7 +25,7 @@ from gffe_cl.stages.mu_law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
-_SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
+_SEEN = 16  # channels from the frames themselves, at a quarter
 _JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
 _DISOCCLUDED_BELOW = 0.4  # mean input mask of four pixels

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 KEPT_MOMENT = "frame 3 + 2/3"  # of which values are recorded
-_EXAMPLES = 4  # values that differ, as they are told
+_EXAMPLES = 4  # reported values that differ
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "dict_size": 1 << 24}]
 _DIGITS = 16  # of a hash
 

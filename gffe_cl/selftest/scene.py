@@ -16,7 +16,7 @@ from gffe_cl.frame.window import WindowChooser
 
 FPS = 30.0
 ALPHAS = (1 / 3, 2 / 3)
-FRAMES, CUT = 8, 5  # how many, and the first that shows something else, which nobody tells
+FRAMES, CUT = 8, 5  # number of frames, and the first after a cut that is not marked
 
 
 @dataclass(frozen=True)

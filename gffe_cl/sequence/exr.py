@@ -24,7 +24,7 @@ _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps ha
 _BYTES = {"uint32": 4, "float16": 2, "float32": 4}
 _HALVES = np.arange(256, dtype=np.float16)  # of small integers
 
-COMPRESSIONS = {  # the library's name in lower case, and what it is good for
+COMPRESSIONS = {  # the library's name in lower case, and its use
     "none": "largest, quickest",
     "rle": "quick; only even areas get smaller",
     "zips": "as zip, line by line",
@@ -56,7 +56,7 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
         width * height * sum(_BYTES[kind] for kind in part.channels.values())
         for part, (width, height) in zip(header.parts, sides, strict=True)
     )
-    # The library decodes all parts at once: those that nobody asked for, too.
+    # The library decodes all parts at once, also unrequested ones.
     require_moderate(nbytes, max((math.prod(sides[part]) for part, _ in places), default=0), label)
 
     def decode() -> list[np.ndarray]:

@@ -50,7 +50,7 @@ def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
     fits = [_decompose(*matrices) for matrices in ([m.T for m in stored], stored)]
     residual, world_to_view, projection = min(fits, key=lambda fit: fit[0])
     if residual > _TOLERANCE:
-        Camera(_FLIP_Y @ stored[0].T, 1, 1, 0, 0)  # says so if the pose is singular
+        Camera(_FLIP_Y @ stored[0].T, 1, 1, 0, 0)  # raises for a singular pose
         raise GffeError(
             "camera: worldToNDC is no pinhole projection of worldToCamera"
             " (expected OpenEXR's: z forward, y up, NDC (0, 0) at the upper left)"

@@ -19,7 +19,7 @@ from typing import Any
 _CLOSE_RANGE, _UNSHARE = 436, 2  # Linux: the system call, the same on every processor, and its flag
 _FIRST, _LAST = 3, 2**32 - 1
 _MOST_BYTES = 1 << 16
-_OF_LIBRARY = re.compile(rb"^ojph [^\n]*\n?", re.MULTILINE)  # what it prints through C's standard output
+_OF_LIBRARY = re.compile(rb"^ojph [^\n]*\n?", re.MULTILINE)  # its output through C's standard output
 _PREFIX = re.compile(r"^.*?: \(EXR_ERR_\w+\) |^ojph \w+ \w+ at [^:]*:\d+: |^Warning: .* - ")
 
 
@@ -71,7 +71,7 @@ def _own_descriptors() -> tuple[int | None, int | None]:
     it."""
     if not sys.platform.startswith("linux") or not hasattr(os, "memfd_create"):
         return None, None
-    # All others are closed: what the process closes must be closed, locks and pipes above all.
+    # All others are closed, so that files closed by the process are really closed, locks and pipes above all.
     if ctypes.CDLL(None).syscall(_CLOSE_RANGE, _FIRST, ctypes.c_uint(_LAST), _UNSHARE):
         return None, None
     out, err = os.memfd_create("gffe-exr"), os.memfd_create("gffe-exr")

@@ -118,7 +118,7 @@ class OutputFolder:
 
     def discard(self) -> None:
         """Remove the files of this run and the folders made for them. Earlier output stays."""
-        if self._moving:  # too late: what is there is of both, and the next run clears it away
+        if self._moving:  # too late: the folder has files of both, and the next run removes them
             self._release()
             return
         self._clear_staging()

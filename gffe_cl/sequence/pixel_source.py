@@ -19,7 +19,7 @@ COLOR = ("R", "G", "B")
 MOTION = ("motion.x", "motion.y")
 RENDERED = (*COLOR, "Z", *MOTION)
 RGBA = ("R", "G", "B", "A")
-# What a rendered frame may have besides, by the fields of `Overlays`: all channels of one, or none.
+# Optional channels of a rendered frame, by the fields of `Overlays`: all channels of one, or none.
 OVERLAY_CHANNELS = {
     "fixed_mask": ("mask.fixed",),
     "effects": tuple(f"effects.{name}" for name in RGBA),

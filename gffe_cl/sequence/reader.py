@@ -168,7 +168,7 @@ class Sequence:
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
-        camera: Any = entry.render_camera  # None where `open_sequence` was told that no cameras are needed
+        camera: Any = entry.render_camera  # None if `open_sequence` was called for a sequence without cameras
         previous = self._previous.get(entry.file)
         if previous and not entry.reset and camera and previous.render_camera:
             text = zero_motion_warning(motion, depth, camera, previous.render_camera)

@@ -184,7 +184,7 @@ class SequenceWriter:
                 raise GffeError(f"{self.path}: no frame was written (expected at least one)")
             return
         document = describe(replace(self._description, frames=frames, unfinished=interrupted), self._generator)
-        parse_description(document)  # what would not open again must not be written
+        parse_description(document)  # do not write files that would not open again
         folder = self._folder.keep(document, [entry.file for entry in frames], interrupted)
         finished = f"{len(frames)} finished frames are in {folder}" if interrupted else f"{folder} is complete"
         stays = "" if folder == self.path else f", {self.path} stays as it was"

@@ -32,7 +32,7 @@ PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # wheth
 HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
-_SPARE = 8192  # bytes of lent memory beyond what this stage needs: parts of it are aligned
+_SPARE = 8192  # bytes of lent memory beyond this stage's needs, because its parts are aligned
 
 
 def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
@@ -150,7 +150,7 @@ class Background(NearestStage):
         if self.levels == 1:  # nothing is pushed
             self.kernels = tuple(kernel for kernel in self.kernels if kernel.name != "settle_and_push")
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
-        state = all_levels.pop()  # must last: what lies between two levels is EMPTY
+        state = all_levels.pop()  # must last: memory between two levels is EMPTY
         even = self.keys(board, "even_", "source")
         self._places = _side_by_side(all_levels, board.sizes)
         self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(even, _KEY_MEMORY, strict=True)}

@@ -23,7 +23,7 @@ from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Extrapolat
 from gffe_cl.stages.frame_block import block_facts, frame_block
 
 _EXTRAPOLATE = 1000  # more than there are stages
-_EVENTS = 1024  # kept per stage for whoever asks for timings
+_EVENTS = 1024  # kept per stage for requests of timings
 # Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
 _ROW, _ROW_OF_LANES = 64, 128
 
@@ -167,7 +167,7 @@ class Board:
         self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
         self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
         self.rendered: DeviceFrame | None = None
-        self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
+        self.previous: DeviceFrame | None = None  # the rendered frame itself if there is none before
 
     @cached_property
     def frame(self) -> ExtrapolatedBuffers:
@@ -280,7 +280,7 @@ class Stage(Owner):
         self.board = board
         self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
-        self.launches: list[tuple[Kernel, dict]] | None = None  # with what was given, while somebody counts
+        self.launches: list[tuple[Kernel, dict]] | None = None  # with the arguments, while launches are counted
         self.recorder: Recorder | None = None
         borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)

@@ -50,7 +50,7 @@ class Composition(Stage):
                 **{name: f"composition.{name}" for name in OVERLAYS},
                 "source_color": "rendered.color",
                 "source_depth": "rendered.depth",
-                "color": "frame.color",  # or what stages after the frame's make of it
+                "color": "frame.color",  # or the output of stages after the frame's
             },
             {
                 "out_color": "composition.color",

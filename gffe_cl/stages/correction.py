@@ -122,7 +122,7 @@ class ShadingCorrection(Stage):
     def __init__(self, board: Board, load: bool = True):
         """Without `load` there are the kernels alone, no network."""
         super().__init__(board)
-        self.network: Any = None  # a Network, or what stands in for one
+        self.network: Any = None  # a Network or a substitute
         if load:
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0

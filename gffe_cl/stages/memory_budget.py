@@ -11,9 +11,9 @@ from gffe_cl.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.opencl.device import Device
 from gffe_cl.stages.buffers import Sizes
 
-_SURELY = 1024  # bytes per pixel that suffice for any options: only what is larger is looked at more closely
+_SURELY = 1024  # bytes per pixel that suffice for any options: only larger sizes are checked in detail
 _TRIAL = 256  # pixels along the longer side of the images by which memory is estimated
-_MARGIN = 0.97  # of what would fit: sides are rounded
+_MARGIN = 0.97  # of the size that would fit: sides are rounded
 
 
 def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], int]) -> None:
@@ -27,7 +27,7 @@ def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], 
     frames = KEPT_BYTES_PER_PIXEL * math.prod(sizes.source)
     before = device.allocated
     needed = allocated_for(trial) * pixels / _pixels(trial) + frames
-    device.allocated = before  # what was tried is gone again
+    device.allocated = before  # the trial's memory is free again
     if needed <= device.memory:
         return
     width, height = _scaled(sizes.target, _MARGIN * math.sqrt(device.memory / needed))

@@ -15,14 +15,14 @@ _CONSTANTS = constants("scene_cuts.cl")
 COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
 _SHARE = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
 
-# What makes a cut; docs/cuts.md has the distances that frames and cuts keep from these.
+# Thresholds of a cut; docs/cuts.md has the margins of frames and cuts.
 LEAST_SAMPLES = 64  # to say anything
 LEAST_OVERLAP = 0.05  # of the samples whose motion must stay in the image: a whip pan leaves more, a cut may not
 DEPTH_SURE = 0.4  # share of right depths below which it is a cut, whatever the colors
 DEPTH_UNSURE = 0.8  # … and above which it is none
 CONTRAST_RIGHT = 0.25  # between the two it is one if the share of right contrasts is lower
 LEAST_CONTRASTS = 32  # without so many the depths decide alone, in the middle
-TELEPORT = 10.0  # times the step before it, of a step beyond half of what is seen
+TELEPORT = 10.0  # times the step before it, of a step beyond half of the view
 
 
 class SceneCuts(Stage):

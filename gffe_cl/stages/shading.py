@@ -13,7 +13,7 @@ from gffe_cl.stages.history import DYNAMIC_PIXELS
 _CONSTANTS = constants("shading.cl")
 FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILON"]
 
-# What kernels read to know what the previous rendered frame shows at pixels of the new one (warped_previous.h).
+# Inputs of kernels that look up the previous rendered frame at pixels of the new one (warped_previous.h).
 SEEN = {
     "color": "frame.color",
     "depth": "frame.depth",

@@ -1,4 +1,4 @@
-"""What `gffe check --fix` repairs and leaves, and what it says of that; keys of a `gffe-folder` that repair a capture."""
+"""Repairs of `gffe check --fix`, their choice and messages; keys of a `gffe-folder` that repair a capture."""
 
 import json
 import re

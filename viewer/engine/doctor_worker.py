@@ -42,7 +42,7 @@ class Doctor:
             found = examine(sequence, sequence.exposure)
         except GffeError as error:
             self.problem = str(error)
-        except Exception as error:  # a window says so; nothing else hangs on it
+        except Exception as error:  # a window shows it; nothing else depends on it
             self.problem = f"{type(error).__name__}: {error}"
         else:
             kinds = [FAULT, NOTE]

@@ -254,7 +254,7 @@ class Engine(Exchange):
             with self._news:
                 self._plan.appendleft(request)
         except GffeError:
-            self._hopeless.add(request)  # who looks at that slot is told why
+            self._hopeless.add(request)  # the display of that slot shows the reason
         self._notify()
 
     def _do_survey(self, request: Request) -> None:
@@ -267,7 +267,7 @@ class Engine(Exchange):
                 self._surveying = None
             return
         except GffeError:
-            pass  # told by no result
+            pass  # reported by no result
         with self._news:
             self._surveying = None
             self._surveyed.append((request, recipe, result))

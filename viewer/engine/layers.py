@@ -17,7 +17,7 @@ from gffe_cl.viewer.engine import names
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
 FRAME_GROUP = "frame"
 _LIMITS = {"focus_mask": (0.0, 1.0)}  # by the buffer's name
-NATIVE = {"color": "RGB", "motion": "vector", "place": "vector", "world": "distance"}  # what is shown of all channels
+NATIVE = {"color": "RGB", "motion": "vector", "place": "vector", "world": "distance"}  # displayed part of all channels
 
 
 @dataclass(frozen=True)

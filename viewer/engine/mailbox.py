@@ -13,7 +13,7 @@ from gffe_cl.viewer.engine.messages import EngineError, Inspection, Recipe, Requ
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.source import FrameSource
 
-_KINDS = {  # of what is posted, and the activity meanwhile
+_KINDS = {  # of posted messages, and the activity meanwhile
     "source": "opening",
     "kernels": "building kernels",
     "slot": "computing",

@@ -29,7 +29,7 @@ class Scorer:
         self._slow: deque[tuple] = deque(maxlen=_SLOW)  # slots of which slow metrics are missing
         self._busy_with: tuple | None = None
         self._made: deque[Metrics] = deque()
-        self._ready = False  # what metrics need is imported
+        self._ready = False  # modules for metrics are imported
         self._measured = [metric for metric in METRICS.values() if not metric.slow]
 
     def score(self, metrics: Metrics, moment: Moment, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:

@@ -39,7 +39,7 @@ class Seeker:
         self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
         self._options: Options | None = None
         self._kernels = ""  # that were asked for, see Setup
-        self._ring: list[DeviceFrame] = []  # what host frames are uploaded into: the pipeline uses two in place
+        self._ring: list[DeviceFrame] = []  # buffers for host frames: the pipeline uses two in place
         self.drop()
 
     def drop(self) -> None:

@@ -22,7 +22,7 @@ _TEXTS = {
     "flip error": "FLIP error",
 }
 
-_SETTINGS = "settings "  # before a name, to tell it from a layer's
+_SETTINGS = "settings "  # before a name, to distinguish it from a layer's
 
 
 def draw(app) -> None:

@@ -25,7 +25,7 @@ class Palette:
         self._refocus = False  # the field, which Enter has left
 
     def open(self, text: str = "") -> None:
-        if self.text is not None:  # the field goes by what it was given when it became active
+        if self.text is not None:  # the field keeps the value from when it became active
             imgui.internal.clear_active_id()
             self._refocus = True
         self.text, self.at, self.asked = text, 0, None

@@ -44,7 +44,7 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
     columns = [("pixels", number), ("error", 1.2 * number)]
     columns += [("dB", number)] if b is None else [("A dB", number), ("B dB", number)]
     if imgui.get_content_region_avail().x < sum(width for _, width in columns) + _NAMES * number:
-        del columns[0]  # told by the tooltip, too
+        del columns[0]  # also in the tooltip
     if not imgui.begin_table(f"###regions {name}", len(columns) + 1, imgui.TableFlags_.row_bg.value):
         return
     imgui.table_setup_column(of, imgui.TableColumnFlags_.width_stretch.value)

@@ -11,7 +11,7 @@ from gffe_cl.viewer.picture.legends import value_text
 
 RED, BLUE = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.36, 0.62, 0.95, 1.0)
 _SECONDS = {"error": 30.0, "note": 8.0}  # that a message stands there, by its kind
-_KERNEL_SHARE = 0.7  # of the bar, at most, where something else is to be told
+_KERNEL_SHARE = 0.7  # of the bar, at most, if there is another message
 
 
 def draw(app) -> None:

@@ -123,7 +123,7 @@ def _bar(model) -> None:
     shades = [imgui.get_color_u32((*c[:3], 0.85)) for c in (RENDERED, GENERATED)]
     outside = [imgui.get_color_u32((*c[:3], 0.25)) for c in (RENDERED, GENERATED)]
     first, last = playback.first, playback.last
-    if step < _NARROW:  # too many to tell apart: a band of each kind
+    if step < _NARROW:  # too many to distinguish: a band of each kind
         for generated, (top, bottom) in enumerate(((0.15, 0.55), (0.6, 1.0))):
             y0, y1 = origin.y + top * height, origin.y + bottom * height
             draw.add_rect_filled(ImVec2(origin.x, y0), ImVec2(origin.x + width, y1), outside[generated])

@@ -47,7 +47,7 @@ def draw(app) -> None:
     _measure(model, bandwidth)
     if model.follows and model.program.pacing:
         _pacing(list(model.program.pacing))
-    flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table says which is which
+    flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table has the legend
     if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
         flags = implot.AxisFlags_.auto_fit.value
         implot.setup_axes("computed frame", "ms", flags, flags)

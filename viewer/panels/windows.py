@@ -14,7 +14,7 @@ from gffe_cl.viewer.panels.status import RED
 _HELP_COLUMNS = 3
 _OVER_PICTURE = {"error": 6.0, "title": 8.0}  # seconds that a message stands there, by its kind
 _ALONE = int(imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize)
-_ABOVE_FOOT = 2.2  # em: messages stand above what is written at the foot of the picture
+_ABOVE_FOOT = 2.2  # em: messages are above the captions at the bottom of the picture
 
 
 class Help:

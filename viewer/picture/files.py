@@ -96,7 +96,7 @@ def export_video(
         raise GffeError(f"{path}: a video's frames per second must be positive, got {fps}")
     feed = _Feed(path, iter(frames), total, on_progress, cancelled)
     with _faults(path, "the video"), _partial(path) as part:
-        open(part, "wb").close()  # the encoder's own message would not say what is wrong
+        open(part, "wb").close()  # the encoder's own message would not name the problem
         first = feed.next()
         if first is not None:
             try:

@@ -13,7 +13,7 @@ class Latest:
     def __init__(self, name: str):
         self._pool = ThreadPoolExecutor(1, thread_name_prefix=f"gffe-viewer-{name}")
         self._future: Future | None = None
-        self._wanted = self._coming = self._made = None  # what they are of
+        self._wanted = self._coming = self._made = None  # their subject
 
     @property
     def ready(self) -> bool:

@@ -94,7 +94,7 @@ class Loop:
         model.keep_place = False
         model.pointing.story_due &= error.during != "inspection"
         if error.during == "source":
-            model.asking.forget()  # what was asked of the old one was thrown away
+            model.asking.forget()  # requests to the old one were dropped
         model.previewer = model.preview = None
         if model.follows and error.during in ("slot", "inspection"):
             if model.program.ended:

@@ -89,8 +89,8 @@ class Model:
         self.measuring = False
         self.scores = Scores(self.engine)
         self.messages: list[Message] = []
-        self.doctor: Doctor | None = None  # of what is open, once it was asked for
-        self.preview: Preview | None = None  # shown until there is a result of what is opened
+        self.doctor: Doctor | None = None  # of the open source, once requested
+        self.preview: Preview | None = None  # shown until the opened source has a result
         self.previewer: Previewer | None = None
         self.failure: str | None = None
         self.notice = ""
@@ -216,7 +216,7 @@ class Model:
             request = result.request if result is not None and self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
-    # ---- what is asked for -----------------------------------------------------------------------------------
+    # ---- requests --------------------------------------------------------------------------------------------
 
     @property
     def metrics(self) -> dict[int, Metrics]:
@@ -288,7 +288,7 @@ class Model:
         except GffeError as error:
             self.say(str(error), error=True)
 
-    # ---- what is shown ---------------------------------------------------------------------------------------
+    # ---- display ---------------------------------------------------------------------------------------------
 
     def show_layer(self, name: str) -> None:
         self.view.a = name

@@ -43,7 +43,7 @@ class Flyer:
         self._yaw = math.atan2(direction[0], -direction[2])
         self._pitch = math.asin(min(max(direction[1], -1.0), 1.0))
         self._then: float | None = None
-        self.moved = True  # since somebody last set it to False
+        self.moved = True  # since it was last set to False
         self.pose = start
 
     def steer(self, flight: Flight, now: float) -> None:

@@ -86,7 +86,7 @@ class Parameters:
     """
 
     def __init__(self, options: Options, playback: Playback, window: str | None = None):
-        self._setup, self._setup_of = Setup(), None  # as last asked for, and what it was made of
+        self._setup, self._setup_of = Setup(), None  # the last request, and its inputs
         self._always = ALWAYS
         self.options = replace(options, **self._always)
         self.window = window

@@ -304,7 +304,7 @@ class Playback:
             time = max(time - laps * (end - start), start)
         slot = min(max(self._schedule.slot_at(time), first), last)
         passed = laps * (last - first + 1) + slot - self.slot
-        if passed == 2 and not self.waiting:  # a tick came late: what is due for less than a slot's time can wait
+        if passed == 2 and not self.waiting:  # a tick came late: a slot that is due for less than its time can wait
             slot, passed = slot - 1 if slot > first else last, 1
         self.due, self.waiting = self.due + passed, self.waiting + passed
         self.slot, self._time = slot, min(time, end)
@@ -321,7 +321,7 @@ class Playback:
             return
         self._place(self.slot + 1 if self.slot < self.last else self.first)
         self.due, self.waiting = self.due + 1, 1
-        # what ticks overshoot is made good by the next slot, what the engine loses is not
+        # a late tick is compensated by the next slot, a slow engine is not
         self._spent = min(max(over, 0.0), seconds, self._schedule.duration(self.slot))
 
     def _clamped(self, slot: int) -> int:

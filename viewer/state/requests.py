@@ -50,7 +50,7 @@ class Needed:
 
 
 _STILL = 0.3  # seconds that a still picture must have stood
-_PLANNED = 16  # slots that the engine is told of at once
+_PLANNED = 16  # slots sent to the engine at once
 
 
 class Prefetch:

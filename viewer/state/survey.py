@@ -15,7 +15,7 @@ from gffe_cl.viewer.engine.slot_metrics import NEEDED, QUANTITIES, REGIONS, Figu
 from gffe_cl.viewer.engine.worker import Worker
 from gffe_cl.viewer.state.playback import Playback
 
-_AHEAD = 3  # slots that the engine is told of at once
+_AHEAD = 3  # slots sent to the engine at once
 _WAITING = 3  # results that wait to be measured
 _RECIPES = 8  # that are remembered
 _HISTORY = 2  # rendered frames before the one that a slot is made of
@@ -130,7 +130,7 @@ class Survey:
                 return [Request(slot, side.setup, NEEDED, 0, role="ahead", keep=False) for slot in missing]
         return []
 
-    # ---- what is known -------------------------------------------------------------------------------------
+    # ---- results -------------------------------------------------------------------------------------------
 
     def figures(self, side: Side | None) -> dict[int, Figures]:
         """By slot."""

@@ -228,7 +228,7 @@ def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Len
                 camera = _camera(np.linalg.inv(found[entry.file].movement.matrix) @ before, lens)
                 writer.link(replace(entry, display_camera=camera), path)
                 truths += 1
-            elif entry.kind == "ground_truth":  # anew: its header may have a camera of another world
+            elif entry.kind == "ground_truth":  # written again: its header may have a camera of another world
                 writer.add(replace(entry, display_camera=None), named_channels(sequence.read_color(entry)))
     return truths
 

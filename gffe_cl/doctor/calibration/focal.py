@@ -29,7 +29,7 @@ _VIEWS = (14.0, 20.0, 28.0, 38.0, 49.0, 60.0, 73.0, 88.0, 104.0, 120.0, 136.0)
 _SPREAD = 24  # pairs at most, evenly over the capture
 _SEARCHED, _SEARCH_SAMPLES = 6, 400  # pairs that turn most, and samples of each, for the search
 _SAMPLES = 1000  # of a pair, for the refinement
-_SAME = 0.02  # relative: a change of the lens that changes nothing about what is static
+_SAME = 0.02  # relative change of the lens that does not affect the static samples
 
 
 def lens_of_view(degrees: float, size: tuple[int, int], center: np.ndarray, aspect: float) -> Lens:
@@ -55,7 +55,7 @@ def find_focal(
     most = [chosen[k].some(_SEARCH_SAMPLES, rng) for k in np.argsort(turned)[::-1][:_SEARCHED]]
     lenses = [lens_of_view(view, size, center, aspect) for view in _VIEWS]
     lens = min(lenses, key=lambda lens: sum(float(cost(seen, lens, fit(seen, lens))) for seen in most))
-    for _ in range(3):  # what moves by itself may be told only with a lens that is nearly right
+    for _ in range(3):  # movers are recognizable only with a nearly correct lens
         before = lens
         lens, deviation = _refined(chosen, lens, [fit(seen, lens) for seen in chosen])
         if abs(lens.focal / before.focal - 1) < _SAME:

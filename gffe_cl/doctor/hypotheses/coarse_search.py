@@ -13,7 +13,7 @@ from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, MODELS, DepthReading
 from gffe_cl.doctor.hypotheses.scoring import Bench, log_score
 
 _DRAWS = 24  # lines through two samples, of which the best one is kept
-_JUDGES = 120  # samples that say which one that is
+_JUDGES = 120  # samples that decide between them
 
 
 class WideField:

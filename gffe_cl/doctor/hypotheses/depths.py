@@ -12,7 +12,7 @@ import numpy as np
 from gffe_cl.frame.camera import Camera
 
 _DRAWS = 48
-_INFINITE = 5e-4  # near / far: below that far cannot be told from infinity
+_INFINITE = 5e-4  # near / far: below that far is indistinguishable from infinity
 _SIGNED = 0.01  # device depths below minus this reach from −1 to 1
 
 
@@ -45,7 +45,7 @@ PLANAR, ALONG_RAYS, DEVICE = DepthModel("planar", 1), DepthModel("along rays", 1
 RANGE = DepthModel("range", 2)  # a depth buffer that was made linear with 0 … 1 taken for −1 … 1, or the other way
 MODELS = (PLANAR, ALONG_RAYS, DEVICE, RANGE)
 _RANGES = 2.0, 0.5
-_NEAR_RANGE = 0.05  # of the logarithm of what the range was stretched by
+_NEAR_RANGE = 0.05  # of the logarithm of the range's factor
 
 
 def misread_range(factor: float) -> float | None:

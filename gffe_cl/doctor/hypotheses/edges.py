@@ -7,7 +7,7 @@ import numpy as np
 from gffe_cl.doctor.hypotheses.sampling import Look, encoded
 
 _STEP = 5  # a silhouette's depths are so many times as far apart as those along one side
-_LEAST = 150  # silhouettes that tell, of an image
+_LEAST = 150  # least number of clear silhouettes per image
 _PIXELS = 200_000  # of an image are looked at, in whole lines
 _SILENT = 0.08  # agreement below this may be chance
 

@@ -14,7 +14,7 @@ from gffe_cl.doctor.hypotheses.scoring import mostly_nothing, trimmed
 from gffe_cl.doctor.hypotheses.search import EDIT, FOCALS, Reading, Search, Verdict
 
 _VISIBLE, _SEEN = 0.1, 0.2  # pixels that static points move, and the share of them that must
-_GAIN = 0.012  # of color scores, that every deviation from what is given must bring
+_GAIN = 0.012  # gain of color scores that every deviation from the given reading needs
 _MOVER = 0.05  # of the largest motion vector: longer ones are of movers
 _UNITS = (100.0, 0.01, 1000.0, 0.001)
 _PLANES = np.exp(np.linspace(np.log(0.005), np.log(20), 25))  # near planes tried, world units

@@ -19,7 +19,7 @@ _FITTING = 0.5  # share of samples that must agree, of the share in pairs that a
 _AGREES = 0.1  # of the motion's length: residuals that agree
 _FINEST = 0.3  # pixels: residuals that always agree
 _BETTER = 0.2  # share of samples by which another frame must fit better than the one before
-_LEAST = 0.3  # share of samples that agree in pairs that are right, or nothing can be told
+_LEAST = 0.3  # share of samples that agree in correct pairs; below it there is no result
 _SURE = 0.5  # share of samples that must agree with another frame than the one before
 _WINDOW = 24  # frames before and after, among which the right one is looked for
 
@@ -54,7 +54,7 @@ class Reordered:
 
 def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: float) -> Order:
     """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantized vectors."""
-    if reading.motion.adds_camera:  # such vectors say nothing of the camera
+    if reading.motion.adds_camera:  # such vectors do not depend on the camera
         return Order({}, [], None)
     fits = {}
     for index, look in looks.items():

@@ -15,14 +15,14 @@ from gffe_cl.doctor.hypotheses.sampling import BUFFERS
 from gffe_cl.doctor.hypotheses.search import GOOD, Reading, Search, Verdict
 
 _ORDERS = ((), ("color",), ("depth",), ("motion",))  # all others are mirror images of these
-_BLIND = 0.6  # sum of color scores below which colors may be turned, where silhouettes tell nothing
+_BLIND = 0.6  # sum of color scores below which colors may be turned if silhouettes do not decide
 _TURNED = 0.1  # of the sum of color scores, by which turned colors must be better
 _TWINS = 4  # readings that are compared with their mirror images
 _WEIGHT = 0.05  # of the evidence for the upright picture, in units of the scores
 _SKY, _AWAY = 0.02, 0.1  # least share of sky, and how far from the middle it is, in image heights
 _FAR, _ABOVE = 0.7, 0.04  # quantile of depths that are far, and how far above the middle they are
 _VERTICAL = 0.7  # of the cameras' mean up vector, along a world axis
-_SILENT = 0.2  # evidence below this tells nothing
+_SILENT = 0.2  # least evidence
 _LEFT = 1e-3  # of equals the one that leaves the picture as it is
 
 

@@ -16,8 +16,8 @@ from gffe_cl.sequence.read_ahead import read_ahead
 
 PREVIOUS, NEXT = -1, 1
 BUFFERS = ("color", "depth", "motion")  # whose rows may be stored from the bottom up
-_TEXTURED = 0.02  # least difference of encoded color between neighbors where colors tell places apart
-_SMALLEST = 8  # pixels: images that are smaller tell nothing
+_TEXTURED = 0.02  # least difference of encoded color between neighbors for a distinguishable place
+_SMALLEST = 8  # pixels: least size of an image
 _FAR = 1e9  # depths beyond this are nothing, as +inf
 
 

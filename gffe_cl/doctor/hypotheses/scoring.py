@@ -15,7 +15,7 @@ from gffe_cl.doctor.hypotheses.depths import DepthReading, rays
 from gffe_cl.doctor.hypotheses.motions import MotionReading
 from gffe_cl.doctor.hypotheses.sampling import NEXT, PREVIOUS, Look, sampled
 
-_STILL = 0.05  # of the motion of most: samples below that say nothing about motion vectors
+_STILL = 0.05  # share of the usual motion: samples with less are no evidence on motion vectors
 _NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
 _CHANCE = 0.2  # color score where nothing is known
 

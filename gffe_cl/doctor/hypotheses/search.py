@@ -13,7 +13,7 @@ from gffe_cl.doctor.hypotheses.motions import MOTION_AS_GIVEN, MotionReading, mo
 from gffe_cl.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Look
 from gffe_cl.doctor.hypotheses.scoring import Bench, frame_offsets, log_score, mostly_nothing, moving, trimmed
 
-EDIT = 0.02  # what every part of a hypothesis costs, in units of the scores
+EDIT = 0.02  # cost of every part of a hypothesis, in units of the scores
 _REFINING, _PER_FRAME = 600, 120  # samples per frame, while parameters are refined and while the field is wide
 _MOTIONS, _MOST_MOTIONS, _JOINT, _REFINED = 7, 80, 8, 2
 _MOTION_MARGIN = 0.12  # motion readings whose colors fit so much worse than the best one's are not looked at
@@ -21,9 +21,9 @@ GOOD = 0.8  # an agreement that leaves nothing to explain
 FOCALS = (0.6, 0.75, 0.87, 0.94, 1.0, 1.06, 1.15, 1.33, 1.67)
 _FIRST_STEP, _LAST_STEP = 0.06, 2e-4  # of the logarithm of focal lengths
 _SAME_UNIT = 0.02  # units of depth and translation that differ by less are one
-_SAME_FOCAL = 0.004  # focal lengths likewise
+_SAME_FOCAL = 0.004  # the same for focal lengths
 _SHARP = 0.05  # of the finest residuals, where parameters are fitted
-_SMALLEST = 0.02  # pixels: the unit of what is seen at all
+_SMALLEST = 0.02  # pixels: the unit of visible errors
 _MOST_JITTER = 1.6  # pixels between two frames
 
 

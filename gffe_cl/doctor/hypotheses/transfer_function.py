@@ -19,10 +19,10 @@ _CONTRAST = 0.08  # least difference of the two sides in a channel
 _FLAT = 0.15  # largest difference along one side, of the contrast
 _TELLING = 0.03  # least difference of how well both readings fit
 _MIXTURE = 0.25  # largest difference of the channels' shares in a mixture, by the better reading
-_TIGHT = 0.06  # largest difference of those that tell
-_LEAST = 50  # silhouettes that tell
+_TIGHT = 0.06  # largest difference of clear ones
+_LEAST = 50  # clear silhouettes
 _MIXED = 0.25  # least share of silhouettes whose pixel is a mixture, or the image is not antialiased
-_SURE, _DOUBTFUL = 0.75, 0.5  # shares of them that speak for a curve
+_SURE, _DOUBTFUL = 0.75, 0.5  # shares of them that are evidence of a curve
 
 
 def srgb_to_linear(color: np.ndarray) -> np.ndarray:

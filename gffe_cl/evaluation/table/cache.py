@@ -16,7 +16,7 @@ from gffe_cl.evaluation.table.jobs import Cell
 from gffe_cl.opencl.program import kernel_folder
 
 _VERSION = 1
-# What has no part in the figures, or only carries them.
+# Modules that figures do not depend on, or that only transport them.
 _ELSEWHERE = ("cli", "viewer", "scn", "remote_workers.py", "demo.py", "run.py", "render.py", "__main__.py")
 _MEASURING = ("datasets", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "jobs",
               "pipelines", "windows")  # fmt: skip

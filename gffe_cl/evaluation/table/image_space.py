@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-_SAME_LAYER = 0.05  # of the depth: what lands in one pixel and is mixed
+_SAME_LAYER = 0.05  # of the depth: surfaces within one pixel that are mixed
 
 
 def pixel_centers(height: int, width: int) -> np.ndarray:

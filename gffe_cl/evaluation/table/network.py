@@ -35,7 +35,7 @@ class OnnxModel:
             raise GffeError(f"--onnx {path}: no such file (expected an ONNX model)")
         runtime = load_onnxruntime()
         options = runtime.SessionOptions()
-        options.log_severity_level = 4  # what goes wrong is raised
+        options.log_severity_level = 4  # failures raise
         for kind in ("intra_op", "inter_op"):
             options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
         try:

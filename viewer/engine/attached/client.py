@@ -180,7 +180,7 @@ class _Viewer:
         self.uses: deque[Use] = deque(maxlen=1)
         self.block: SharedBlock | None = None
         self.specs: dict[str, LayerSpec] | None = None
-        self.pending: _Pending | None = None  # what it will be shown
+        self.pending: _Pending | None = None  # the layers it will receive
 
     def take(self, message) -> None:
         wishes = {Look: self.looks, Ask: self.asks, Use: self.uses}
@@ -194,14 +194,14 @@ class _Watcher:
         self.viewer: _Viewer | None = None
         self._pacer = pacer
         self._number = -1  # of the rendered frame
-        self._camera: Camera | None = None  # what it, and the one before, was rendered through
+        self._camera: Camera | None = None  # its camera, and that of the one before
         self._before: Camera | None = None
         self._frame: DeviceFrame | None = None
         self._passed: deque[Passed] = deque(maxlen=2)  # whose buffers are not overwritten yet
         self._marks: dict[str, object] = {}  # the last event of each stage before this frame
         self._specs: dict[str, LayerSpec] = {}  # of all layers
-        self._specs_of: tuple | None = None  # what they were made of
-        self._kept: frozenset[str] = frozenset()  # what the pipeline was asked to keep
+        self._specs_of: tuple | None = None  # their inputs
+        self._kept: frozenset[str] = frozenset()  # outputs that the pipeline keeps
         self._rested = self._ended = 0.0  # from when on a frame may be looked at; when the last one was shown
         self._frame_ms = 0.0
         self._seen_generated, self._skipped = False, 0  # rendered and generated frames take turns
@@ -251,7 +251,7 @@ class _Watcher:
             self._kept = layers
             pipeline.keep(layers)
 
-    # ---- while somebody looks ------------------------------------------------------------------------------
+    # ---- while a viewer looks ------------------------------------------------------------------------------
 
     def _before_frame(self, viewer: _Viewer, pipeline: Pipeline, rendered: bool) -> None:
         if viewer.pending is not None and (rendered or viewer.pending.moment.alpha):
@@ -265,7 +265,7 @@ class _Watcher:
             self._keep(pipeline, viewer.looks[0].layers)
             if ShadingCorrection.name in pipeline.stages:
                 with suppress(cl.Error):  # while the device is at work, they are not to be had
-                    pipeline.stages[ShadingCorrection.name].take_network_milliseconds()  # of frames nobody saw
+                    pipeline.stages[ShadingCorrection.name].take_network_milliseconds()  # of undisplayed frames
         self._marks = {name: stage.events[-1] if stage.events else None for name, stage in pipeline.stages.items()}
 
     def _use(self, viewer: _Viewer, pipeline: Pipeline, use: Use) -> None:
@@ -340,7 +340,7 @@ class _Watcher:
             self._specs = {
                 name: spec
                 for name, spec in layers_of(pipeline).items()
-                if name not in (names.TRUTH, names.FOCUS_TRUTH)  # nobody renders it
+                if name not in (names.TRUTH, names.FOCUS_TRUTH)  # it is not rendered
             }
         wanted = look.layers & self._specs.keys()
         events, images = start_reading(pipeline, device_layers(pipeline, shot), wanted)

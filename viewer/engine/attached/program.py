@@ -54,7 +54,7 @@ class RunningProgram:
         self._owed = False  # an answer to `see`
         self._inspection: Inspection | None = None
         self._refused: Refused | None = None
-        self._block: mmap.mmap | None = None  # images of what was seen
+        self._block: mmap.mmap | None = None  # images of displayed frames
         self._plan: RecordingPlan | None = None
         self._recorded: mmap.mmap | None = None
         try:
@@ -80,7 +80,7 @@ class RunningProgram:
     def see(self, layers: frozenset[str], generated: bool, check: Callable[[], None]) -> tuple[Seen, dict]:
         """The next frame and its images, copied. Waits for it; `check` is called meanwhile and may raise. Raises
         GffeError if the program has ended, and if it refused options."""
-        if self._owed:  # whoever asked did not wait for it, and may have asked for other layers
+        if self._owed:  # the caller did not wait for it, and may have requested other layers
             self._wait("_seen", check)
         self._owed = True
         self._send(Look(layers, generated))

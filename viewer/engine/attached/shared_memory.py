@@ -22,7 +22,7 @@ from gffe_cl.sequence.reader import Sequence
 from gffe_cl.stages.buffers import DeviceFrame
 
 _PAGE = mmap.PAGESIZE
-_ABOUT = 16 << 10  # bytes, of what is said about a frame
+_ABOUT = 16 << 10  # bytes of a frame's description
 _BYTES = (8, 4, 8)  # per pixel: color, depth, motion
 _MOST_BYTES = 512 << 20  # of recorded frames
 _LEAST_FRAMES = 3
@@ -35,7 +35,7 @@ class SharedBlock:
         self.nbytes = _rounded(nbytes)
         self.descriptor = os.memfd_create("gffe-cl", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         try:
-            os.posix_fallocate(self.descriptor, 0, self.nbytes)  # what cannot be had is told now, not by a signal later
+            os.posix_fallocate(self.descriptor, 0, self.nbytes)  # missing memory fails now, not by a signal later
             fcntl.fcntl(self.descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
             flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # page faults would come while a frame is made
             self.memory = mmap.mmap(self.descriptor, self.nbytes, flags)

@@ -58,7 +58,7 @@ class RemoteSlots:
         self.source, self._program, self._check = source, source.program, check
         self.last: Request | None = None
         self._chosen: Options | None = None  # by the user, as last asked for
-        self._inspected = False  # a pixel of a frame: what is told of generated ones is what is looked for
+        self._inspected = False  # a pixel of a frame: mostly of generated ones
 
     def drop(self) -> None:
         """Nothing is kept here."""

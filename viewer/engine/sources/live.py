@@ -26,7 +26,7 @@ from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
 
 _LEAST_RING = 3  # the pipeline uses two frames in place
 _TRUTHS = 4
-_PAST = 9  # rendered frames that a seek submits: only their poses can make what is shown outdated
+_PAST = 9  # rendered frames that a seek submits: only their poses can make the display outdated
 _LONGEST_GAP = 8.0  # rendered frames between two flown poses that are of one flight
 
 
@@ -71,7 +71,7 @@ class SceneSource(FrameSource):
         self._flown_last = -1.0  # key of the last call of `fly`
         self._flights = 0  # calls of `fly`
         self._lock = threading.Lock()  # of the flown poses
-        self._way: Any = None  # what `configure` was given, a tuple
+        self._way: Any = None  # the argument of `configure`, a tuple
         self.configure(window, 1)
 
     def sibling(self):
@@ -196,7 +196,7 @@ class SceneSource(FrameSource):
         shown = flown or self.camera(k, 0.0)
         if flown:
             with self._lock:
-                self._record(float(k), flown)  # what was flown through is replayed, whatever is flown later
+                self._record(float(k), flown)  # past poses are replayed, independent of later ones
         key = (k, *self._way, *_bits(shown))
         kept = self._ring.get(key)
         if kept is None or before is not None:

@@ -61,7 +61,7 @@ class Previewer:
             self._sequence = open_capture(place_of(self.target))
         except GffeError as error:
             self._problem = error
-        except Exception as error:  # whoever opens it is told
+        except Exception as error:  # opening it reports the error
             self._problem = GffeError(f"{self.target}: {type(error).__name__}: {error}")
         finally:
             self._opened.set()
@@ -76,7 +76,7 @@ class Previewer:
         try:
             color = sequence.read_color(entry)
         except GffeError:
-            return  # whoever reads it next is told
+            return  # the next read reports the error
         rgba = np.zeros((*color.shape[:2], 4), np.float16)
         rgba[..., :3] = np.clip(np.nan_to_num(color), -HALF_MAX, HALF_MAX)
         self._made = Preview(self.target, rgba, sequence.exposure)

@@ -77,7 +77,7 @@ class RecordedSource(Recorded, FrameSource):
             threading.Thread(target=self._suspect, args=(check,), name="gffe-viewer-check", daemon=True).start()
 
     def _suspect(self, check):
-        with suppress(GffeError):  # a frame that cannot be read: who looks at it is told
+        with suppress(GffeError):  # an unreadable frame: displaying it reports the error
             self.suspicions += filter(None, [check()])
 
     def reset_before(self, k):
