@@ -10,7 +10,7 @@
 #include "mover_grid.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
-#define TURN 0.8333333f  /* the third difference's share beside the second's, (alpha + 2) / 3, at alpha = 1/2 */
+#define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 #define IN_VIEW 0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of
                             that in the world ... */
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
@@ -18,7 +18,7 @@
                             of its distance: without a shake both spaces fit */
 #define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
-/* What a cell's fragments of one mover have in common. */
+/* Mean values of a cell's fragments of one mover. */
 typedef struct {
     float3 velocity;  /* in the world, along the axes of view space; world units per interval */
     float3 view_velocity;  /* in view space */
@@ -36,7 +36,7 @@ typedef struct {
 
 INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f; }
 
-/* The nearest mover of a cell; depth 0 if there is none. */
+/* The nearest mover of a cell; depth 0 without one. */
 INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);

@@ -15,7 +15,7 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
-#define FROM_MEMORY 0x80000000u  /* of a texel's index: its REMEMBERED fragment is meant, not the SHOWN one */
+#define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to the REMEMBERED fragment, not to the SHOWN one */
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
@@ -95,9 +95,9 @@ INLINE bool may_be_at(const int src, const float z, const int source_width, __gl
 }
 
 #define BEHIND (1.0f - 0.95f * SAME_SURFACE)  /* times the depth of a fragment: nearer surfaces hide it */
-#define TOUCHES 0.499f       /* of a texel's side: how far a fragment reaches to the texels beside its own */
+#define TOUCHES 0.499f       /* of a texel's side: reach of a fragment to neighboring texels */
 
-/* The current frame, what a level of it holds already (`taken`, and how deep), and whom fragments are offered to. */
+/* The current frame, the contents of a level of it (`taken`, and their depths), and the receivers of fragments. */
 typedef struct {
     int width, height, level, last_level, pass;
     __global const float *depth;

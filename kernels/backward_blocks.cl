@@ -24,7 +24,7 @@
 typedef struct { float x0, y0, x1, y1; } Box;
 #define NOWHERE {INFINITY, INFINITY, -INFINITY, -INFINITY}
 
-/* What LANES fragments reach, taken together. */
+/* The blocks that LANES fragments reach together. */
 typedef struct { Floats x0, y0, x1, y1; } Boxes;
 
 inline Box box_of(const Boxes boxes) {
@@ -198,8 +198,8 @@ inline bool find_source(const float2 center, const int4 extent, const int source
     return false;
 }
 
-/* 1 if fragments go where the inverse of the flow around the block's center says: at its upper corners, from which those across
-   hardly differ; else 0. */
+/* 1 if fragments go to the positions by the inverse of the flow around the block's center: tested at its upper corners, from
+   which the opposite ones hardly differ; else 0. */
 inline float is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
                       __global const float *target_position) {
     bool affine = true;
@@ -215,9 +215,8 @@ inline float is_affine(const float2 center, const float8 source, const int sourc
     return affine ? 1.0f : 0.0f;
 }
 
-/* One work-item per target block: its class, and of those to be warped backward where their center comes from. Forgets what
-   reached it, for the next frame, and empties the keys of those that are splatted; no silhouette is in it yet, if
-   that `softens` any. */
+/* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the block's reach
+   for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens` any. */
 SPARSE __kernel void classify_blocks(const Frame frame, __global const float *target_position, __global const uchar *smooth,
                                      __global int *reached_by, __global uchar *block_class, __global float8 *block_source,
                                      __global uchar *marked, __global Key *keys, __global uint *winners) {

@@ -9,7 +9,7 @@
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbors of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
 #define SMALL_STEP 0.0199f       /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */
-#define LARGE_STEP 0.032f        /* ... and one that is beyond it, and beyond SURFACE_CURVATURE beside a small one */
+#define LARGE_STEP 0.032f        /* ... and a depth step above this and, next to a small one, above SURFACE_CURVATURE */
 
 #define GROW 2                   /* px around dynamic or nearer fragments where colors may be mixed with theirs */
 #define NEARER 0.9f
@@ -121,7 +121,7 @@ inline Ints small_step(const Floats a, const Floats b) {
 
 inline Ints large_step(const Floats a, const Floats b) { return fabs(a - b) > LARGE_STEP * (a < b ? a : b); }
 
-/* The same by depth; *clear is left where that tells. */
+/* The same by depth; *clear is unchanged where that decides. */
 INLINE Ints links_by_depth(const Place p, Ints *clear) {
     const Floats z = depth_beside(p, 0, 0);
     *clear = z > 0.0f;
@@ -147,8 +147,8 @@ INLINE Ints links_by_motion(const Place p) {
            | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
 
-/* What the background knows before it collects: the state of level 0, whom fragments are offered to that may fill it, and to whom
-   those that are pushed to level 1. */
+/* The background's state before collection: the state of level 0, the receivers of fragments that may fill it, and those of
+   fragments pushed to level 1. */
 typedef struct {
     __global uchar *state;
     __global Key *fill_keys;

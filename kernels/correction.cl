@@ -1,4 +1,4 @@
-/* What the shading correction network's judgement makes of the extrapolated frame (paper: 'Shading Correction Network'): the
+/* Application of the shading correction network's judgement to the extrapolated frame (paper: 'Shading Correction Network'): the
    correction at half resolution, and the final image. */
 
 #include "frame.h"
@@ -17,7 +17,7 @@
 #define SAID 6               /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
 #define SLOPE 0.1f           /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
-#define MARGIN 2.0f          /* how much farther than it changed light may go on */
+#define MARGIN 2.0f          /* largest continued change of light, times its last change */
 #define TRUSTED 3.0f         /* of the focus mask: all while the last change differs by half of its square from the one before, ... */
 #define DISTRUST 4.0f        /* ... nothing from three quarters on */
 #define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
@@ -31,8 +31,8 @@ inline Floats sigmoid(const Floats x) {
     return x == x ? value : x;
 }
 
-/* How far the focus mask may be trusted: not where light flickers, so that the last interval's change of brightness is no
-   longer that of the interval before, neither as it is nor along the flow. */
+/* Trust in the focus mask. It is low where light flickers, so that the last interval's change of brightness differs from that of
+   the interval before, both in place and along the flow. */
 inline Floats trust(__global const float *differences, const int plane, const Taps *taps) {
     const Floats changed = interpolate(differences, taps), again = interpolate(differences + 2 * plane, taps);
     const Floats again_along = interpolate(differences + 3 * plane, taps);
@@ -86,8 +86,8 @@ inline Floats moved_light(__global const float *frame_now, __global const float 
     return wide_lesser(wide_greater(moved, least), most);
 }
 
-/* At half resolution: change of encoded color (3), detail that is kept, focus mask. In disocclusions a change of light cannot be
-   told from another surface: there nothing is changed. */
+/* At half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in disocclusions, where a
+   change of light is indistinguishable from another surface. */
 WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
                          __global const int *changed, __global float *correction) {
@@ -112,7 +112,7 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
         seen[DETAIL + 9 + c] = before;
     }
     head_of(head, seen, said);
-    const Floats number = (flow_x - flow_x) + (flow_y - flow_y);  /* 0; NaN where the flow is none */
+    const Floats number = (flow_x - flow_x) + (flow_y - flow_y);  /* 0; NaN for an invalid flow */
     for (int c = 0; c < 3; ++c)
         store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0, correction + c * plane + at);
     store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
@@ -147,13 +147,13 @@ inline void store_where(const Ints holds, const WideRgb c, const int count, __gl
     }
 }
 
-/* Bits of `asked`: whether the image is left as it is where the mask is 0, and whether `refined` is wanted. */
+/* Bits of `asked`: whether the image is unchanged where the mask is 0, and whether `refined` is requested. */
 #define WITHIN_MASK 1
 #define WITH_REFINED 2
 
-/* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
-   the extrapolated color's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is made only
-   for whoever asks for it: else a run of pixels without mask is a copy. */
+/* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that within the focus
+   mask, the extrapolated color's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is only
+   stored on request; otherwise a run of pixels without mask is a copy. */
 WIDE __kernel void correct(const Frame frame, const int asked, __global const half *color,
                            __global const float *frames, __global const float *correction, __global half *refined,
                            __global half *focus_mask, __global half *out_color) {

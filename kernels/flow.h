@@ -2,7 +2,7 @@
 
 #define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
-#define STRETCH_MOST 4.0f        /* a footprint stretched more than this over what depth explains is not trusted */
+#define STRETCH_MOST 4.0f        /* a footprint stretched by more than this over the one by depth is not trusted */
 
 /* Predicted position of fragment `src`: (px in the target image, view depth there). */
 inline float3 position_of(__global const float *target_position, const int src, const int plane) {
@@ -42,8 +42,8 @@ INLINE float3 slope(const Fragments f, const int src, const float3 here, const i
     return count == 2.0f ? sum * 0.5f : sum;
 }
 
-/* From the linked neighbors; along a direction without any, what depth alone explains. Given back by pointer: Oclgrind does not know
-   what inlining makes of returned structs. */
+/* From the linked neighbors; along a direction without any, from depth alone. Returned by pointer: Oclgrind fails on returned
+   structs after inlining. */
 INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *flow) {
     const int bits = f.links[src];
     bool linked_x, linked_y;
@@ -55,7 +55,7 @@ INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *f
     if (!linked_x || fabs(flow->ddx.x) > most || fabs(flow->ddx.y) > most) flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
     if (!linked_y || fabs(flow->ddy.x) > most || fabs(flow->ddy.y) > most) flow->ddy = (float3)(0.0f, scale_y, 0.0f);
     flow->det = flow->ddx.x * flow->ddy.y - flow->ddy.x * flow->ddx.y;
-    if (!(flow->det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbors say nothing about the footprint */
+    if (!(flow->det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbors do not determine the footprint */
         flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
         flow->ddy = (float3)(0.0f, scale_y, 0.0f);
         flow->det = scale_x * scale_y;
@@ -89,7 +89,7 @@ typedef struct {
     bool one, two;
 } Places;
 
-/* `margin`: how far beside them the image, of `pixels`, is looked at. */
+/* `margin`: number of additional pixels on each side that are read from the image, of `pixels`. */
 INLINE void find_places(const Ints at, const int margin, const int pixels, Places *p) {
     p->at = at;
     p->first = FIRST_LANE(at);
@@ -110,7 +110,7 @@ INLINE Bytes bytes_at(__global const uchar *plane, const Places p) {
     return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);
 }
 
-/* The values of one plane at LANES fragments and beside them. */
+/* The values of one plane at LANES fragments and at their neighbors. */
 typedef struct { Floats here, left, right, up, down; } Cross;
 
 INLINE void load_cross_of_run(__global const float *p, const int source_width, Cross *a) {
@@ -142,7 +142,7 @@ INLINE void load_cross(__global const float *plane, const int source_width, cons
     }
 }
 
-/* Predicted positions of LANES fragments and of those beside them. */
+/* Predicted positions of LANES fragments and of their neighbors. */
 typedef struct { Cross x, y, z; } Positions;
 
 INLINE void load_positions_of_run(const Fragments f, const int src, Positions *p) {

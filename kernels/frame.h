@@ -36,13 +36,13 @@ typedef struct {
     int has_overlays;                 /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion;                       /* whether motion is estimated */
-    int camera_fixed;                 /* whether fragments that are fixed to the camera are told from movers */
+    int camera_fixed;                 /* whether fragments fixed to the camera are distinguished from movers */
     int positions;                    /* of history, that are kept */
     int levels;                       /* of the background */
     int blocks;                       /* whether smooth surfaces are warped backward in blocks */
     int crack_closing;
     int softens;                      /* whether silhouettes are made soft */
-    int bends;                        /* whether movers' acceleration goes on */
+    int bends;                        /* whether movers' acceleration continues */
     int collects;                     /* whether there is a background */
     float upscale_sharpening;
 } Frame;

@@ -1,8 +1,8 @@
-/* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background.
-   What would fill one moves as the dynamic fragments beside it do, so its place in the rendered frame is known; and as the
-   warp brought nothing from there it was hidden, or its depth is invalid. Where that frame shows something at that place that
-   is not nearer, the mover has no part there, and the hole is left to the background.
-   RUN pixels without a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
+/* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background. A mover's part in a
+   disocclusion moves like the dynamic fragments next to it, so its place in the rendered frame is known. The warp brought nothing
+   from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface there that is not nearer, the
+   mover has no part there, and the hole is left to the background. RUN pixels without a hole are skipped at once, and so are RUN
+   x LANES without a dynamic pixel within reach. */
 
 #include "frame.h"
 #include "simd.h"
@@ -49,7 +49,7 @@ inline int first_dynamic(const int dst, const int offset, const int steps, __glo
     return 0;
 }
 
-/* Steps to the first mover in direction d, behind what stands before it, of which a part may have been hidden here; 0: none. */
+/* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here; 0: none. */
 inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;

@@ -15,11 +15,11 @@
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 #define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
-#define STEP_CLASSES 4           /* steps of motion in x where it is not negative, and where it is; of y likewise */
+#define STEP_CLASSES 4           /* steps of motion in x where it is not negative, in x where it is, and the same for y */
 #define STEP_FIRST 0x3e8         /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
 #define STEP_NONE 0.0009765625f  /* px: less is no step at all, but rounding */
-#define STEP_SAMPLES 32          /* fewest pairs of vectors that tell a step */
-#define QUANTIZED_LOW 0.125f     /* px: the least threshold beside errors of quantization; CAMERA_ERROR is the greatest */
+#define STEP_SAMPLES 32          /* fewest pairs of vectors to determine a step */
+#define QUANTIZED_LOW 0.125f     /* px: the least threshold in addition to errors of quantization; CAMERA_ERROR is the greatest */
 #define LOOKUPS 2                /* at most so many quantized vectors are added to one */
 
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
@@ -211,8 +211,8 @@ inline float excess_threshold_squared(__local const int *histogram) {
     return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
 }
 
-/* Errors of quantization by class, px; and where there are any, the threshold beside them. They are those of two vectors if that
-   brings more than a fortieth of the pixels within the errors. */
+/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that brings more
+   than a fortieth of the pixels within the errors. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void refine_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
                       __global const float *motion_steps, __global float *threshold_squared,
@@ -313,7 +313,7 @@ typedef struct {
     __global float4 *history;
 } Frames;
 
-/* What else Algorithm 1 does for a dynamic fragment: P_1 ... from the previous frame. */
+/* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame. */
 INLINE void find_history(const int src_x, const int src_y, const Frame *frame, const Frames f) {
     const int source_width = frame->source_width, plane = source_width * frame->source_height;
     const int src = src_y * source_width + src_x, positions = frame->positions;
@@ -355,8 +355,8 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
     for (int k = known; k < positions - 1; ++k) f.history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
-/* Which of LANES fragments may be fixed to the camera: their motion says so, and if they were static they would have moved in the
-   image (`moves`), or changed their depth. */
+/* Which of LANES fragments may be fixed to the camera: by their motion, and because static ones would have moved in the image
+   (`moves`), or changed their depth. */
 INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x, const Floats mv_y, const Floats z,
                          const Floats z_static, const Ints moves, const Frame *frame) {
     const Pinhole inverse = frame->to_previous.source_inverse, before = frame->to_previous.target;
@@ -375,8 +375,8 @@ INLINE bool is_fixed(const int src_x, const int src_y, const Frame *frame, const
     return fabs(f.depth_prev[y * frame->source_width + x] - f.depth[src]) <= FIXED_DEPTH * f.depth[src];
 }
 
-/* Algorithm 1. Of dynamic fragments, met_depth: 0 where none is; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where
-   P_i is not known. What is static takes the test and nothing more. */
+/* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where P_i
+   is unknown. Static fragments only take the test. */
 WIDE __kernel void track_history(const Frame frame, __global const float *depth, __global const float2 *motion,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
                                  __global const float4 *history_prev, __global const float *threshold_squared,

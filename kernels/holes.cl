@@ -1,7 +1,6 @@
-/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image
-   downsampled 32 times (paper: 'Shading correction network').
-   To be filled are the pixels that are labeled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
-   at once, and the downsampled image is made only where a pixel asks for them. */
+/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image downsampled 32
+   times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their label. RUN pixels without
+   any are skipped at once, and the downsampled image is only computed for pixels that need it. */
 
 #include "frame.h"
 #include "simd.h"
@@ -12,7 +11,7 @@
 #define LEAST_REACH 16       /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10       /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
-#define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
+#define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame relative to valid pixels: it only counts without any of them */
 
 /* The new frame, of which holes are filled, and the rendered one. */
 typedef struct {
@@ -50,7 +49,7 @@ inline int first_beside(const int dst, const int offset, const int steps, __glob
     return 0;
 }
 
-/* The first pixels beside a hole, in eight directions: which ones, how near (1/px), and their inverse depths. */
+/* The first pixels beside a hole, in eight directions: their indices, 1 / distance (1/px), and their inverse depths. */
 typedef struct {
     int count, px[DIRECTIONS];
     float closeness[DIRECTIONS], inverse[DIRECTIONS], least_inverse;
@@ -185,7 +184,7 @@ inline bool continue_surface(const int dst_x, const int dst_y, const Frame *fram
 
 inline float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
-/* How much a far side `mean` tells, beside a remembered color: the nearer and the more uniform the more. */
+/* Weight of a far side's `mean` relative to a remembered color. It grows if the far side is near and uniform. */
 inline float weight_of_far_side(const Border a, const float3 mean, __global const half *color) {
     float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < a.count; ++k) {
@@ -199,8 +198,8 @@ inline float weight_of_far_side(const Border a, const float3 mean, __global cons
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
 }
 
-/* What the background fills, with the far side: of a surface's remembered color, which may be out of date, and what is shown
-   beside it now, the weighted mean is shown. RUN pixels per work-item. */
+/* Mixes the background's fills with the far side. A surface's remembered color may be out of date, so the weighted mean with the
+   present color beside it is shown. RUN pixels per work-item. */
 SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccluded, __global const uchar *filled_by,
                                 __global const float *depth, __global half *color) {
     const int target_width = frame.target_width, target_height = frame.target_height;

@@ -7,8 +7,8 @@ inline int mover_cell_of(const int x, const int y, const int width) { return y /
 
 inline bool is_of_cell(const float z, const float cell_depth) { return fabs(z - cell_depth) <= CELL_TOLERANCE * cell_depth; }
 
-/* A vector and how much of it is trusted, 0 to 1 or -1 (not known), in 64 bits: of each float sign, exponent and ten bits of the
-   mantissa, then six bits; one is free: two words joined at 32 bits become a funnel shift, which Oclgrind does not know. */
+/* A vector and its trust, 0 to 1 or -1 (unknown), in 64 bits: of each float sign, exponent and ten bits of the mantissa, then six
+   bits; one is free. (Two words joined at 32 bits would become a funnel shift, which Oclgrind does not support.) */
 #define UNKNOWN_TRUST 63u
 #define MOST_TRUST 62
 

@@ -38,7 +38,7 @@ inline Floats log_of_product(const Floats a, const Floats b) {
     return log_of_parts(mantissa_of(product, more), of_a + of_b + more);
 }
 
-/* exp(x) - 1 for x from 0 to 88, likewise. */
+/* exp(x) - 1 for x from 0 to 88, with the same precision. */
 inline Floats exp_less_one(const Floats x) {
     const Floats n = floor(x * 1.44269504088896341f + 0.5f);
     const Floats r = x - n * 0.693359375f + n * 2.12194440e-4f;

@@ -20,7 +20,7 @@ typedef struct {
     __global const uint2 *bend, *view_velocity;
 } Tracked;
 
-/* What acceleration adds to the position of a fragment after alpha intervals. */
+/* Displacement of a fragment by acceleration after alpha intervals. */
 inline float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
@@ -42,7 +42,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
     while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
     float8 weights = frame->polynomial[0];
 #pragma unroll
-    for (int k = 1; k < MAX_ORDER; ++k)  /* not every driver finds an element by a number that it does not know */
+    for (int k = 1; k < MAX_ORDER; ++k)  /* some drivers fail on an index that is not a constant */
         if (known == k + 1) weights = frame->polynomial[k];
     const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
     float3 predicted = p0;

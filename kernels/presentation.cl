@@ -17,8 +17,8 @@ inline Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, cons
 
 inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
 
-/* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between; beyond the image its
-   border goes on. */
+/* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between. Beyond the image its border is
+   repeated. */
 __kernel void present_color(const Frame frame, __global const uint2 *color, __global half *out_color) {
     const int target_width = frame.target_width, target_height = frame.target_height;
     const int source_width = frame.source_width, source_height = frame.source_height;

@@ -8,7 +8,7 @@
 inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
     const Floats red = clamp(r, 0.0f, COLOR_MOST), green = clamp(g, 0.0f, COLOR_MOST), blue = clamp(b, 0.0f, COLOR_MOST);
     const Floats most = fmax(fmax(red, green), fmax(blue, COLOR_FINEST));
-    const Ints exponent = ((floats_as_ints(most) + 0x4000) >> 23) - 111;  /* 0 to 31, of what `most` is rounded to */
+    const Ints exponent = ((floats_as_ints(most) + 0x4000) >> 23) - 111;  /* 0 to 31, of the rounded `most` */
     const Floats scale = ints_as_floats((151 - exponent) << 23);
     return to_ints(rint(red * scale)) | to_ints(rint(green * scale)) << 9 | to_ints(rint(blue * scale)) << 18 | exponent << 27;
 }

@@ -6,7 +6,7 @@
 /* Column of each lane's pixel. */
 inline Floats row_indices(const int x) { return to_floats(x + LANE_NUMBERS); }
 
-/* The taps around positions in pixels, whole numbers at their centers. What is no number is the far border. */
+/* The taps around positions in pixels, with whole numbers at pixel centers. NaN counts as the far border. */
 typedef struct { Ints tap, right, down; Floats u, v; } Sample;
 
 inline void find_sample(const Floats x, const Floats y, const int width, const int height, Sample *s) {

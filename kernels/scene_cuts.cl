@@ -7,14 +7,14 @@
 #define SAMPLES_X 64             /* the lattice, over an image of any size; a row of it is a work-group */
 #define SAMPLES_Y 36
 #define DEPTH_AGREES 0.02f       /* relative difference of depths of one surface */
-#define STATIC_PX 1.0f           /* a vector is the camera's if it is as near as this to where the camera says ... */
+#define STATIC_PX 1.0f           /* a vector is the camera's if it is within this distance of the static motion ... */
 #define STATIC_SHARE 0.1f        /* ... and the addition per pixel of its length */
 #define ARM 2                    /* px from a sample to those whose contrast is compared */
 #define CONTRAST_LEAST 0.06f     /* below it there is nothing to compare */
 #define CONTRAST_AGREES 0.5f     /* relative difference of contrasts of one surface */
 #define DARK 1.0e-4f             /* linear color, sum of three: noise has no contrast */
 
-/* What is counted of the samples. */
+/* Counts of samples. */
 enum { VALID, INSIDE, COMPARED, DEPTH_RIGHT, WITH_CONTRAST, CONTRAST_RIGHT, PASSED, COUNTS };
 
 inline float brightness(__global const half *color, const int x, const int y, const int width) {
@@ -32,7 +32,7 @@ inline bool has_arms(const int x, const int y, const int width, const int height
     return x >= ARM && y >= ARM && x < width - ARM && y < height - ARM;
 }
 
-/* Depth that the surface at a pixel had in the frame before, if its vector tells no movement of its own. */
+/* Depth of a pixel's surface in the frame before, unless its vector has movement of its own. */
 inline float depth_before(const float2 px, const float2 px_prev, const float2 mv_px, const float z, const Reprojection to_previous) {
     if (isinf(z)) return z;
     const float3 px_static = reproject(px, z, to_previous);

@@ -1,7 +1,6 @@
-/* How shading moved: the flow from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade,
-   1981), coarse to fine; and what is known of it and of the trend, which the shading correction network judges. Images of level l
-   have 1 / 2^l of the sides of the network's frames: 1, a quarter of the display's, is the finest. The flow of every second
-   pixel is found. */
+/* Flow of shading: from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade, 1981), coarse to
+   fine; and the data on flow and trend that the shading correction network judges. Images of level l have 1 / 2^l of the sides of
+   the network's frames: 1, a quarter of the display's, is the finest. The flow is computed for every second pixel. */
 
 #include "frame.h"
 #include "candidates.h"
@@ -131,8 +130,8 @@ WIDE __kernel void step_flow(const Frame frame, const int level, __global const 
     store_some_floats(load_some_floats(count, flow + plane + at) + wide_divide(step_y, excess), count, flow + plane + at);
 }
 
-/* At level 2, squared differences: means over 2x2 pixels of level 1 of the brightness of both frames, as it is and along the
-   flow; of its change from that of the interval before, as it is and along the flow. */
+/* At level 2, squared differences: means over 2x2 pixels of level 1 of the brightness of both frames, in place and along the
+   flow; and of its change from the previous interval's, in place and along the flow. */
 WIDE __kernel void sum_differences(const Frame frame, __global const float *brightness, __global const float *warped,
                                    __global const float *coarser, __global const float *flow, __global const float *trends,
                                    __global float *products) {
@@ -168,8 +167,8 @@ WIDE __kernel void blur_differences(const Frame frame, __global const float *pro
         store_some_floats(mean_around(products + k * plane, width, height, x, y), count, differences + k * plane + y * width + x);
 }
 
-/* What is known of trends: 4 x that of the last interval (3), 4 x the mean of that of the interval before,
-   how far the one was the other, and the share of the surroundings that tells. */
+/* Data on trends: 4 x the trend of the last interval (3), 4 x the mean of the trend of the interval before, their agreement, and
+   the share of valid samples nearby. */
 inline void know_trends(__global const float *trends, const int plane, Floats *known) {
     Floats product = 0.0f, square = 0.0f, sum = 0.0f;
     for (int c = 0; c < 3; ++c) {
@@ -184,9 +183,9 @@ inline void know_trends(__global const float *trends, const int plane, Floats *k
     known[5] = load_floats(0, trends + 6 * plane);
 }
 
-/* Planes of the network's input at a quarter of the resolution: the flow (2); the root of the mean squared difference as it is
+/* Planes of the network's input at a quarter of the resolution: the flow (2); the root of the mean squared difference in place
    and along the flow, and their ratio; change of color along the flow until t + alpha (3); trends (3) and the mean of the earlier
-   one; difference of brightness; how far the trend held; the share that tells of it; alpha. */
+   one; difference of brightness; agreement of the trends; their share of valid samples; alpha. */
 WIDE __kernel void find_candidates(const Frame frame, __global const float *colors, __global const float *brightness,
                                    __global const float *flow, __global const float *differences,
                                    __global const float *trends, __global float *candidates) {

@@ -14,7 +14,7 @@
 #define MOST_CHANGE 1048576.0f /* factor of one pixel's color: products over a cell stay within floats */
 #define CHANGES 4              /* planes: of R, G, B, and the share of samples that are static in both frames */
 #define THIRD 0.33333334f
-#define LEAST_SHARE 0.05f      /* of a neighborhood: fewer samples say less */
+#define LEAST_SHARE 0.05f      /* of a neighborhood: fewer samples count less */
 #define NOISE 1.033831f        /* factor of lifted color, 1/256 of encoded color, up to which nothing changed, ... */
 #define FEW 8                  /* ... and samples, of 64 in a tile, that may change more, as aliased edges do */
 #define TILE 4                 /* cells, each way, for which that is decided */
@@ -184,8 +184,8 @@ inline Floats trend_at(__global const float *plane, const Cells *c) {
            + (c->weight[2] * gather_floats(plane, c->tap[2]) + c->weight[3] * gather_floats(plane, c->tap[3]));
 }
 
-/* What the trends of the last two intervals come to by t + alpha, each looked up where the pixel's surface, if it is static, was
-   seen then, and the share of the last one; and how brightness changed close by in the interval before. */
+/* The trends of the last two intervals, continued to t + alpha, each looked up at the static surface's position then, and the
+   valid share of the last one; and the change of brightness nearby in the interval before. */
 WIDE __kernel void carry_trends(const Frame frame, __global const float *depth, __global const float *trend,
                                 __global const float *trend_prev, __global const float *changes_prev,
                                 __global float *trends) {

@@ -17,7 +17,7 @@
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
 #define ALIKE 1.0f           /* ... and those from which one color is interpolated */
 #define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
-#define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colors tell the coverage in part only */
+#define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colors only partly determine the coverage */
 
 #define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
@@ -28,7 +28,7 @@
 #define NEAR 2
 
 #define ALL_LINKS 15
-#define ANYWHERE 100000000.0f /* px: fragments that go nowhere are told to go farther away */
+#define ANYWHERE 100000000.0f /* px: fragments that go nowhere have targets beyond this */
 #define MARKED 3             /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
@@ -46,7 +46,7 @@ typedef struct {
     __global const half *codes;
 } Source;
 
-/* Depths of the 3x3 pixels around each of them, 0 where there is none, and what lies halfway between the sides if these are
+/* Depths of the 3x3 pixels around each of them, 0 outside of the image, and the depth halfway between the sides if these are
    apart. */
 typedef struct { Floats z[9], middle; } Depths;
 
@@ -228,7 +228,7 @@ inline bool goes_along(const Source s, const int x, const int y, const float3 th
     return there.z * SAME_LAYER <= z && z * SAME_LAYER <= there.z && fmax(fabs(ex), fabs(ey)) < most;
 }
 
-/* Whether color of a nearer layer is mixed into what a pixel shows; (x0, y0): the first of the four pixels around its place. */
+/* Whether a pixel's color includes that of a nearer layer; (x0, y0): the first of the four pixels around its place. */
 inline bool is_mixed_with_near(const Source s, const Layers l, const int x0, const int y0) {
     for (int k = 0; k < 4; ++k) {
         const int x = x0 + (k & 1), y = y0 + (k >> 1);
@@ -298,8 +298,8 @@ typedef struct {
     Ints far;
 } LayerPairs;
 
-/* Which of LANES pixels lie between two layers that move apart. Each layer is where the pixel itself shows it if that does; else
-   the mean of those beside it, or at its corners where there are none. */
+/* Which of LANES pixels lie between two layers that move apart. A layer's place is that of the pixel itself if it shows the
+   layer, else the mean of its neighbors', or of its corners' without any. */
 INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *pairs) {
     Depths d;
     load_depths(p, f.depth, &d);
@@ -357,7 +357,7 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
     return step & (d.z[4] > 0.0f) & (near_count > 0.0f) & (far_count > 0.0f) & ((apart_x > MOVES_APART) | (apart_y > MOVES_APART));
 }
 
-/* What the far layer shows: the mean of the 3x3 pixels in `far`. */
+/* Color of the far layer: the mean of the 3x3 pixels in `far`. */
 inline float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const int far) {
     float3 sum = (float3)(0.0f);
     for (int left = far; left; left &= left - 1) {
@@ -369,7 +369,8 @@ inline float3 far_color(const Source s, const Layers l, const Shown f, const int
     return mean_of(sum, (float)popcount(far));
 }
 
-/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its color. `near_place`, `far`: of its pair of layers; 0: it has none. */
+/* Value of `coverage` of a pixel, 0 if it is unchanged; else stores its color. `near_place`, `far`: of its pair of layers; 0: it
+   has none. */
 inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float3 near_place,
                           const int far, __global uint *softened) {
     const int dst = dst_y * f.width + dst_x;
@@ -404,8 +405,8 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     return mixed;
 }
 
-/* The new colors, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
-   that are not marked. */
+/* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share. Unmarked blocks are
+   skipped. */
 WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __global const float *target_position,
                           __global const half *codes, __global const uchar *layer, __global const uint *behind,
                           __global const uchar *share, __global const half *color, __global const float *depth,

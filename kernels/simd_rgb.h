@@ -1,4 +1,4 @@
-/* Colors of half images, LANES pixels at once, as they are: finite_rgb replaces NaN and infinity. */
+/* Colors of half images, LANES pixels at once, unchecked: finite_rgb replaces NaN and infinity. */
 
 #include "simd.h"
 

@@ -59,7 +59,7 @@ INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
 #endif
 }
 
-/* Texels x to x + 3 of a row; beyond the image its border goes on. */
+/* Texels x to x + 3 of a row; beyond the image its border is repeated. */
 inline float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
     if (x >= 0 && x + 4 <= width) return vload_half16(0, image + 4 * (row + x));

@@ -33,7 +33,7 @@ INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx
     return gather_floats((__global const float *)plane, i);
 }
 
-/* Texels of a half image, as they are. */
+/* Texels of a half image, unchecked. */
 INLINE void texels_beside(const Span p, __global const half *image, const int dx, const int dy, Strip *c) {
     float texels[4 * LANES];
     if (!p.inner) {

@@ -28,7 +28,7 @@
 #define FRESH 0.8f            /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
 #define SLOPE 0.75f           /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
 #define DEVIATIONS 2.0f       /* deviations from the mean that a history may have */
-#define NOISE 0.01f           /* of compressed colors, beside their deviation */
+#define NOISE 0.01f           /* of compressed colors, in addition to their deviation */
 #define SCATTER 1.0f          /* weight of the scatter of the history's error, against its mean, which is followed */
 #define WRONG 1.0f            /* deviations: error from which on a history that moved is not believed */
 #define WRONG_AT_REST 3.0f
@@ -39,7 +39,7 @@
 #define SETTLED 4.0f          /* from which on something nearer that is gone was thin, and no sample meets it now */
 #define THIN 16               /* the lock of such a feature; one less in each frame, down to LOCK_FRAMES */
 #define MET 0.75f             /* share of a place that was not hidden from which on nothing is gone */
-#define LOCKED_ROOM 0.5f      /* compressed color that it may be off, beside DEVIATIONS */
+#define LOCKED_ROOM 0.5f      /* tolerance of compressed color, in addition to DEVIATIONS */
 #define MOST_ERROR 1000.0f    /* deviations; half has room for it */
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
@@ -236,8 +236,8 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
     return past;
 }
 
-/* The lock of a pixel at rest: frames in which the history was right. Where that is settled, and depth says that something
-   nearer is gone, this was thin, and will be met again. */
+/* The lock of a pixel at rest: number of frames in which the history was right. If it is large, and a nearer surface disappears
+   by depth, that surface was thin, and will be hit again. */
 INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) {
     const Floats most = (float)LOCK_FRAMES, counted = before + (right ? (Floats)(1.0f) : (Floats)(-1.0f));
     const Floats next = before > most ? before - 1.0f : wide_lesser(wide_greater(counted, (Floats)(0.0f)), most);
@@ -251,8 +251,7 @@ typedef struct {
     __global const uchar *lock;
 } Past;
 
-/* What the history knows of LANES pixels: their colors, how many samples these are worth, how far they are believed, 0 to 1, and
-   their locks. */
+/* History of LANES pixels: their colors, their worth in samples, their confidence, 0 to 1, and their locks. */
 typedef struct {
     Wide4 color;
     Floats held, believed, locked;
@@ -319,7 +318,7 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     Recalled r = {{none, none, none, none}, none, none, none};
     if (ANY(known)) recall(&frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
 
-    /* Where it is not believed the frame, interpolated, takes its place; samples beside that would be dots in a grid. */
+    /* Without confidence the interpolated frame replaces it; single samples would be dots in a grid. */
     const Floats kept = wide_lesser(r.held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
     const Floats counted = known ? kept : (Floats)(1.0f), share = known ? FRESH * (1.0f - kept) : (Floats)(1.0f);
     r.color.x += (fresh.x * per_far - r.color.x) * share;

@@ -142,8 +142,8 @@ inline float deviation(const float3 there, const int dx, const int dy, const flo
     return fmax(fabs(ex), fabs(ey));
 }
 
-/* A pixel beside a nearer surface that moves away holds a mixture of both colors: the step, in source pixels,
-   to the neighbor that does not, if that one moves along. */
+/* A pixel beside a nearer surface that moves away has a mixture of both colors. Returns the step, in source pixels, to the
+   neighbor without it, if that one moves along. */
 INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here, const Flow flow) {
     const int src = src_y * f.width + src_x;
     int2 step = (int2)(0, 0);
@@ -176,8 +176,8 @@ inline float3 of_those_alike(const int alike, const int tap, const float u, cons
     return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset) : load_color(shown.color, winner);
 }
 
-/* Color at (src_x, src_y) + d. Cubic where the neighborhood moves alike, which its four inner taps and its corners
-   tell; else bilinear over those of the four taps that move alike. */
+/* Color at (src_x, src_y) + d. Cubic where the neighborhood moves alike, judged by its four inner taps and its corners; else
+   bilinear over those of the four taps that move alike. */
 INLINE float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
                        const Rendered shown) {
     const int src = src_y * f.width + src_x;
@@ -196,7 +196,7 @@ INLINE float3 resample(const Fragments f, const int src_x, const int src_y, cons
     return decode_color(cubic(tap - f.width - 1, cubic_weights(u), cubic_weights(v), f.width, shown.codes), shown.code_offset);
 }
 
-/* What rounding moved, less than STILL, did not move. */
+/* Motion below STILL is rounding, and counts as none. */
 inline float2 without_rounding(const float2 d) {
     return (float2)(fabs(d.x) < STILL ? 0.0f : d.x, fabs(d.y) < STILL ? 0.0f : d.y);
 }

@@ -1,12 +1,12 @@
-/* What shows of the previous rendered frame at pixels of the extrapolated one (paper: I^w and M^input of 'Shading Correction
-   Network'), for the kernels that store or sum it. Only pixels whose taps lie apart from their neighbors', or at the image's
-   border, are looked at one by one. */
+/* The previous rendered frame at pixels of the extrapolated one (paper: I^w and M^input of 'Shading Correction Network'), for the
+   kernels that store or sum it. Only pixels whose taps lie apart from their neighbors', or at the image's border, are processed
+   one by one. */
 
 #include "common.h"
 #include "simd_rgb.h"
 
 #define SAME_SURFACE 0.03f      /* relative depth within which the surface met in the previous frame is the fragment's ... */
-#define DEPTH_PER_MOTION 2.0f   /* ... and what is added per unit of its sideways motion, as in history tracking */
+#define DEPTH_PER_MOTION 2.0f   /* ... and an addition per unit of its sideways motion, as in history tracking */
 #define LEAST_WEIGHT 0.25f      /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f
@@ -178,8 +178,8 @@ inline Strip sum_of_runs(const StripTaps *t, const int width, __global const hal
     return sum;
 }
 
-/* What one pixel shows: (color of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those
-   of the surface; (GAE color, 0) where too few show it. */
+/* Value of one pixel: (color of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those of
+   the surface; (GAE color, 0) where too few show it. */
 inline float4 texel_before(const Frames *f, const int pixel, const bool lost, const bool weighted, const int tap_0,
                            const float4 weights, const float3 before, const float tolerance) {
     if (!lost && weighted) {
@@ -194,7 +194,7 @@ inline float4 texel_before(const Frames *f, const int pixel, const bool lost, co
     return (float4)(load_color(f->color, pixel), 0.0f);
 }
 
-/* What the pixels of a strip that are `rest` show. */
+/* Values of the pixels `rest` of a strip. */
 inline void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripTaps *t, const Ints lost, const Ints rest,
                             Strip *out) {
     int lane_first[LANES], lane_weighted[LANES], lane_lost[LANES], lane_rest[LANES];

@@ -22,9 +22,10 @@ import pyopencl as cl
 from gffe_cl.opencl.runtimes import NO_CACHE, VENDORS, hide_vendors, only_vendors, vendors
 from gffe_cl.opencl.subprocess_runner import run_child
 
-_SECONDS = 20.0  # for all drivers together, the broken ones too
-_FIRST_SECONDS = 6.0  # for all in one child process; a longer time means that one of them hangs
-_LIST_SECONDS = 6.0  # for the devices of one vendor
+# Time limits; beyond them a driver hangs.
+_FIRST_SECONDS = 6.0  # for all devices in one child process
+_LIST_SECONDS = 6.0  # for listing the devices of one vendor
+_DEVICE_SECONDS = 8.0  # for one device alone
 _RANKING_SECONDS = 0.1  # of repeating the probe kernel: other processes disturb single runs
 _PROBED = "probed"  # last line of a child process: later failures are no device's fault
 
@@ -63,7 +64,6 @@ def probe() -> Probed:
     One child tries all devices, one after the other, so that their figures do not disturb each other. Only if that one
     fails, vendors and then devices are tried side by side, each in a child of its own.
     """
-    end = time.monotonic() + _SECONDS
     output, _ = _run_child([], _FIRST_SECONDS)
     if _is_whole(output):
         return Probed(_told(output))
@@ -74,7 +74,7 @@ def probe() -> Probed:
     if not _is_whole(output):  # none fails alone
         unknown = DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=failure)
         return Probed([unknown], crashing)
-    return Probed(_side_by_side(lambda info: _probe_alone(info, end), _told(output)), crashing)
+    return Probed(_side_by_side(_probe_alone, _told(output)), crashing)
 
 
 def _side_by_side(work: Callable, items: list) -> list:
@@ -107,9 +107,9 @@ def _told(output: str) -> list[DeviceInfo]:
     return sorted({info.index: info for info in found}.values(), key=lambda info: info.index)
 
 
-def _probe_alone(info: DeviceInfo, end: float) -> DeviceInfo:
-    """Probe one device in a child process of its own, until `end`."""
-    output, failure = _run_child([info.index], max(end - time.monotonic(), 1.0))
+def _probe_alone(info: DeviceInfo) -> DeviceInfo:
+    """Probe one device in a child process of its own."""
+    output, failure = _run_child([info.index], _DEVICE_SECONDS)
     (found,) = _told(output) or [info]
     if not found.works:
         found.problem = found.problem or failure or "driver does not list it again"

@@ -29,8 +29,8 @@ inline float3 sky_color(const World w, const float3 d, const float fp) {
     return c + frame[SUN_COLOR].xyz * 2.5f * smoothstep(-edge, edge, acos(frame[SUN_DISC].w) - acos(toward));
 }
 
-/* Radiance of the surface itself, reflections and what is seen through it left out. Lamps that add
-   little, given the `weight` of the surface in the pixel, are taken as partly hidden. */
+/* Radiance of the surface itself, without reflections and transmission. Lamps that add little, given the `weight` of the surface
+   in the pixel, are taken as partly hidden. */
 inline float3 surface_color(const World w, const int material_index, const float3 p, const float3 n, const float3 eye,
                             const float3 p_local, const float3 n_local, const float fp,
                             const int prim, const float weight) {

@@ -1,5 +1,5 @@
-/* Procedural textures of the built-in scenes, filtered analytically: `fp` is the width of a pixel on the surface,
-   in meters; what is finer than that fades to its mean. */
+/* Procedural textures of the built-in scenes, filtered analytically: `fp` is the width of a pixel on the surface, in meters;
+   finer detail fades to its mean. */
 
 enum {
     PLAIN, TILES, CHECKER, BRICKS, PLANKS, MARBLE, CARPET, STRIPES, BARK, LEAVES, GRASS, BOOKS, PICTURE, SIGN,

@@ -19,6 +19,7 @@ from gffe_cl.opencl.device import DeviceInfo, best_of, select
 from gffe_cl.opencl.program import build, expand, first_error, kernel_folder
 from gffe_cl.opencl.program_cache import built_program
 from gffe_cl.opencl.runtimes import only_vendors, vendors
+from gffe_cl.opencl.subprocess_runner import run_child
 
 
 def info(index, name, platform, kind="cpu", version="", works=True, speed=1.0):
@@ -116,6 +117,18 @@ def test_drivers_that_crash_or_hang_when_they_are_listed_are_named_and_hide_no_o
     for info, said in zip(blamed, ("driver crashed", "driver hangs (4 s)"), strict=True):
         assert said in info.problem and str(tmp_path / info.name) in info.problem
     assert len(found) > 2 and len({info.index for info in found if info.works}) == len(found) - len(blamed)
+
+
+@pytest.mark.parametrize(("load", "niceness", "factor"), [(0.3, 15, 1), (3, 0, 3), (2, 2, 3.125), (2, 19, 10)])
+def test_child_processes_get_more_time_on_a_busy_machine(monkeypatch, load, niceness, factor):
+    """Load per core counts, and this process's share of it; an idle machine changes nothing."""
+    monkeypatch.setattr(os, "getloadavg", lambda: (load * os.cpu_count(), 0, 0))
+    monkeypatch.setattr(os, "nice", lambda step: niceness)
+    limits = []
+    done = subprocess.CompletedProcess([], 0, "", "")
+    monkeypatch.setattr(subprocess, "run", lambda *_, timeout, **__: limits.append(timeout) or done)
+    assert run_child("any", [], 6.0) == ("", "")
+    assert limits == [pytest.approx(6 * factor)]
 
 
 def test_intel_runtime_in_a_folder_with_a_space(tmp_path):

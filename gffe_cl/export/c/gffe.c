@@ -168,7 +168,7 @@ static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
     }
 }
 
-/* What the counts of samples say (gffe_cl/stages/scene_cuts.py). */
+/* Decision by the counts of samples (gffe_cl/stages/scene_cuts.py). */
 static int is_cut(const cl_int *counts, int jumped) {
     const double valid = counts[GFFE_VALID], inside = counts[GFFE_INSIDE], compared = counts[GFFE_COMPARED];
     double depth;

@@ -33,7 +33,7 @@ typedef enum gffe_status {
     GFFE_INVALID = 1,       /* an argument makes no sense; nothing was changed */
     GFFE_OPENCL = 2,        /* a call of OpenCL failed: results are lost, destroy the gffe and create another */
     GFFE_OUT_OF_MEMORY = 3, /* of the host or of the device: likewise */
-    GFFE_NETWORK_FAILED = 4 /* the network's callback said so; the frame was not made */
+    GFFE_NETWORK_FAILED = 4 /* the network's callback failed; the frame was not made */
 } gffe_status;
 
 /* Runs the shading correction network: reads `frames` (8 planes of width x height floats) and `candidates` (16 planes
@@ -52,8 +52,8 @@ typedef struct gffe_options {
     void *network_user;              /* handed to `network` */
 } gffe_options;
 
-/* What was made, on the device: buffers that hold it until the next one is made. `motion` points into the rendered
-   frame; of presented frames only color, depth and motion are there, the others NULL. */
+/* A result on the device: buffers that hold it until the next one is made. `motion` points into the rendered frame. Presented
+   frames have color, depth and motion only; the others are NULL. */
 typedef struct gffe_frame {
     cl_mem color, depth, motion;             /* half x 4, float, float x 2 */
     cl_mem dynamic, disoccluded, filled_by;  /* uchar */
@@ -80,7 +80,7 @@ gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_o
 /* Waits for the queue, and frees everything. NULL is taken, too. */
 void gffe_destroy(gffe *g);
 
-/* What the last failure was: one line, and the compiler's log where kernels do not build. */
+/* The last failure: one line, and the compiler's log if kernels do not build. */
 const char *gffe_message(const gffe *g);
 
 /* Take a rendered frame; they come in order of time (seconds). The buffers are used in place: do not overwrite them
@@ -104,7 +104,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
 typedef struct gffe_overlays {
     cl_mem fixed_mask;     /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
     cl_mem effects;        /* half x 4, rendered image: effects without depth, such as smoke; not in the frame's own color */
-    cl_mem effects_motion; /* float x 2, rendered image: along which effects go on; NULL: they stay */
+    cl_mem effects_motion; /* float x 2, rendered image: motion of the effects; NULL: they stay in place */
     cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own color */
 } gffe_overlays;
 
@@ -131,7 +131,7 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
 gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
                                    const cl_event *wait_for, cl_event *done);
 
-/* What is shown of the last rendered frame: resampled where it was rendered through a window, else its own buffers. */
+/* The displayed part of the last rendered frame: resampled if it was rendered through a window, else its own buffers. */
 gffe_status gffe_present(gffe *g, gffe_frame *made);
 gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done);
 

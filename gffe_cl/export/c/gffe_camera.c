@@ -325,7 +325,7 @@ typedef struct next_change {
     double gained, moved;  /* correction times error of the usual prediction, and squared correction */
 } next_change;
 
-/* What the change after changes[k] is predicted from, beside that. */
+/* Further inputs to predict the change after changes[k]. */
 static void make_inputs(double speeds[][3], double changes[][3], int k, double made[3][3]) {
     int c;
     for (c = 0; c < 3; ++c) {

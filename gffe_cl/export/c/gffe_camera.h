@@ -29,10 +29,10 @@ typedef struct gffe_window_options {
     double max_enlargement; /* of the window's sides, in those of the display, >= 1 */
     double distance;        /* of the virtual plane before the camera, world units; nearer content may leave holes */
     double margin;          /* pixels added beyond sides that are enlarged */
-    double least;           /* share of the display's side: a side that asks for less stays as it is */
+    double least;           /* share of the display's side: a smaller demand leaves the side unchanged */
 } gffe_window_options;
 
-/* What is wrong with a camera, in one line; NULL: nothing. */
+/* The fault of a camera, in one line; NULL if it is valid. */
 const char *gffe_camera_fault(const gffe_camera *camera);
 
 /* A window's defaults: 1.5 times the display at most, an infinite distance, a margin of 1 pixel. */

@@ -9,7 +9,7 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-enum { ROW = 64, ROW_OF_LANES = 128 };          /* work-items of a work-group, where a kernel does not say */
+enum { ROW = 64, ROW_OF_LANES = 128 };          /* work-items of a work-group, unless a kernel specifies it */
 enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division is exact */
 
 /* ---- capabilities of the device ----------------------------------------------------------------------- */

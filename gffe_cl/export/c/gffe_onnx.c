@@ -13,7 +13,7 @@ struct gffe_onnx {
     OrtMemoryInfo *memory;
 };
 
-/* Whether a call went well; says on stderr if it did not. */
+/* Whether a call succeeded; prints an error on stderr if not. */
 static int went_well(const gffe_onnx *n, OrtStatus *status) {
     if (!status) return 1;
     fprintf(stderr, "gffe_onnx: %s\n", n->api->GetErrorMessage(status));

@@ -1,4 +1,4 @@
-/* What lies over the picture and is not warped with it (gffe_cl/stages/composition.py). */
+/* Overlays, which are not warped with the picture (gffe_cl/stages/composition.py). */
 #include <string.h>
 
 #include "gffe_internal.h"
