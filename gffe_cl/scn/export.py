@@ -153,7 +153,7 @@ def model_card(facts: dict[str, str], figures: dict[str, float], command: str) -
     numbers = "\n".join(f"| {name} | {value:.4g} |" for name, value in figures.items())
     return f"""# Shading correction network
 
-Corrects the shading of extrapolated frames: shadows, lights and reflections that move over what does not.
+Corrects the shading of extrapolated frames: shadows, lights and reflections that move over static surfaces.
 Input, output and composition: `gffe_cl/scn/network.py`. Made by
 
     {command}
