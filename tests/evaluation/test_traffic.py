@@ -52,7 +52,7 @@ def test_levels_and_shares_count(device):
     fill = one["holes"]["fill_far_side"]
     block = -(-W // 8) * -(-H // 4) / (W * H)
     shown = shares["splatted"] + block
-    assert fill == pytest.approx(shown + shares["unfilled"] * ((8 + 4) * 2 + 8 + 8), rel=0.02)
+    assert fill == pytest.approx(shown + shares["unfilled"] * ((8 + 4) * 3 + 1 + 8), rel=0.02)
 
 
 def test_memory_is_what_was_allocated(device):

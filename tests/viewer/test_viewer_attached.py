@@ -52,11 +52,11 @@ def test_folder_is_of_one_user(sockets):
     assert channel.socket_folder() == sockets
     assert stat.S_IMODE(sockets.stat().st_mode) == 0o700
     sockets.chmod(0o750)
-    with pytest.raises(gffe.GffeError, match="a folder of your own that nobody else can enter"):
+    with pytest.raises(gffe.GffeError, match="a folder that only you can enter"):
         channel.Listener("one", "stem")
     shutil.rmtree(sockets)
     sockets.symlink_to(sockets.parent)
-    with pytest.raises(gffe.GffeError, match="a folder of your own"):
+    with pytest.raises(gffe.GffeError, match="a folder that only you can enter"):
         channel.connect("one")
 
 
@@ -439,7 +439,7 @@ def test_window(program, tmp_path):
 
 def test_command_line(gffe):
     for words, expected in (
-        (["--attach", "x", "corridor"], "expected no sequence or scene beside"),
+        (["--attach", "x", "corridor"], "expected no sequence or scene in addition"),
         (["--attach", "x", "--last", "2"], "--last must be 3 to 256"),
         (["--attach", "x", "--measure", "1"], "exclude each other"),
     ):
