@@ -78,13 +78,13 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *fram
     return mover;
 }
 
-inline float squared_length(const float3 v) {
+INLINE float squared_length(const float3 v) {
     const float3 squares = v * v;
     return squares.x + squares.y + squares.z;
 }
 
 /* Weight of an acceleration, 0 to 1: its share that existed an interval before, and less where it bends the path sharply. */
-inline float trust(const float3 velocity, const float3 acceleration, const float3 before) {
+INLINE float trust(const float3 velocity, const float3 acceleration, const float3 before) {
     const float3 va = velocity * velocity, aa = acceleration * acceleration, ab = acceleration * before;
     const float size = aa.x + aa.y + aa.z, speed = BEND_MOST * BEND_MOST * (va.x + va.y + va.z);
     if (!(size > 0.0f)) return 0.0f;
@@ -93,7 +93,7 @@ inline float trust(const float3 velocity, const float3 acceleration, const float
 }
 
 /* An acceleration as it will be, by how it was `before`. */
-inline float3 carried_on(const float3 acceleration, const float3 before) {
+INLINE float3 carried_on(const float3 acceleration, const float3 before) {
     const float3 change = acceleration - before, cc = change * change, aa = acceleration * acceleration;
     const float size = cc.x + cc.y + cc.z, most = TURN_MOST * TURN_MOST * (aa.x + aa.y + aa.z);
     return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;

@@ -21,18 +21,18 @@
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
 /* Pixel positions from the centers of texels: LANES of them, packed and back. */
-inline Ints pack_px(const Floats offset_x, const Floats offset_y, const int level) {
+INLINE Ints pack_px(const Floats offset_x, const Floats offset_y, const int level) {
     const float units = PX_UNITS / (float)(1 << level);
     const Floats x = clamp(rint(offset_x * units), -PX_UNITS, PX_UNITS - 1.0f);
     const Floats y = clamp(rint(offset_y * units), -PX_UNITS, PX_UNITS - 1.0f);
     return (to_ints(x) & 0xFFFF) | (to_ints(y) << 16);
 }
 
-inline Floats unpack_x(const Ints packed, const int level) {
+INLINE Floats unpack_x(const Ints packed, const int level) {
     return to_floats((packed << 16) >> 16) * ((float)(1 << level) / PX_UNITS);
 }
 
-inline Floats unpack_y(const Ints packed, const int level) {
+INLINE Floats unpack_y(const Ints packed, const int level) {
     return to_floats(packed >> 16) * ((float)(1 << level) / PX_UNITS);
 }
 
@@ -47,19 +47,19 @@ typedef struct {
 } Texels;
 
 /* Of the SHOWN fragment of a texel, or of the REMEMBERED one. */
-inline float depth_of(const Texels t, const int texel, const bool shown) {
+INLINE float depth_of(const Texels t, const int texel, const bool shown) {
     return shown ? t.frame_depth[texel] : t.depth[texel];
 }
 
 /* `texel` is at (x, y) of its level. */
-inline float2 px_of(const Texels t, const int texel, const int x, const int y, const bool shown) {
+INLINE float2 px_of(const Texels t, const int texel, const int x, const int y, const bool shown) {
     const float2 center = pixel_center(x, y) * (float)(1 << t.level);
     if (shown) return center;
     const int packed = t.px[texel];
     return center + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
 }
 
-inline float3 code_of(const Texels t, const int texel, const bool shown, const float code_offset) {
+INLINE float3 code_of(const Texels t, const int texel, const bool shown, const float code_offset) {
     const float3 c = shown ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
     return encode_color(c, code_offset);
 }
@@ -67,7 +67,7 @@ inline float3 code_of(const Texels t, const int texel, const bool shown, const f
 /* ---- collection --------------------------------------------------------------------------------------------- */
 
 /* How much the depth of the surface at pixel i changes within a pixel. */
-inline float slope_at(const int src, const int source_width, __global const float *depth, __global const uchar *links) {
+INLINE float slope_at(const int src, const int source_width, __global const float *depth, __global const uchar *links) {
     const int bits = links[src];
     const float z = depth[src];
     float most = 0.0f;
@@ -107,7 +107,7 @@ typedef struct {
     __global uint *fill_winners, *push_winners;
 } Collection;
 
-inline bool lands(const float3 now, const int width, const int height) {
+INLINE bool lands(const float3 now, const int width, const int height) {
     return now.z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height;
 }
 
@@ -283,10 +283,10 @@ typedef struct {
 } Level;
 
 /* Whether texels have room for a remembered fragment. */
-inline bool has_room(const uchar state, const int single) { return state == EMPTY || (single && state == SHOWN); }
+INLINE bool has_room(const uchar state, const int single) { return state == EMPTY || (single && state == SHOWN); }
 
 /* Whether no fragment was offered to any of LANES texels. */
-inline bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
+INLINE bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
 #if LANES == 1
     return winner_of(keys, winners, first) == NOBODY;
 #elif defined(INT64_ATOMICS)
@@ -413,11 +413,11 @@ SCAN __kernel void settle_and_push(const Frame frame, const int level, __global 
 #define FOOTPRINT_HALF 1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 
 /* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
-inline int level_of(const int texel, const int4 starts) {
+INLINE int level_of(const int texel, const int4 starts) {
     return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
 }
 
-inline int start_of(const int level, const int4 starts) {
+INLINE int start_of(const int level, const int4 starts) {
     return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : starts.z;
 }
 
@@ -432,7 +432,7 @@ typedef struct {
 
 /* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
    color is a makeshift: their fragment's color was mixed with that of a silhouette. */
-inline void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
+INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
                             const Uncovered to) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
         const int first = dst_y * to.width + x0, last = dst_y * to.width + x1;

@@ -27,7 +27,7 @@ typedef struct { float x0, y0, x1, y1; } Box;
 /* The blocks that LANES fragments reach together. */
 typedef struct { Floats x0, y0, x1, y1; } Boxes;
 
-inline Box box_of(const Boxes boxes) {
+INLINE Box box_of(const Boxes boxes) {
     float lanes[4][LANES];
     store_floats(boxes.x0, 0, lanes[0]);
     store_floats(boxes.y0, 0, lanes[1]);
@@ -177,7 +177,7 @@ WIDE __kernel void find_reach(const Frame frame, __global const float *depth, __
 
 /* Where the center of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
    (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads elsewhere. */
-inline bool find_source(const float2 center, const int4 extent, const int source_width, const int plane,
+INLINE bool find_source(const float2 center, const int4 extent, const int source_width, const int plane,
                         __global const float *target_position, float8 *source) {
     const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1, y1 = (extent.w + 1) * BLOCK_HEIGHT - 1;
     float2 px = 0.5f * (float2)((float)(x0 + x1 + 1), (float)(y0 + y1 + 1));
@@ -200,7 +200,7 @@ inline bool find_source(const float2 center, const int4 extent, const int source
 
 /* 1 if fragments go to the positions by the inverse of the flow around the block's center: tested at its upper corners, from
    which the opposite ones hardly differ; else 0. */
-inline float is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
+INLINE float is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
                       __global const float *target_position) {
     bool affine = true;
     for (int k = 0; k < 2; ++k) {

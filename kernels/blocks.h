@@ -5,11 +5,11 @@
 #define SPLATTED 0   /* a target block whose pixels are won by the nearest of the fragments that are splatted there */
 #define BACKWARD 1   /* one whose pixels all show one smooth surface: warped backward */
 
-inline int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
-inline int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }
+INLINE int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
+INLINE int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }
 
 /* Whether RUN pixels of a row from x on, which is a multiple of RUN, are all warped backward: nothing is left to fill there. */
-inline bool run_is_backward(const int x, const int y, const int width, __global const uchar *block_class) {
+INLINE bool run_is_backward(const int x, const int y, const int width, __global const uchar *block_class) {
     const int row = y / BLOCK_HEIGHT * block_columns(width), last = min(x + RUN, width) - 1;
     for (int column = x / BLOCK_WIDTH; column <= last / BLOCK_WIDTH; ++column)
         if (block_class[row + column] != BACKWARD) return false;
@@ -17,6 +17,6 @@ inline bool run_is_backward(const int x, const int y, const int width, __global 
 }
 
 /* Index of the block of pixel (x, y). */
-inline int block_of(const int x, const int y, const int width) {
+INLINE int block_of(const int x, const int y, const int width) {
     return y / BLOCK_HEIGHT * block_columns(width) + x / BLOCK_WIDTH;
 }

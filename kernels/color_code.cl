@@ -5,7 +5,7 @@
 #include "color_code.h"
 
 /* encode_color of pixels of a strip. */
-inline Texels encode_texels(const Texels c, const float offset) {
+INLINE Texels encode_texels(const Texels c, const float offset) {
     const Texels size = fabs(c);
     return offset > 0.0f ? copysign(0.5f * size + offset * sqrt(size), c) : c;
 }

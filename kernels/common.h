@@ -7,8 +7,9 @@
    the rare path. */
 #define SPARSE __attribute__((vec_type_hint(float4)))
 
-/* Before functions that take structs: a call would copy them, and compilers for CPUs leave some calls. */
-#define INLINE inline __attribute__((always_inline))
+/* Before every helper function. Without `static`, C99 has no definition for calls that a compiler leaves, and the linkers of AMD
+   and NVIDIA refuse the program. Calls that are left break the vectorizer of Intel's CPU runtime. */
+#define INLINE static inline __attribute__((always_inline))
 
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
 #define COLOR_MAX 65504.0f
@@ -41,7 +42,7 @@ typedef struct {
 /* a / b, correctly rounded but for one case in millions, from a division that is good to a few ulp:
    the remainder a - q b is computed exactly (Dekker's product) and its quotient added.
    Plain division where a magnitude would leave the range in which that is exact, and on devices that divide exactly. */
-inline float divide(const float a, const float b) {
+INLINE float divide(const float a, const float b) {
     const float q = a / b;
 #ifdef EXACT_DIVISION
     return q;
@@ -58,37 +59,37 @@ inline float divide(const float a, const float b) {
 #endif
 }
 
-inline float2 pixel_center(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }
+INLINE float2 pixel_center(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }
 
-inline bool inside(const int x, const int y, const int width, const int height) {
+INLINE bool inside(const int x, const int y, const int width, const int height) {
     return x >= 0 && y >= 0 && x < width && y < height;
 }
 
 /* Pixel position and depth -> view space. For sky (z = inf) the direction with z = 1. */
-inline float3 unproject(const float2 px, const float z, const Pinhole inverse) {
+INLINE float3 unproject(const float2 px, const float z, const Pinhole inverse) {
     const float scale = isinf(z) ? 1.0f : z;
     return (float3)((px.x - inverse.z) * inverse.x * scale, (px.y - inverse.w) * inverse.y * scale, scale);
 }
 
-inline float3 rotate_to_target(const float3 v, const Reprojection r) {
+INLINE float3 rotate_to_target(const float3 v, const Reprojection r) {
     return (float3)(r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z,
                     r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z,
                     r.row2.x * v.x + r.row2.y * v.y + r.row2.z * v.z);
 }
 
-inline float3 move_to_target(const float3 v, const Reprojection r) {
+INLINE float3 move_to_target(const float3 v, const Reprojection r) {
     const float3 rotated = rotate_to_target(v, r);
     return (float3)(rotated.x + r.row0.w, rotated.y + r.row1.w, rotated.z + r.row2.w);
 }
 
 /* View space -> pixel position; z must be > 0. */
-inline float2 project(const float3 v, const Pinhole camera) {
+INLINE float2 project(const float3 v, const Pinhole camera) {
     return (float2)(divide(camera.x * v.x, v.z) + camera.z, divide(camera.y * v.y, v.z) + camera.w);
 }
 
 /* Source pixel position and depth -> (target px, target z). Sky turns but does not move: z stays inf.
    z <= 0 in the result: behind the target camera, px undefined. */
-inline float3 reproject(const float2 px, const float z, const Reprojection r) {
+INLINE float3 reproject(const float2 px, const float z, const Reprojection r) {
     const float3 view_pos = unproject(px, z, r.source_inverse);
     const bool sky = isinf(z);
     const float3 target_pos = sky ? rotate_to_target(view_pos, r) : move_to_target(view_pos, r);
@@ -97,27 +98,27 @@ inline float3 reproject(const float2 px, const float z, const Reprojection r) {
 }
 
 /* Weight of one of the four taps of bilinear interpolation, bit 0: right, bit 1: down, at (u, v) from the first. */
-inline float bilinear_weight(const int tap, const float u, const float v) {
+INLINE float bilinear_weight(const int tap, const float u, const float v) {
     return ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
 }
 
 /* Whether depth z is that of a surface at depth `expected`, within `tolerance`; sky is sky only. */
-inline bool is_same_surface(const float z, const float expected, const float tolerance) {
+INLINE bool is_same_surface(const float z, const float expected, const float tolerance) {
     return isinf(expected) ? isinf(z) : fabs(z - expected) <= tolerance;
 }
 
 /* The mean of a weighted sum. */
-inline float3 mean_of(const float3 sum, const float weight_sum) {
+INLINE float3 mean_of(const float3 sum, const float weight_sum) {
     return (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum));
 }
 
 /* Linear RGB of pixel i; NaN counts as 0, infinities are clamped. */
-inline float3 load_color(__global const half *color, const int i) {
+INLINE float3 load_color(__global const half *color, const int i) {
     const float4 c = vload_half4(i, color), number = c == c ? c : (float4)(0.0f);
     const float4 low = number < -COLOR_MAX ? (float4)(-COLOR_MAX) : number;
     return (low < COLOR_MAX ? low : (float4)(COLOR_MAX)).xyz;
 }
 
-inline void store_color(const float3 c, __global half *color, const int i) {
+INLINE void store_color(const float3 c, __global half *color, const int i) {
     vstore_half4_rte((float4)(clamp(c, -COLOR_MAX, COLOR_MAX), 0.0f), i, color);
 }

@@ -23,18 +23,18 @@ __kernel void leave_out_fixed(const Frame frame, __global const float *depth, __
 }
 
 /* Whether a pixel, in floats that may be too large for integers, lies in the image. */
-inline bool holds(const int width, const int height, const float2 px) {
+INLINE bool holds(const int width, const int height, const float2 px) {
     return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
 }
 
 /* A texel of a layer; NaN is transparent. */
-inline float4 load_layer(__global const half *layer, const int i) {
+INLINE float4 load_layer(__global const half *layer, const int i) {
     const float4 c = vload_half4(i, layer);
     return (float4)(load_color(layer, i), isnan(c.w) ? 0.0f : clamp(c.w, 0.0f, 1.0f));
 }
 
 /* A layer at px, bilinear; transparent beyond the image. */
-inline float4 layer_at(__global const half *layer, const float2 px, const int width, const int height) {
+INLINE float4 layer_at(__global const half *layer, const float2 px, const int width, const int height) {
     const float2 corner = px - 0.5f, first = floor(corner), part = corner - first;
     float4 sum = (float4)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
@@ -45,10 +45,10 @@ inline float4 layer_at(__global const half *layer, const float2 px, const int wi
     return sum;
 }
 
-inline float3 over(const float4 layer, const float3 picture) { return layer.xyz + (1.0f - layer.w) * picture; }
+INLINE float3 over(const float4 layer, const float3 picture) { return layer.xyz + (1.0f - layer.w) * picture; }
 
 /* Effects continue along their own motion: the effect at px at t + alpha was at s = px + alpha * motion[s] at t. */
-inline float2 effects_origin(const float2 px, const float alpha, __global const float2 *motion, const int width,
+INLINE float2 effects_origin(const float2 px, const float alpha, __global const float2 *motion, const int width,
                              const int height) {
     float2 origin = px;
     for (int k = 0; k < APPROACHES; ++k) {

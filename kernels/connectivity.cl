@@ -92,7 +92,7 @@ INLINE Floats inverse_depth_beside(const Place p, const int dx, const int dy) {
 }
 
 /* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Inverse depths. */
-inline Ints continues(const Floats a2, const Floats a, const Floats b, const Floats b2) {
+INLINE Ints continues(const Floats a2, const Floats a, const Floats b, const Floats b2) {
     const Floats size = SURFACE_CURVATURE * fmax(a, b);
     const Ints near = (fabs(a - b) <= SURFACE_STEP * fmax(a, b)) | ((a2 > 0.0f) & (fabs((a - a2) - (b - a)) <= size))
                       | ((b2 > 0.0f) & (fabs((b2 - b) - (b - a)) <= size));
@@ -115,11 +115,11 @@ INLINE Ints links_by_inverse_depth(const Place p) {
     return links;
 }
 
-inline Ints small_step(const Floats a, const Floats b) {
+INLINE Ints small_step(const Floats a, const Floats b) {
     return (a == b) | (fabs(a - b) <= SMALL_STEP * (a < b ? a : b));
 }
 
-inline Ints large_step(const Floats a, const Floats b) { return fabs(a - b) > LARGE_STEP * (a < b ? a : b); }
+INLINE Ints large_step(const Floats a, const Floats b) { return fabs(a - b) > LARGE_STEP * (a < b ? a : b); }
 
 /* The same by depth; *clear is unchanged where that decides. */
 INLINE Ints links_by_depth(const Place p, Ints *clear) {

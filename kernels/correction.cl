@@ -22,10 +22,10 @@
 #define DISTRUST 4.0f        /* ... nothing from three quarters on */
 #define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
 
-inline Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
+INLINE Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
 
 /* 1 / (1 + exp(-x)); NaN stays NaN. */
-inline Floats sigmoid(const Floats x) {
+INLINE Floats sigmoid(const Floats x) {
     const Floats of_negative = wide_divide((Floats)(1.0f), exp_less_one(wide_lesser(fabs(x), (Floats)(88.0f))) + 2.0f);
     const Floats value = x < 0.0f ? of_negative : 1.0f - of_negative;
     return x == x ? value : x;
@@ -33,7 +33,7 @@ inline Floats sigmoid(const Floats x) {
 
 /* Trust in the focus mask. It is low where light flickers, so that the last interval's change of brightness differs from that of
    the interval before, both in place and along the flow. */
-inline Floats trust(__global const float *differences, const int plane, const Taps *taps) {
+INLINE Floats trust(__global const float *differences, const int plane, const Taps *taps) {
     const Floats changed = interpolate(differences, taps), again = interpolate(differences + 2 * plane, taps);
     const Floats again_along = interpolate(differences + 3 * plane, taps);
     const Floats ratio = wide_divide(wide_lesser(again, again_along) + LEAST, changed + LEAST);
@@ -64,7 +64,7 @@ WIDE __kernel void choose_flow(const Frame frame, __global const float *judgemen
 }
 
 /* The head: two layers of weights for each pixel. Weights lie one row after another, each layer's biases after them. */
-inline void head_of(__global const float *head, const Floats *seen, Floats *said) {
+INLINE void head_of(__global const float *head, const Floats *seen, Floats *said) {
     __global const float *bias = head + HIDDEN * SEEN, *second = bias + HIDDEN, *last = second + SAID * HIDDEN;
     for (int j = 0; j < SAID; ++j) said[j] = last[j];
     for (int k = 0; k < HIDDEN; ++k) {
@@ -77,7 +77,7 @@ inline void head_of(__global const float *head, const Floats *seen, Floats *said
 
 /* How `now`, moved from a place along the flow, differs from the color here, within MARGIN times the change from the previous frame
    to it here and there: texture is in both frames, so none of it moves along where light stays. */
-inline Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
+INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
                           const Floats before, const Sample *along) {
     const Floats there = sampled(frame_now, along), moved = there - now;
     const Floats changed = MARGIN * (now - before), changed_there = MARGIN * (there - sampled(frame_before, along));
@@ -123,7 +123,7 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
 }
 
 /* Stores the lanes of a mixture that hold, and of the others the extrapolated color's own bits. */
-inline void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color, __global half *out) {
+INLINE void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color, __global half *out) {
     if (count >= LANES && ALL(holds)) {
         store_rgb_run(c, out);
         return;

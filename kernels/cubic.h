@@ -4,14 +4,14 @@
 #include "simd.h"
 
 /* Catmull-Rom weights of the four taps around t in [0, 1). */
-inline float4 cubic_weights(const float t) {
+INLINE float4 cubic_weights(const float t) {
     const float t2 = t * t, t3 = t2 * t;
     return (float4)(-0.5f * t + t2 - 0.5f * t3, 1.0f - 2.5f * t2 + 1.5f * t3, 0.5f * t + 2.0f * t2 - 1.5f * t3,
                     0.5f * t3 - 0.5f * t2);
 }
 
 /* The same of LANES numbers, by tap. */
-inline void wide_cubic_weights(const Floats t, Floats *weights) {
+INLINE void wide_cubic_weights(const Floats t, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
     weights[0] = -0.5f * t + t2 - 0.5f * t3;
     weights[1] = 1.0f - 2.5f * t2 + 1.5f * t3;
@@ -20,7 +20,7 @@ inline void wide_cubic_weights(const Floats t, Floats *weights) {
 }
 
 /* Cubic interpolation of the 4x4 taps from index `first` on, clamped to the four inner ones. Of finite numbers. */
-inline float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
+INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
     __global const half *p = image + 4 * first;
     const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
                   d = vload_half16(0, p + 12 * width);
@@ -40,7 +40,7 @@ inline float3 cubic(const int first, const float4 wx, const float4 wy, const int
 #define WITHOUT_ALPHA(c) ((float16)((c).s012, 0.0f, (c).s456, 0.0f, (c).s89a, 0.0f, (c).scde, 0.0f))
 
 /* Seven texels of a row: those from each of the first four on, four at a time. */
-inline void load_taps(__global const half *p, float16 *taps) {
+INLINE void load_taps(__global const half *p, float16 *taps) {
     const float16 a = vload_half16(0, p), b = vload_half16(0, p + 12);
     taps[0] = a;
     taps[1] = (float16)(a.s4567, a.s89ab, a.scdef, b.s4567);
@@ -49,7 +49,7 @@ inline void load_taps(__global const half *p, float16 *taps) {
 }
 
 /* cubic of four pixels in a row whose taps lie in a row, from index `first` on. */
-inline float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *image) {
+INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *image) {
     __global const half *p = image + 4 * first;
     float16 total, low, high, a[4], b[4], c[4], d[4];
     load_taps(p, a);

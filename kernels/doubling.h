@@ -14,7 +14,7 @@ typedef struct {
     bool inner;
 } Taps;
 
-inline void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
+INLINE void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
     const Ints columns = x + LANE_NUMBERS, x0 = (columns - 1) >> 1;
     const int y0 = (y - 1) >> 1, first = (x >> 1) - 1;
     t->top = max(y0, 0) * width;

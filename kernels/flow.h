@@ -5,7 +5,7 @@
 #define STRETCH_MOST 4.0f        /* a footprint stretched by more than this over the one by depth is not trusted */
 
 /* Predicted position of fragment `src`: (px in the target image, view depth there). */
-inline float3 position_of(__global const float *target_position, const int src, const int plane) {
+INLINE float3 position_of(__global const float *target_position, const int src, const int plane) {
     return (float3)(target_position[src], target_position[plane + src], target_position[2 * plane + src]);
 }
 
@@ -63,12 +63,12 @@ INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *f
 }
 
 /* Source px, times the determinant, that correspond to (x, y) target px. */
-inline float2 source_offset(const Flow flow, const float x, const float y) {
+INLINE float2 source_offset(const Flow flow, const float x, const float y) {
     return (float2)(flow.ddy.y * x - flow.ddy.x * y, flow.ddx.x * y - flow.ddx.y * x);
 }
 
 /* px to each side of its position that a fragment covers. */
-inline float2 footprint(const Flow flow) {
+INLINE float2 footprint(const Flow flow) {
     return (float2)(fmin(FOOTPRINT_HALF * (fabs(flow.ddx.x) + fabs(flow.ddy.x)), (float)FOOTPRINT_REACH),
                     fmin(FOOTPRINT_HALF * (fabs(flow.ddx.y) + fabs(flow.ddy.y)), (float)FOOTPRINT_REACH));
 }
@@ -161,7 +161,7 @@ INLINE void load_positions(const Fragments f, const Places src, Positions *p) {
 typedef struct { Floats xx, xy, xz, yx, yy, yz, det; } WideFlow;
 
 /* slope, of one component. */
-inline Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before, const Ints use_after) {
+INLINE Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before, const Ints use_after) {
     const Floats sum = (use_after ? after - here : (Floats)(0.0f)) + (use_before ? here - before : (Floats)(0.0f));
     return (use_before & use_after) ? sum * 0.5f : sum;
 }

@@ -48,7 +48,7 @@ typedef struct {
 } Frame;
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */
-inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
+INLINE int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
 
 /* Values of `dynamic_mask`; all but STATIC are dynamic. */
 #define STATIC 0

@@ -28,16 +28,16 @@ typedef struct {
     __global uchar *filled_by;
 } Images;
 
-inline int reach_of(const Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
+INLINE int reach_of(const Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
 /* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-inline float2 moves_along(const int x, const int y, const int2 offset, const Frame *frame, const Images f) {
+INLINE float2 moves_along(const int x, const int y, const int2 offset, const Frame *frame, const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
 
 /* The first of `steps` pixels, `offset` apart from each other, that is dynamic, counted from 1; 0: none. */
-inline int first_dynamic(const int dst, const int offset, const int steps, __global const uchar *is_dynamic) {
+INLINE int first_dynamic(const int dst, const int offset, const int steps, __global const uchar *is_dynamic) {
     int t = 1;
     for (; t + AT_ONCE <= steps; t += AT_ONCE) {
         uchar any = 0;
@@ -50,7 +50,7 @@ inline int first_dynamic(const int dst, const int offset, const int steps, __glo
 }
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here; 0: none. */
-inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frame *frame, const Images f) {
+INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
     const int t = first_dynamic(dst, offset, steps_within(reach_of(frame), d, dst_x, dst_y, width, height), f.is_dynamic);
@@ -70,7 +70,7 @@ inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const 
 
 /* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the
    nearest that is on both sides; -1: none. */
-inline int owner(const int *t, const float *z, const int reach) {
+INLINE int owner(const int *t, const float *z, const int reach) {
     int nearest = -1, between = -1;
     float least = INFINITY, least_between = INFINITY;
     for (int k = 0; k < DIRECTIONS; ++k) {
@@ -88,7 +88,7 @@ inline int owner(const int *t, const float *z, const int reach) {
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-inline void fill_hidden_part(const int dst_x, const int dst_y, const Frame *frame, const Images f) {
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, const Frame *frame, const Images f) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     int t[DIRECTIONS];
     float z[DIRECTIONS];
@@ -119,7 +119,7 @@ inline void fill_hidden_part(const int dst_x, const int dst_y, const Frame *fram
 }
 
 /* Whether nothing within `reach` of RUN pixels in the rows from first_y to last_y is dynamic. */
-inline bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width, const int height,
+INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width, const int height,
                           __global const uchar *is_dynamic) {
     if (RUN == 1 || width < RUN) return false;  /* pixel by pixel that takes longer than to look in eight directions */
     const int x0 = max(first_x - reach, 0), x1 = min(first_x + RUN + reach, width);

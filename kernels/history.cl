@@ -29,7 +29,7 @@
 #define FIXED_DEPTH 0.01f        /* ... and relative change of its depth */
 #define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighborhood of x' */
 
-inline float squared_distance(const float2 a, const float2 b) {
+INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
     return dx * dx + dy * dy;
 }
@@ -50,7 +50,7 @@ INLINE Ints static_residual(const Ints src_x, const int src_y, const Frame *fram
 }
 
 /* Adds 1 to those bins that are not negative. */
-inline void count_bins(__local int *histogram, const Ints bin) {
+INLINE void count_bins(__local int *histogram, const Ints bin) {
     int bins[LANES];
     store_ints(bin, 0, bins);
     for (int k = 0; k < LANES; ++k)
@@ -58,7 +58,7 @@ inline void count_bins(__local int *histogram, const Ints bin) {
 }
 
 /* Adds 1 to the bins of squared residuals. */
-inline void count_residuals(__local int *histogram, const Ints counts, const Floats x, const Floats y) {
+INLINE void count_residuals(__local int *histogram, const Ints counts, const Floats x, const Floats y) {
     const Ints bin = ((floats_as_ints(x * x + y * y) >> 22) & 0x3ff) - RESIDUAL_FIRST_BIN;
     count_bins(histogram, counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1));
 }
@@ -66,7 +66,7 @@ inline void count_residuals(__local int *histogram, const Ints counts, const Flo
 /* Adds 1 to the bins of differences of a component of motion, mv, between two places where static points would move into one
    direction, and the vectors do: bin 0 none, 1 less than the least step, then eight per octave; of negative motion in the next
    histogram. */
-inline void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still, const Floats near_mv,
+INLINE void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still, const Floats near_mv,
                         const Floats near_still) {
     const Floats step = fabs(mv - near_mv);
     const Ints bin = clamp(((floats_as_ints(step) + (1 << 19)) >> 20) - STEP_FIRST + 2, (Ints)(1), (Ints)(RESIDUAL_BINS - 1));
@@ -76,14 +76,14 @@ inline void count_steps(__local int *histogram, const Ints counts, const Floats 
     count_bins(histogram, positive ? found : (negative ? found + RESIDUAL_BINS : (Ints)(-1)));
 }
 
-inline int sum_of(__local const int *histogram, const int first) {
+INLINE int sum_of(__local const int *histogram, const int first) {
     int sum = 0;
     for (int b = first; b < RESIDUAL_BINS; ++b) sum += histogram[b];
     return sum;
 }
 
 /* The bin below whose upper bound `share` of a histogram's counts lie; *below: how many do. */
-inline int quantile_bin(__local const int *histogram, const float share, int *below) {
+INLINE int quantile_bin(__local const int *histogram, const float share, int *below) {
     const float least = share * (float)sum_of(histogram, 0);
     *below = 0;
     for (int b = 0; b < RESIDUAL_BINS; ++b) {
@@ -94,7 +94,7 @@ inline int quantile_bin(__local const int *histogram, const float share, int *be
 }
 
 /* Squared residual at which bin b begins, px^2. */
-inline float bin_start(const int b) { return as_float((uint)(b + RESIDUAL_FIRST_BIN) << 22); }
+INLINE float bin_start(const int b) { return as_float((uint)(b + RESIDUAL_FIRST_BIN) << 22); }
 
 /* epsilon from the residual, within [low, high] px: where the errors of static pixels end. From their lowest tenth on, bins
    belong to one population as long as the next two hold more than 1% of it: errors of rounding and of cameras are spread without a
@@ -102,7 +102,7 @@ inline float bin_start(const int b) { return as_float((uint)(b + RESIDUAL_FIRST_
    frame is static: moving objects are spread without a gap, too.
    If nearly all of the frame is off by more than a camera can be, and by the same, that is a mover that fills the frame, and
    the change of the residual is all the noise there is. */
-inline float noise_threshold_squared(__local const int *histogram, const float low, const float high) {
+INLINE float noise_threshold_squared(__local const int *histogram, const float low, const float high) {
     __local const int *changes = histogram + RESIDUAL_BINS;
     int below, count;
     if (!sum_of(histogram, 0)) return low * low;
@@ -120,7 +120,7 @@ inline float noise_threshold_squared(__local const int *histogram, const float l
 
 /* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbors differ by none or by whole
    ones. 0: not quantized. -1: too few vectors, or all alike, or hardly any. */
-inline float step_of(__local const int *histogram) {
+INLINE float step_of(__local const int *histogram) {
     const int pairs = sum_of(histogram, 0), steps = sum_of(histogram, 2);
     if (pairs < STEP_SAMPLES || histogram[0] == pairs) return -1.0f;
     if (20 * histogram[1] > pairs) return 0.0f;
@@ -133,7 +133,7 @@ inline float step_of(__local const int *histogram) {
 /* Steps of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice
    that of the other sign (half floats of 0.5 uv + 0.5 have twice the step above 0.5), or else twice that of the other component.
    Nothing is quantized if the camera explains motion more exactly: layers that move past each other differ by whole steps, too. */
-inline void find_steps(__local const int *histogram, const float threshold_squared, __global float *motion_steps) {
+INLINE void find_steps(__local const int *histogram, const float threshold_squared, __global float *motion_steps) {
     float least = INFINITY, steps[STEP_CLASSES];
     for (int c = 0; c < STEP_CLASSES; ++c) {
         steps[c] = step_of(histogram + c * RESIDUAL_BINS);
@@ -156,7 +156,7 @@ INLINE Floats beyond(const Floats residual, const Floats mv, const float times, 
 
 /* Adds a work-group's counts to `pending`. Of the last group that does, counts become those of all groups, `pending` is zero
    again, and every work-item returns true. */
-inline bool is_last_to_add(__local int *counts, const int count, __global int *pending, __local int *groups_before) {
+INLINE bool is_last_to_add(__local int *counts, const int count, __global int *pending, __local int *groups_before) {
     const int item = get_local_id(0);
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int b = item; b < count; b += GROUP)
@@ -202,7 +202,7 @@ void find_threshold(const Frame frame, __global const float *depth, __global con
 
 /* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of these errors few are
    near the largest, so 0.5% is enough. */
-inline float excess_threshold_squared(__local const int *histogram) {
+INLINE float excess_threshold_squared(__local const int *histogram) {
     int below, last = quantile_bin(histogram, 0.1f, &below);
     while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
     const int low = last;
@@ -244,12 +244,12 @@ void refine_threshold(const Frame frame, __global const float *depth, __global c
     for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * motion_steps[c];
 }
 
-inline bool plausible(const float z, const float z_expected, const float tolerance) {
+INLINE bool plausible(const float z, const float z_expected, const float tolerance) {
     return !INVALID_DEPTH(z) && !isinf(z) && fabs(z - z_expected) <= tolerance;
 }
 
 /* Depth of the fragment's surface at px_prev in the previous frame, or -1; *nearest is the pixel that has most of it. */
-inline float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
+INLINE float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
                        const int source_height, __global const float *depth_prev, int *nearest) {
     if (!(px_prev.x > -4.0f && px_prev.y > -4.0f && px_prev.x < (float)source_width + 4.0f
           && px_prev.y < (float)source_height + 4.0f))

@@ -25,7 +25,7 @@ typedef struct {
 } Images;
 
 /* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole texel. */
-inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float3 c, const float z) {
+INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float3 c, const float z) {
     const float weight = divide(pixel_weight, 1.0f + fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
     *sum += weight * (float4)(c, 1.0f);
     *inverse_sum += weight * (isinf(z) ? 0.0f : divide(1.0f, z));
@@ -37,7 +37,7 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 #define IN_FRONT 0.98f           /* times the depth that is shown: nearer surfaces lie in front of it */
 
 /* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1; 0: none. */
-inline int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask, const uchar hole) {
+INLINE int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask, const uchar hole) {
     int t = 1;
     for (; t + AT_ONCE <= steps; t += AT_ONCE) {
         bool any = false;
@@ -55,7 +55,7 @@ typedef struct {
     float closeness[DIRECTIONS], inverse[DIRECTIONS], least_inverse;
 } Border;
 
-inline Border find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
+INLINE Border find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
                           __global const uchar *mask, const uchar hole, __global const float *depth) {
     const int dst = dst_y * width + dst_x;
     Border found;
@@ -77,14 +77,14 @@ inline Border find_border(const int dst_x, const int dst_y, const int width, con
     return found;
 }
 
-inline bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
+INLINE bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
 
-inline bool is_as_far(const float inverse, const float other) {
+INLINE bool is_as_far(const float inverse, const float other) {
     return !(inverse > other * FAR_SIDE) && !(other > inverse * FAR_SIDE);
 }
 
 /* Mean (color, inverse depth) of pixels with weights. */
-inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
+INLINE float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
                             const float code_offset, __global const half *color) {
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
@@ -97,12 +97,12 @@ inline float4 weighted_mean(const int count, const int *px, const float *inverse
 }
 
 /* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
-inline float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
+INLINE float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
     return reproject(pixel_center(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
-inline float3 border_code(const float2 px_source, const Frame *frame, __global const half *source_color) {
+INLINE float3 border_code(const float2 px_source, const Frame *frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
     const int x0 = (int)x, y0 = (int)y;
@@ -115,20 +115,20 @@ inline float3 border_code(const float2 px_source, const Frame *frame, __global c
 }
 
 /* Whether `px_source` lies outside of the rendered image. */
-inline bool is_out_of_screen(const float3 px_source, const Frame *frame) {
+INLINE bool is_out_of_screen(const float3 px_source, const Frame *frame) {
     return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
              && px_source.y < (float)frame->source_height);
 }
 
 /* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
-inline float3 continued(const float3 beside, const float3 px_source, const Frame *frame, __global const half *source_color) {
+INLINE float3 continued(const float3 beside, const float3 px_source, const Frame *frame, __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
     const float3 border = border_code(px_source.xy, frame, source_color);
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
 /* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows there. */
-inline bool can_be_at(const float3 px_source, const Frame *frame, __global const float *source_depth) {
+INLINE bool can_be_at(const float3 px_source, const Frame *frame, __global const float *source_depth) {
     const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
@@ -136,7 +136,7 @@ inline bool can_be_at(const float3 px_source, const Frame *frame, __global const
 /* Weights of the border of a disocclusion for the surface behind it. Candidates are static surfaces that, continued into the
    disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances counts;
    without candidates the far side. */
-inline void weigh_surface_behind(const Border a, const float3 *px_source, const Frame *frame, const Images f, float *weight) {
+INLINE void weigh_surface_behind(const Border a, const float3 *px_source, const Frame *frame, const Images f, float *weight) {
     bool behind[DIRECTIONS];
     for (int k = 0; k < a.count; ++k)
         behind[k] = !f.is_dynamic[a.px[k]] && f.filled_by[a.px[k]] != BY_HIDDEN_PART && can_be_at(px_source[k], frame, f.source_depth);
@@ -160,7 +160,7 @@ inline void weigh_surface_behind(const Border a, const float3 *px_source, const 
    of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
    disocclusion, and shows the surface behind it.
    Gives (color, inverse depth); false where no direction meets a valid pixel. */
-inline bool continue_surface(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
+INLINE bool continue_surface(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     const Border a = find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth);
     if (a.count == 0) return false;
@@ -182,10 +182,10 @@ inline bool continue_surface(const int dst_x, const int dst_y, const Frame *fram
 #define MIXED_REACH 16           /* px beyond which the far side does not represent the remembered surface */
 #define CONTRAST 0.4f            /* of the far side, relative to its mean, with which it counts half */
 
-inline float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
+INLINE float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
 /* Weight of a far side's `mean` relative to a remembered color. It grows if the far side is near and uniform. */
-inline float weight_of_far_side(const Border a, const float3 mean, __global const half *color) {
+INLINE float weight_of_far_side(const Border a, const float3 mean, __global const half *color) {
     float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < a.count; ++k) {
         if (!is_far(a, k)) continue;
@@ -267,7 +267,7 @@ __kernel void push_level(const Frame frame, const int level, __global const floa
 }
 
 /* Bilinear interpolation of a level at texel position (x + 0.5, y + 0.5) / 2 of the next finer one. */
-inline float4 upsampled(const int x, const int y, const int level_width, const int level_height,
+INLINE float4 upsampled(const int x, const int y, const int level_width, const int level_height,
                         __global const float4 *mean) {
     const float u = (x & 1) ? 0.25f : 0.75f, v = (y & 1) ? 0.25f : 0.75f;
     const int x0 = (x - 1) >> 1, y0 = (y - 1) >> 1;
@@ -296,7 +296,7 @@ __kernel void pull_level(const Frame frame, const int level, __global const floa
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
 /* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
-inline void fill_pixel(const int dst_x, const int dst_y, const float4 mean, const Frame *frame, const Images f) {
+INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, const Frame *frame, const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
     const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
     store_color(mean.xyz, f.color, dst);
@@ -345,7 +345,7 @@ typedef struct {
 } Tile;
 
 /* Where a pixel lies between the centers of four texels of the downsampled image: the first one, and how far from it. */
-inline int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
+INLINE int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
     const float2 b = pixel_center(dst_x, dst_y) * (1.0f / DOWNSAMPLING) - 0.5f;
     const float2 first = floor(b);
     *between = b - first;
@@ -353,7 +353,7 @@ inline int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
 }
 
 /* Index in the ring of one of the four, clamped to the image. */
-inline int tap_in_ring(const int2 first, const int tap, const Tile tile) {
+INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
     const int texel_x = clamp(first.x + (tap & 1), 0, tile.width - 1);
     const int texel_y = clamp(first.y + (tap >> 1), 0, tile.height - 1);
     return (texel_y - tile.ring_y) * RING + texel_x - tile.ring_x;
@@ -361,7 +361,7 @@ inline int tap_in_ring(const int2 first, const int tap, const Tile tile) {
 
 /* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
    frame. */
-inline float4 sum_strip(const int dst_x, const int first_y, const Frame *frame, const Images f, float *inverse_sum) {
+INLINE float4 sum_strip(const int dst_x, const int first_y, const Frame *frame, const Images f, float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     float4 sum = (float4)(0.0f);
@@ -378,12 +378,12 @@ inline float4 sum_strip(const int dst_x, const int first_y, const Frame *frame, 
 }
 
 /* Whether a pixel is to be filled from the downsampled image. */
-inline bool asks(const int dst, const Tile tile, const Images f) {
+INLINE bool asks(const int dst, const Tile tile, const Images f) {
     return f.filled_by[dst] == BY_HOLE_FILLING && (!tile.after_far_side || f.depth[dst] == BEYOND_REACH);
 }
 
 /* Fills a pixel from the four texels around it; out of screen, after the far side, with the image's border too. */
-inline void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, const Frame *frame, const Images f) {
+INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, const Frame *frame, const Images f) {
     float2 between;
     const int2 first = first_texel(dst_x, dst_y, &between);
     float4 sum = (float4)(0.0f);
@@ -402,7 +402,7 @@ inline void fill_between_texels(const int dst_x, const int dst_y, const Tile til
 
 /* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they need as asked
    for. */
-inline void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, const Frame *frame,
+INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, const Frame *frame,
                         const Images f) {
     for (int run_x = first_x; run_x < end_x; run_x += RUN) {
         const int run = dst_y * frame->target_width + run_x;

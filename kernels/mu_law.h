@@ -4,13 +4,13 @@
 #include "simd.h"
 
 /* Of the power of two within sqrt(2) of x > 0. */
-inline Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
+INLINE Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
 
-inline Floats mantissa_of(const Floats x, const Ints exponent) { return ints_as_floats(floats_as_ints(x) - (exponent << 23)); }
+INLINE Floats mantissa_of(const Floats x, const Ints exponent) { return ints_as_floats(floats_as_ints(x) - (exponent << 23)); }
 
 /* ln(mantissa * 2^exponent), to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions
    differ between runtimes, and not all of them are fast. */
-inline Floats log_of_parts(const Floats mantissa, const Ints exponent) {
+INLINE Floats log_of_parts(const Floats mantissa, const Ints exponent) {
     const Floats e = to_floats(exponent), m = mantissa - 1.0f, z = m * m;
     Floats y = 7.0376836292e-2f;
     y = y * m - 1.1514610310e-1f;
@@ -26,12 +26,12 @@ inline Floats log_of_parts(const Floats mantissa, const Ints exponent) {
 }
 
 /* ln(x) and ln(a * b) for numbers >= 1; the product may be too large for a float. */
-inline Floats log_of(const Floats x) {
+INLINE Floats log_of(const Floats x) {
     const Ints exponent = exponent_of(x);
     return log_of_parts(mantissa_of(x, exponent), exponent);
 }
 
-inline Floats log_of_product(const Floats a, const Floats b) {
+INLINE Floats log_of_product(const Floats a, const Floats b) {
     const Ints of_a = exponent_of(a), of_b = exponent_of(b);
     const Floats product = mantissa_of(a, of_a) * mantissa_of(b, of_b);
     const Ints more = exponent_of(product);
@@ -39,7 +39,7 @@ inline Floats log_of_product(const Floats a, const Floats b) {
 }
 
 /* exp(x) - 1 for x from 0 to 88, with the same precision. */
-inline Floats exp_less_one(const Floats x) {
+INLINE Floats exp_less_one(const Floats x) {
     const Floats n = floor(x * 1.44269504088896341f + 0.5f);
     const Floats r = x - n * 0.693359375f + n * 2.12194440e-4f;
     Floats y = 1.9875691500e-4f;
@@ -57,10 +57,10 @@ inline Floats exp_less_one(const Floats x) {
    their reciprocals. NaN is 0. */
 #define LIFTED(type, c, law) (1.0f + (law).x * ((c) > 0.0f ? ((c) < COLOR_MAX ? (c) : (type)(COLOR_MAX)) : (type)(0.0f)))
 
-inline Floats lifted(const Floats c, const float4 law) { return LIFTED(Floats, c, law); }
+INLINE Floats lifted(const Floats c, const float4 law) { return LIFTED(Floats, c, law); }
 
-inline Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
+INLINE Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
 
-inline Floats decode(const Floats e, const float4 law) {
+INLINE Floats decode(const Floats e, const float4 law) {
     return wide_lesser(exp_less_one(wide_lesser(wide_greater(e, (Floats)(0.0f)) * law.w, (Floats)(88.0f))) * law.z, (Floats)(COLOR_MAX));
 }

@@ -22,7 +22,7 @@ typedef uint Key;   /* depth bits; the index is found in a second pass */
 #define DEPTH_WORD 0
 #endif
 
-inline bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits) {
+INLINE bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits) {
 #ifdef INT64_ATOMICS
     (void)pass;
     return !LOOKS || ((__global const uint *)keys)[2 * c + DEPTH_WORD] >= depth_bits;
@@ -31,7 +31,7 @@ inline bool may_win(const int pass, __global const Key *keys, const int c, const
 #endif
 }
 
-inline void offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
+INLINE void offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
                        const uint i) {
     if (!may_win(pass, keys, c, depth_bits)) return;
 #ifdef INT64_ATOMICS
@@ -43,11 +43,11 @@ inline void offer_bits(const int pass, __global Key *keys, __global uint *winner
 #endif
 }
 
-inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
+INLINE void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
     offer_bits(pass, keys, winners, c, as_uint(z), i);
 }
 
-inline uint winner_of(__global const Key *keys, __global const uint *winners, const int c) {
+INLINE uint winner_of(__global const Key *keys, __global const uint *winners, const int c) {
 #ifdef INT64_ATOMICS
     (void)winners;
     return (uint)keys[c];
@@ -59,7 +59,7 @@ inline uint winner_of(__global const Key *keys, __global const uint *winners, co
 
 #ifdef LANES
 /* winner_of LANES pixels from c on. */
-inline Uints load_winners(__global const Key *keys, __global const uint *winners, const int c) {
+INLINE Uints load_winners(__global const Key *keys, __global const uint *winners, const int c) {
 #if LANES == 1
     return winner_of(keys, winners, c);
 #elif defined(INT64_ATOMICS)
@@ -73,7 +73,7 @@ inline Uints load_winners(__global const Key *keys, __global const uint *winners
 #endif
 
 /* Sets all bits, for the next who offers. */
-inline void forget(__global Key *keys, __global uint *winners, const int c) {
+INLINE void forget(__global Key *keys, __global uint *winners, const int c) {
     keys[c] = (Key)(-1);
 #ifdef INT64_ATOMICS
     (void)winners;

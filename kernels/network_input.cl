@@ -61,7 +61,7 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
 }
 
 /* Of a strip of two rows: products of lifted colors, which stay below 1e28. */
-inline Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
+INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
     Strip product;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part)
@@ -79,7 +79,7 @@ inline Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
 #endif
 
 /* Means over 2x2 pixels, encoded, of the result of lifted_rows for two strips side by side: three planes of the network's input. */
-inline void store_colors(const Strip a, const Strip b, const float4 law, const int plane_size, __global float *planes) {
+INLINE void store_colors(const Strip a, const Strip b, const float4 law, const int plane_size, __global float *planes) {
     const WideRgb left = LEFT(a, b), right = RIGHT(a, b);
     const float scale = 0.25f * law.y;
     store_floats(scale * log_of_product(left.r, right.r), 0, planes);

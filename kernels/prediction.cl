@@ -21,12 +21,12 @@ typedef struct {
 } Tracked;
 
 /* Displacement of a fragment by acceleration after alpha intervals. */
-inline float3 bent(const int cell, const Frame *frame, const Tracked f) {
+INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-inline float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Tracked f) {
+INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);

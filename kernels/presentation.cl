@@ -6,16 +6,16 @@
 
 #define STRIP 16  /* rows per work-item: rows filtered horizontally serve several of them */
 
-inline float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
+INLINE float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
     return lesser(greater(w.x * a + w.y * b + w.z * c + w.w * d, lesser(b, c)), greater(b, c));
 }
 
-inline Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, const Rgb d) {
+INLINE Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, const Rgb d) {
     const Rgb made = {cubic_1d(w, a.r, b.r, c.r, d.r), cubic_1d(w, a.g, b.g, c.g, d.g), cubic_1d(w, a.b, b.b, c.b, d.b)};
     return made;
 }
 
-inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
+INLINE float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
 
 /* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between. Beyond the image its border is
    repeated. */

@@ -5,7 +5,7 @@
 #define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colors below that share the least exponent */
 
 /* LANES colors. */
-inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
+INLINE Ints pack_colors(const Floats r, const Floats g, const Floats b) {
     const Floats red = clamp(r, 0.0f, COLOR_MOST), green = clamp(g, 0.0f, COLOR_MOST), blue = clamp(b, 0.0f, COLOR_MOST);
     const Floats most = fmax(fmax(red, green), fmax(blue, COLOR_FINEST));
     const Ints exponent = ((floats_as_ints(most) + 0x4000) >> 23) - 111;  /* 0 to 31, of the rounded `most` */
@@ -14,7 +14,7 @@ inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
 }
 
 /* One color. */
-inline uint pack_color(const float3 c) {
+INLINE uint pack_color(const float3 c) {
     const float3 rgb = clamp(c, 0.0f, COLOR_MOST);
     const float most = fmax(fmax(rgb.x, rgb.y), fmax(rgb.z, COLOR_FINEST));
     const int exponent = ((as_int(most) + 0x4000) >> 23) - 111;
@@ -22,7 +22,7 @@ inline uint pack_color(const float3 c) {
     return convert_uint(mantissas.x) | convert_uint(mantissas.y) << 9 | convert_uint(mantissas.z) << 18 | (uint)exponent << 27;
 }
 
-inline float3 unpack_color(const uint bits) {
+INLINE float3 unpack_color(const uint bits) {
     const float unit = as_float(((bits >> 27) + 103u) << 23);  /* 2^(exponent - 24) */
     return convert_float3((uint3)(bits & 511u, (bits >> 9) & 511u, (bits >> 18) & 511u)) * unit;
 }

@@ -17,23 +17,23 @@
 /* Counts of samples. */
 enum { VALID, INSIDE, COMPARED, DEPTH_RIGHT, WITH_CONTRAST, CONTRAST_RIGHT, PASSED, COUNTS };
 
-inline float brightness(__global const half *color, const int x, const int y, const int width) {
+INLINE float brightness(__global const half *color, const int x, const int y, const int width) {
     const float3 c = load_color(color, y * width + x);
     return fmax(c.x, 0.0f) + fmax(c.y, 0.0f) + fmax(c.z, 0.0f);
 }
 
 /* Contrast between the pixels at -(dx, dy) and (dx, dy) from (x, y), -1 to 1: the same in any light. */
-inline float contrast(__global const half *color, const int x, const int y, const int dx, const int dy, const int width) {
+INLINE float contrast(__global const half *color, const int x, const int y, const int dx, const int dy, const int width) {
     const float a = brightness(color, x - dx, y - dy, width), b = brightness(color, x + dx, y + dy, width);
     return divide(b - a, a + b + DARK);
 }
 
-inline bool has_arms(const int x, const int y, const int width, const int height) {
+INLINE bool has_arms(const int x, const int y, const int width, const int height) {
     return x >= ARM && y >= ARM && x < width - ARM && y < height - ARM;
 }
 
 /* Depth of a pixel's surface in the frame before, unless its vector has movement of its own. */
-inline float depth_before(const float2 px, const float2 px_prev, const float2 mv_px, const float z, const Reprojection to_previous) {
+INLINE float depth_before(const float2 px, const float2 px_prev, const float2 mv_px, const float z, const Reprojection to_previous) {
     if (isinf(z)) return z;
     const float3 px_static = reproject(px, z, to_previous);
     const float dx = px_static.x - px_prev.x, dy = px_static.y - px_prev.y;
@@ -42,7 +42,7 @@ inline float depth_before(const float2 px, const float2 px_prev, const float2 mv
 }
 
 /* Adds the findings at one sample; px_prev is inside. */
-inline void compare_depth(const float2 px_prev, const float expected, const int width, const int height,
+INLINE void compare_depth(const float2 px_prev, const float expected, const int width, const int height,
                           __global const float *depth_prev, bool *compared, bool *right) {
     const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
     float nearest = INFINITY, farthest = 0.0f;

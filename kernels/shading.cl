@@ -30,7 +30,7 @@ WIDE __kernel void prepare_inputs(const Frame frame, __global const half *color,
     store_strip(previous, here.count, warped_previous + 4 * here.first);
 }
 
-inline float relative_error(const float a, const float b) {
+INLINE float relative_error(const float a, const float b) {
     return divide(2.0f * fabs(a - b), fabs(a) + fabs(b) + SMAPE_EPSILON);
 }
 

@@ -71,7 +71,7 @@ WIDE __kernel void warp_brightness(const Frame frame, const int level, __global 
 }
 
 /* Sum of both images of which the flow is sought, at columns of a row. */
-inline Floats both_at(__global const float *now, __global const float *warped, const int width, const Ints column, const int row) {
+INLINE Floats both_at(__global const float *now, __global const float *warped, const int width, const Ints column, const int row) {
     const Ints i = row * width + clamp(column, (Ints)(0), (Ints)(width - 1));
     return gather_floats(now, i) + gather_floats(warped, i);
 }
@@ -102,7 +102,7 @@ WIDE __kernel void sum_products(const Frame frame, const int level, __global con
 }
 
 /* Mean over the 3x3 pixels around, or those of them that there are. */
-inline Floats mean_around(__global const float *plane, const int width, const int height, const int x, const int y) {
+INLINE Floats mean_around(__global const float *plane, const int width, const int height, const int x, const int y) {
     const int top = max(y - 1, 0), bottom = min(y + 1, height - 1);
     Floats sum = 0.0f, columns = 0.0f;
     for (int dx = -1; dx <= 1; ++dx) {
@@ -169,7 +169,7 @@ WIDE __kernel void blur_differences(const Frame frame, __global const float *pro
 
 /* Data on trends: 4 x the trend of the last interval (3), 4 x the mean of the trend of the interval before, their agreement, and
    the share of valid samples nearby. */
-inline void know_trends(__global const float *trends, const int plane, Floats *known) {
+INLINE void know_trends(__global const float *trends, const int plane, Floats *known) {
     Floats product = 0.0f, square = 0.0f, sum = 0.0f;
     for (int c = 0; c < 3; ++c) {
         const Floats last = load_floats(0, trends + c * plane), earlier = load_floats(0, trends + (3 + c) * plane);

@@ -32,7 +32,7 @@ typedef struct {
 /* By which factor lifted colors have changed since t-1, 1 where it is not known. */
 typedef struct { WideRgb factor; Ints known, moves; } Change;
 
-inline Floats factor_of(const Floats now, const Floats before, const Ints known, const float4 law) {
+INLINE Floats factor_of(const Floats now, const Floats before, const Ints known, const float4 law) {
     const Floats factor = wide_divide(lifted(now, law), lifted(before, law));
     return known ? clamp(factor, (Floats)(1.0f / MOST_CHANGE), (Floats)(MOST_CHANGE)) : (Floats)(1.0f);
 }
@@ -70,7 +70,7 @@ INLINE void change_at(const Ints x, const int y, const Frame *frame, const Frame
     c->factor.b = factor_of(now.b, sum.b, c->known, law);
 }
 
-inline Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
+INLINE Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
 
 /* Planes of the summed change of encoded color of a cell's samples, and of the share that is known, over the number of samples;
    and how many samples move or change by more than noise. */
@@ -161,7 +161,7 @@ __kernel void find_trend(const Frame frame, __global const float *blurred, __glo
 /* The four cells around positions in a rendered image, and their weights; 0 behind the camera. */
 typedef struct { Ints tap[4]; Floats weight[4]; } Cells;
 
-inline Cells cells_at(const Wide3 px, const int cells_width, const int cells_height) {
+INLINE Cells cells_at(const Wide3 px, const int cells_width, const int cells_height) {
     const Floats x = clamp(px.x * (1.0f / CELL) - 0.5f, (Floats)(0.0f), (Floats)((float)(cells_width - 1)));
     const Floats y = clamp(px.y * (1.0f / CELL) - 0.5f, (Floats)(0.0f), (Floats)((float)(cells_height - 1)));
     const Ints x0 = to_ints(x), y0 = to_ints(y), right = min(x0 + 1, (Ints)(cells_width - 1)) - x0;
@@ -179,7 +179,7 @@ inline Cells cells_at(const Wide3 px, const int cells_width, const int cells_hei
     return c;
 }
 
-inline Floats trend_at(__global const float *plane, const Cells *c) {
+INLINE Floats trend_at(__global const float *plane, const Cells *c) {
     return (c->weight[0] * gather_floats(plane, c->tap[0]) + c->weight[1] * gather_floats(plane, c->tap[1]))
            + (c->weight[2] * gather_floats(plane, c->tap[2]) + c->weight[3] * gather_floats(plane, c->tap[3]));
 }

@@ -32,9 +32,9 @@
 #define MARKED 3             /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
-inline float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }
+INLINE float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }
 
-inline float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
+INLINE float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
 
 /* ---- layers of the rendered frame ------------------------------------------------------------------------------ */
 
@@ -146,7 +146,7 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __g
 }
 
 /* Marks the blocks around the pixel where a fragment goes. */
-inline void mark_around(const float2 px, const int width, const int height, __global uchar *marked) {
+INLINE void mark_around(const float2 px, const int width, const int height, __global uchar *marked) {
     if (!(px.x > -(float)MARKED && px.y > -(float)MARKED && px.x < (float)(width + MARKED) && px.y < (float)(height + MARKED))) return;
     for (int k = 0; k < 4; ++k) {
         const int x = (int)px.x + ((k & 1) ? MARKED : -MARKED), y = (int)px.y + ((k >> 1) ? MARKED : -MARKED);
@@ -218,10 +218,10 @@ typedef struct {
     __global const uchar *share;
 } Layers;
 
-inline bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || filled_by == BY_CRACK_CLOSING; }
+INLINE bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || filled_by == BY_CRACK_CLOSING; }
 
 /* Whether fragment `src`, at (x, y), goes to depth z, and to `px`, by its place in the rendered image `px_source`, within `most` px. */
-inline bool goes_along(const Source s, const int x, const int y, const float3 there, const float2 px, const float2 px_source,
+INLINE bool goes_along(const Source s, const int x, const int y, const float3 there, const float2 px, const float2 px_source,
                        const float z, const float most) {
     const float2 center = pixel_center(x, y);
     const float ex = there.x - px.x - s.zoom.x * (center.x - px_source.x), ey = there.y - px.y - s.zoom.y * (center.y - px_source.y);
@@ -229,7 +229,7 @@ inline bool goes_along(const Source s, const int x, const int y, const float3 th
 }
 
 /* Whether a pixel's color includes that of a nearer layer; (x0, y0): the first of the four pixels around its place. */
-inline bool is_mixed_with_near(const Source s, const Layers l, const int x0, const int y0) {
+INLINE bool is_mixed_with_near(const Source s, const Layers l, const int x0, const int y0) {
     for (int k = 0; k < 4; ++k) {
         const int x = x0 + (k & 1), y = y0 + (k >> 1);
         if (inside(x, y, s.width, s.height) && l.layer[y * s.width + x] == FAR) return true;
@@ -358,7 +358,7 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
 }
 
 /* Color of the far layer: the mean of the 3x3 pixels in `far`. */
-inline float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const int far) {
+INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const int far) {
     float3 sum = (float3)(0.0f);
     for (int left = far; left; left &= left - 1) {
         const int k = 31 - clz(left & -left);
@@ -371,7 +371,7 @@ inline float3 far_color(const Source s, const Layers l, const Shown f, const int
 
 /* Value of `coverage` of a pixel, 0 if it is unchanged; else stores its color. `near_place`, `far`: of its pair of layers; 0: it
    has none. */
-inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float3 near_place,
+INLINE uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float3 near_place,
                           const int far, __global uint *softened) {
     const int dst = dst_y * f.width + dst_x;
     float4 near;

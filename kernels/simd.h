@@ -45,13 +45,13 @@ typedef uchar8 Bytes;
     ((float8)(vload_half((i).s0, p), vload_half((i).s1, p), vload_half((i).s2, p), vload_half((i).s3, p),              \
               vload_half((i).s4, p), vload_half((i).s5, p), vload_half((i).s6, p), vload_half((i).s7, p)))
 
-inline Floats load_xy(__global const float2 *p, Floats *y) {
+INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);
     *y = xy.odd;
     return xy.even;
 }
 
-inline void store_xy(const Floats x, const Floats y, __global float2 *p) {
+INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) {
     vstore16((float16)(x.s0, y.s0, x.s1, y.s1, x.s2, y.s2, x.s3, y.s3, x.s4, y.s4, x.s5, y.s5, x.s6, y.s6, x.s7, y.s7), 0,
              (__global float *)p);
 }
@@ -87,59 +87,59 @@ typedef uchar Bytes;
 #define gather_bytes(p, i) ((p)[i])
 #define gather_halfs(p, i) vload_half(i, p)
 
-inline Floats load_xy(__global const float2 *p, Floats *y) {
+INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     *y = (*p).y;
     return (*p).x;
 }
 
-inline void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = (float2)(x, y); }
+INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = (float2)(x, y); }
 
 #endif
 
 /* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. If one is NaN, the second of `wide_lesser` and
    the first of `wide_greater`. */
-inline Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
-inline Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
+INLINE Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
+INLINE Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
 
 /* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0, whether any has a
    value. */
 #if RUN == 16
 #define SCAN __attribute__((vec_type_hint(uchar16)))  /* before such a kernel */
-inline bool run_is_zero(__global const uchar *p) {
+INLINE bool run_is_zero(__global const uchar *p) {
     const ulong2 bits = as_ulong2(vload16(0, p));
     return (bits.x | bits.y) == 0;
 }
-inline bool run_has(__global const uchar *p, const uchar value) {
+INLINE bool run_has(__global const uchar *p, const uchar value) {
     const ulong2 equal = as_ulong2(vload16(0, p) == (uchar16)(value));
     return (equal.x | equal.y) != 0;
 }
 #else
 #define SCAN
-inline bool run_is_zero(__global const uchar *p) { return *p == 0; }
-inline bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
+INLINE bool run_is_zero(__global const uchar *p) { return *p == 0; }
+INLINE bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
 #endif
 
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */
-inline Floats load_some_floats(const int count, __global const float *p) {
+INLINE Floats load_some_floats(const int count, __global const float *p) {
     if (count >= LANES) return load_floats(0, p);
     const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_floats(p, i);
 }
 
-inline Bytes load_some_bytes(const int count, __global const uchar *p) {
+INLINE Bytes load_some_bytes(const int count, __global const uchar *p) {
     if (count >= LANES) return load_bytes(0, p);
     const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_bytes(p, i);
 }
 
-inline Floats load_some_xy(const int count, __global const float2 *p, Floats *y) {
+INLINE Floats load_some_xy(const int count, __global const float2 *p, Floats *y) {
     if (count >= LANES) return load_xy(p, y);
     const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     *y = gather_floats((__global const float *)p, i + 1);
     return gather_floats((__global const float *)p, i);
 }
 
-inline void store_some_bytes(const Bytes v, const int count, __global uchar *p) {
+INLINE void store_some_bytes(const Bytes v, const int count, __global uchar *p) {
     if (count >= LANES) {
         store_bytes(v, 0, p);
         return;
@@ -149,7 +149,7 @@ inline void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
     for (int k = 0; k < count; ++k) p[k] = lanes[k];
 }
 
-inline void store_some_xy(const Floats x, const Floats y, const int count, __global float2 *p) {
+INLINE void store_some_xy(const Floats x, const Floats y, const int count, __global float2 *p) {
     if (count >= LANES) {
         store_xy(x, y, p);
         return;
@@ -160,7 +160,7 @@ inline void store_some_xy(const Floats x, const Floats y, const int count, __glo
     for (int k = 0; k < count; ++k) p[k] = (float2)(lanes_x[k], lanes_y[k]);
 }
 
-inline void store_some_floats(const Floats v, const int count, __global float *p) {
+INLINE void store_some_floats(const Floats v, const int count, __global float *p) {
     if (count >= LANES) {
         store_floats(v, 0, p);
         return;
@@ -170,7 +170,7 @@ inline void store_some_floats(const Floats v, const int count, __global float *p
     for (int k = 0; k < count; ++k) p[k] = lanes[k];
 }
 
-inline void store_some_halfs(const Floats v, const int count, __global half *p) {
+INLINE void store_some_halfs(const Floats v, const int count, __global half *p) {
     if (count >= LANES) {
         store_halfs(v, 0, p);
         return;
@@ -181,10 +181,10 @@ inline void store_some_halfs(const Floats v, const int count, __global half *p) 
 }
 
 /* x + 0.5 of each lane's pixel. */
-inline Floats row_centers(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
+INLINE Floats row_centers(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 
 /* Where pixel i of an image is. */
-inline void wide_column_and_row(const Ints i, const int width, Ints *column, Ints *row) {
+INLINE void wide_column_and_row(const Ints i, const int width, Ints *column, Ints *row) {
     const Ints near = to_ints(to_floats(i) * (1.0f / (float)width)), rest = i - near * width;  /* one row off at most */
     *row = near + (rest < 0 ? (Ints)(-1) : rest >= width ? (Ints)(1) : (Ints)(0));
     *column = i - *row * width;
@@ -194,7 +194,7 @@ inline void wide_column_and_row(const Ints i, const int width, Ints *column, Int
 typedef struct { Floats x, y, z; } Wide3;
 
 /* divide of common.h. */
-inline Floats wide_divide(const Floats a, const Floats b) {
+INLINE Floats wide_divide(const Floats a, const Floats b) {
     const Floats q = a / b;
 #ifdef EXACT_DIVISION
     return q;
@@ -212,14 +212,14 @@ inline Floats wide_divide(const Floats a, const Floats b) {
 }
 
 /* unproject of common.h. */
-inline Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z, const Pinhole inverse) {
+INLINE Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z, const Pinhole inverse) {
     const Floats scale = isinf(z) ? (Floats)(1.0f) : z;
     const Wide3 v = {(px_x - inverse.z) * inverse.x * scale, (px_y - inverse.w) * inverse.y * scale, scale};
     return v;
 }
 
 /* reproject of common.h: `exactly`, with the same bits, or with plain divisions. */
-inline Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
+INLINE Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
     const Ints sky = isinf(z);
     const Wide3 v = wide_unproject(px_x, px_y, z, r.source_inverse);
     const Floats x = r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z;
@@ -235,13 +235,13 @@ inline Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floa
     return out;
 }
 
-inline Wide3 wide_reproject(const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
+INLINE Wide3 wide_reproject(const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
     return wide_reproject_so(true, px_x, px_y, z, r);
 }
 
 /* Depth has the same bits as reproject's; pixel positions are off by less than ROUGHLY of the larger side of an image whose
    principal point it holds: two divisions of 2.5 ulp differ by 3.6e-7 of it at most, and their sums by 1.2e-7 more. */
 #define ROUGHLY 5e-7f
-inline Wide3 wide_reproject_roughly(const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
+INLINE Wide3 wide_reproject_roughly(const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
     return wide_reproject_so(false, px_x, px_y, z, r);
 }

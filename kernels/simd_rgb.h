@@ -5,18 +5,18 @@
 typedef struct { Floats r, g, b; } WideRgb;
 
 /* NaN counts as 0, infinities are clamped. */
-inline Floats finite(const Floats c) {
+INLINE Floats finite(const Floats c) {
     const Floats number = c == c ? c : (Floats)(0.0f), low = number < -COLOR_MAX ? (Floats)(-COLOR_MAX) : number;
     return low < COLOR_MAX ? low : (Floats)(COLOR_MAX);
 }
 
-inline WideRgb finite_rgb(const WideRgb c) {
+INLINE WideRgb finite_rgb(const WideRgb c) {
     const WideRgb rgb = {finite(c.r), finite(c.g), finite(c.b)};
     return rgb;
 }
 
 /* Colors of the pixels i. */
-inline WideRgb gather_rgb(__global const half *color, const Ints i) {
+INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
     int pixel[LANES];
     float r[LANES], g[LANES], b[LANES];
     store_ints(i, 0, pixel);
@@ -33,21 +33,21 @@ inline WideRgb gather_rgb(__global const half *color, const Ints i) {
 #if LANES == 8
 
 /* Of a row, from the first on. */
-inline WideRgb load_rgb_run(__global const half *color) {
+INLINE WideRgb load_rgb_run(__global const half *color) {
     const float16 a = vload_half16(0, color), b = vload_half16(1, color);
     const WideRgb rgb = {(float8)(a.s048c, b.s048c), (float8)(a.s159d, b.s159d),
                          (float8)(a.s26ae, b.s26ae)};
     return rgb;
 }
 
-inline void store_rgb_run(const WideRgb c, __global half *color) {
+INLINE void store_rgb_run(const WideRgb c, __global half *color) {
     vstore_half16_rte((float16)(c.r.s0, c.g.s0, c.b.s0, 0.0f, c.r.s1, c.g.s1, c.b.s1, 0.0f, c.r.s2, c.g.s2, c.b.s2, 0.0f,
                                 c.r.s3, c.g.s3, c.b.s3, 0.0f), 0, color);
     vstore_half16_rte((float16)(c.r.s4, c.g.s4, c.b.s4, 0.0f, c.r.s5, c.g.s5, c.b.s5, 0.0f, c.r.s6, c.g.s6, c.b.s6, 0.0f,
                                 c.r.s7, c.g.s7, c.b.s7, 0.0f), 1, color);
 }
 
-inline void copy_rgb_run(__global const half *color, __global half *out) {
+INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     vstore16(vload16(0, (__global const uint *)color), 0, (__global uint *)out);
 }
 
@@ -69,13 +69,13 @@ typedef float16 Texels;
 
 #else
 
-inline WideRgb load_rgb_run(__global const half *color) { return gather_rgb(color, 0); }
+INLINE WideRgb load_rgb_run(__global const half *color) { return gather_rgb(color, 0); }
 
-inline void store_rgb_run(const WideRgb c, __global half *color) {
+INLINE void store_rgb_run(const WideRgb c, __global half *color) {
     vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), 0, color);
 }
 
-inline void copy_rgb_run(__global const half *color, __global half *out) {
+INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     *(__global uint2 *)out = *(__global const uint2 *)color;
 }
 
@@ -98,13 +98,13 @@ typedef float4 Texels;
 typedef struct { Texels part[PARTS]; } Strip;
 
 /* As `finite`. */
-inline Texels finite_texels(const Texels c) {
+INLINE Texels finite_texels(const Texels c) {
     const Texels number = c == c ? c : (Texels)(0.0f), low = number < -COLOR_MAX ? (Texels)(-COLOR_MAX) : number;
     return low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
 }
 
 /* Its four channels. */
-inline void channels_of(const Strip *s, Floats *channels) {
+INLINE void channels_of(const Strip *s, Floats *channels) {
 #if LANES == 8
     channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);
     channels[1] = (float8)(s->part[0].s159d, s->part[1].s159d);
@@ -119,7 +119,7 @@ inline void channels_of(const Strip *s, Floats *channels) {
 }
 
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */
-inline Strip load_strip(const int count, __global const half *color) {
+INLINE Strip load_strip(const int count, __global const half *color) {
     Strip s;
     if (count >= LANES) {
         for (int part = 0; part < PARTS; ++part) s.part[part] = load_texels(part, color);
@@ -131,7 +131,7 @@ inline Strip load_strip(const int count, __global const half *color) {
     return s;
 }
 
-inline void store_strip(const Strip s, const int count, __global half *color) {
+INLINE void store_strip(const Strip s, const int count, __global half *color) {
     if (count >= LANES) {
         for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, color);
         return;
@@ -142,7 +142,7 @@ inline void store_strip(const Strip s, const int count, __global half *color) {
 }
 
 /* A strip as it comes back from a half image. */
-inline Strip as_halfs(const Strip s) {
+INLINE Strip as_halfs(const Strip s) {
     Strip out;
     ushort bits[4 * LANES];
     for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, (half *)bits);

@@ -60,7 +60,7 @@ INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
 }
 
 /* Texels x to x + 3 of a row; beyond the image its border is repeated. */
-inline float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
+INLINE float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
     if (x >= 0 && x + 4 <= width) return vload_half16(0, image + 4 * (row + x));
     return (float16)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image),
@@ -69,14 +69,14 @@ inline float16 four_texels(__global const half *image, const int x, const int y,
 }
 
 /* Two of them. */
-inline float8 two_texels(__global const half *image, const int x, const int y, const int width, const int height) {
+INLINE float8 two_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
     if (x >= 0 && x + 2 <= width) return vload_half8(0, image + 4 * (row + x));
     return (float8)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image));
 }
 
 /* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
-inline float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
+INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
                                __global const half *image) {
     const float8 above = two_texels(image, x + 1, y, width, height), below = two_texels(image, x + 1, y + 3, width, height);
     const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);

@@ -8,16 +8,16 @@
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
 /* How many runs a row of `width` pixels has, for a single lane. */
-inline int runs_of(const int width) { return (width + RUN_PIXELS - 1) / RUN_PIXELS; }
+INLINE int runs_of(const int width) { return (width + RUN_PIXELS - 1) / RUN_PIXELS; }
 
 /* Pixel k * LANES of the run of this work-item, in its row. */
-inline int run_x(const int width, const int k) {
+INLINE int run_x(const int width, const int k) {
     const int run = get_global_id(0);
     return LANES > 1 ? (run * RUN_PIXELS + k) * LANES : run + k * runs_of(width);
 }
 
 /* Of the first `count` lanes, those for which a condition holds. */
-inline int lanes_where(const Ints condition, const int count) {
+INLINE int lanes_where(const Ints condition, const int count) {
     int number = 0;
     uchar lanes[LANES];
     store_bytes(to_bytes(condition ? (Ints)(1) : (Ints)(0)), 0, lanes);
@@ -26,7 +26,7 @@ inline int lanes_where(const Ints condition, const int count) {
 }
 
 /* Counts of this work-item, into two planes of a texel for each run. */
-inline void store_counts(const int width, const int height, const int first, const int second, __global uchar *counts) {
+INLINE void store_counts(const int width, const int height, const int first, const int second, __global uchar *counts) {
     const int runs = runs_of(width), place = get_global_id(1) * runs + get_global_id(0) * LANES;
     counts[place] = first;
     counts[runs * height + place] = second;

@@ -103,7 +103,7 @@ INLINE Ints splat_lanes(const Fragments from, const Winners to, const int src, c
 }
 
 /* Whether any of the target blocks x0, y0, x1, y1 is splatted. */
-inline bool any_splatted(const int4 reached, const int target_width, __global const uchar *block_class) {
+INLINE bool any_splatted(const int4 reached, const int target_width, __global const uchar *block_class) {
     for (int y = reached.y; y <= reached.w; ++y)
         for (int x = reached.x; x <= reached.z; ++x)
             if (block_class[y * block_columns(target_width) + x] == SPLATTED) return true;
@@ -135,7 +135,7 @@ WIDE __kernel void splat(const Frame frame, const int pass, __global const float
 /* ---- resample ------------------------------------------------------------------------------------------------ */
 
 /* px by which the fragment at offset (dx, dy) from the winner deviates from the motion of the winner's surroundings. */
-inline float deviation(const float3 there, const int dx, const int dy, const float3 here, const Flow flow) {
+INLINE float deviation(const float3 there, const int dx, const int dy, const float3 here, const Flow flow) {
     if (!(there.z > 0.0f)) return INFINITY;
     const float ex = there.x - here.x - flow.ddx.x * (float)dx - flow.ddy.x * (float)dy;
     const float ey = there.y - here.y - flow.ddx.y * (float)dx - flow.ddy.y * (float)dy;
@@ -163,7 +163,7 @@ INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int sr
 #define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
 
 /* Color at (u, v) from pixel `tap`, bilinear, of those of the four taps that move alike; else that of the winner. */
-inline float3 of_those_alike(const int alike, const int tap, const float u, const float v, const int source_width,
+INLINE float3 of_those_alike(const int alike, const int tap, const float u, const float v, const int source_width,
                              const int winner, const Rendered shown) {
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
@@ -197,7 +197,7 @@ INLINE float3 resample(const Fragments f, const int src_x, const int src_y, cons
 }
 
 /* Motion below STILL is rounding, and counts as none. */
-inline float2 without_rounding(const float2 d) {
+INLINE float2 without_rounding(const float2 d) {
     return (float2)(fabs(d.x) < STILL ? 0.0f : d.x, fabs(d.y) < STILL ? 0.0f : d.y);
 }
 
@@ -307,7 +307,7 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
 
 #if LANES == 8
 /* decode_color of four pixels. */
-inline Texels decode_texels(const Texels code, const float offset) {
+INLINE Texels decode_texels(const Texels code, const float offset) {
     const Texels root = sqrt(2.0f * fabs(code) + offset * offset) - offset;
     return offset > 0.0f ? copysign(root * root, code) : code;
 }
@@ -431,7 +431,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
 }
 
 /* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of backward_blocks.cl. */
-inline Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
+INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
     const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
     const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
     *px_y = source.s1 + source.s4 * from_x + source.s5 * from_y;

@@ -23,7 +23,7 @@ typedef struct {
 } Frames;
 
 /* Color of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
-inline bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
+INLINE bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
                          __global const half *color_prev, __global const float *depth_prev, float3 *rgb) {
     const int x0 = (int)floor(before.x), y0 = (int)floor(before.y);
     float3 sum = (float3)(0.0f);
@@ -43,7 +43,7 @@ inline bool color_before(const float3 before, const float tolerance, const int s
 
 /* Where pixels of a row, of depth z, were at t-1 if they are static or were filled in: pixels of the previous image, less half
    a pixel, and depth there. reproject of common.h with fewer divisions. */
-inline Wide3 position_before(const Floats px_x, const float px_y, const Floats z, const Reprojection r) {
+INLINE Wide3 position_before(const Floats px_x, const float px_y, const Floats z, const Reprojection r) {
     const Floats x = (px_x - r.source_inverse.z) * r.source_inverse.x, nearness = 1.0f / z;  /* of the sky: 0 */
     const float y = (px_y - r.source_inverse.w) * r.source_inverse.y;
     const Floats depth = r.row2.x * x + (r.row2.y * y + r.row2.z) + r.row2.w * nearness, per_depth = 1.0f / depth;
@@ -63,7 +63,7 @@ typedef struct {
     Ints moves, hidden;
 } StripOfFrame;
 
-inline StripOfFrame strip_of_frame(const Frames *f, const int x, const int y) {
+INLINE StripOfFrame strip_of_frame(const Frames *f, const int x, const int y) {
     const int first = y * f->target_width + x, count = f->target_width - x;
     StripOfFrame s;
     s.first = first;
@@ -77,7 +77,7 @@ inline StripOfFrame strip_of_frame(const Frames *f, const int x, const int y) {
 }
 
 /* M^input. */
-inline Floats input_mask_of(const StripOfFrame *s) {
+INLINE Floats input_mask_of(const StripOfFrame *s) {
     const Floats still = s->hidden ? (Floats)(MASK_DISOCCLUDED) : (Floats)(MASK_REST);
     return s->moves ? (Floats)(MASK_DYNAMIC) : still;
 }
@@ -93,7 +93,7 @@ typedef struct {
 } StripTaps;
 
 /* The same of those that move, by the motion of both intervals. */
-inline void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) {
+INLINE void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) {
     Floats mv_y;
     const Floats mv_x = load_some_xy(s->count, f->out_motion + s->first, &mv_y);
     const Floats x = s->px_x + mv_x, y = s->px_y + mv_y;
@@ -112,7 +112,7 @@ inline void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) 
     t->before.z = (!s->moves | known) ? t->before.z : (Floats)(-1.0f);
 }
 
-inline void find_taps(const Frames *f, StripTaps *t) {
+INLINE void find_taps(const Frames *f, StripTaps *t) {
     const int width = f->source_width, height = f->source_height;
     const Wide3 before = t->before;
     t->inner = (before.z > 0.0f) & (before.x >= 0.0f) & (before.x < (float)(width - 1)) & (before.y >= 0.0f)
@@ -134,7 +134,7 @@ inline void find_taps(const Frames *f, StripTaps *t) {
 }
 
 /* Weights of taps that are of another surface become 0. The sum of the others. */
-inline Floats weigh(const Frames *f, const bool all_in_runs, StripTaps *t) {
+INLINE Floats weigh(const Frames *f, const bool all_in_runs, StripTaps *t) {
     const Floats z = t->before.z, nearest = isinf(z) ? z : z - t->tolerance, farthest = z + t->tolerance;
     Floats sum = 0.0f;
 #pragma unroll
@@ -157,7 +157,7 @@ inline Floats weigh(const Frames *f, const bool all_in_runs, StripTaps *t) {
 }
 
 /* The sum, by weights, of taps that follow one another from `first` on. */
-inline Strip sum_of_run(const int first, const StripTaps *t, const int width, __global const half *color) {
+INLINE Strip sum_of_run(const int first, const StripTaps *t, const int width, __global const half *color) {
     const Strip a = load_strip(LANES, color + 4 * first), b = load_strip(LANES, color + 4 * (first + 1));
     const Strip c = load_strip(LANES, color + 4 * (first + width)), d = load_strip(LANES, color + 4 * (first + width + 1));
     Strip sum;
@@ -169,7 +169,7 @@ inline Strip sum_of_run(const int first, const StripTaps *t, const int width, __
 }
 
 /* The same of taps that are in either run. */
-inline Strip sum_of_runs(const StripTaps *t, const int width, __global const half *color) {
+INLINE Strip sum_of_runs(const StripTaps *t, const int width, __global const half *color) {
     Strip sum = sum_of_run(t->first, t, width, color);
     if (t->second == t->first) return sum;
     const Strip other = sum_of_run(t->second, t, width, color);
@@ -180,7 +180,7 @@ inline Strip sum_of_runs(const StripTaps *t, const int width, __global const hal
 
 /* Value of one pixel: (color of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those of
    the surface; (GAE color, 0) where too few show it. */
-inline float4 texel_before(const Frames *f, const int pixel, const bool lost, const bool weighted, const int tap_0,
+INLINE float4 texel_before(const Frames *f, const int pixel, const bool lost, const bool weighted, const int tap_0,
                            const float4 weights, const float3 before, const float tolerance) {
     if (!lost && weighted) {
         __global const half *top = f->color_prev + 4 * tap_0, *bottom = top + 4 * f->source_width;
@@ -195,7 +195,7 @@ inline float4 texel_before(const Frames *f, const int pixel, const bool lost, co
 }
 
 /* Values of the pixels `rest` of a strip. */
-inline void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripTaps *t, const Ints lost, const Ints rest,
+INLINE void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripTaps *t, const Ints lost, const Ints rest,
                             Strip *out) {
     int lane_first[LANES], lane_weighted[LANES], lane_lost[LANES], lane_rest[LANES];
     float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES], texels[4 * LANES];

@@ -52,38 +52,38 @@ typedef struct {
     int object, prim;
 } Hit;
 
-inline float3 turn(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
+INLINE float3 turn(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
     return (float3)(dot(r0.xyz, v), dot(r1.xyz, v), dot(r2.xyz, v));
 }
 
-inline float3 move(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
+INLINE float3 move(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
     return turn(r0, r1, r2, v) + (float3)(r0.w, r1.w, r2.w);
 }
 
-inline float3 nonzero(const float3 d) {
+INLINE float3 nonzero(const float3 d) {
     return (float3)(fabs(d.x) < 1e-18f ? 1e-18f : d.x, fabs(d.y) < 1e-18f ? 1e-18f : d.y,
                     fabs(d.z) < 1e-18f ? 1e-18f : d.z);
 }
 
 /* ---- primitives: intersection and signed distance, all in local space ---- */
 
-inline float lesser(const float a, const float b) { return a < b ? a : b; }
-inline float greater(const float a, const float b) { return a > b ? a : b; }
+INLINE float lesser(const float a, const float b) { return a < b ? a : b; }
+INLINE float greater(const float a, const float b) { return a > b ? a : b; }
 
 /* Parameters at which a ray enters and leaves the box center +- half. `inverse` is 1 / direction. */
-inline float2 box_span(const float3 center, const float3 half_size, const float3 o, const float3 inverse) {
+INLINE float2 box_span(const float3 center, const float3 half_size, const float3 o, const float3 inverse) {
     const float mx = (center.x - o.x) * inverse.x, rx = half_size.x * fabs(inverse.x);
     const float my = (center.y - o.y) * inverse.y, ry = half_size.y * fabs(inverse.y);
     const float mz = (center.z - o.z) * inverse.z, rz = half_size.z * fabs(inverse.z);
     return (float2)(greater(greater(mx - rx, my - ry), mz - rz), lesser(lesser(mx + rx, my + ry), mz + rz));
 }
 
-inline float hit_box(const float4 a, const float4 b, const float3 o, const float3 d) {
+INLINE float hit_box(const float4 a, const float4 b, const float3 o, const float3 d) {
     const float2 span = box_span(a.xyz, b.xyz, o, 1.0f / nonzero(d));
     return span.x < span.y ? span.x : -INFINITY;
 }
 
-inline float hit_ellipsoid(const float4 a, const float4 b, const float3 o, const float3 d) {
+INLINE float hit_ellipsoid(const float4 a, const float4 b, const float3 o, const float3 d) {
     const float3 p = (o - a.xyz) / b.xyz, v = d / b.xyz;
     const float vv = dot(v, v);
     const float closest = -dot(p, v) / vv;
@@ -92,7 +92,7 @@ inline float hit_ellipsoid(const float4 a, const float4 b, const float3 o, const
     return h > 0.0f ? closest - sqrt(h / vv) : -INFINITY;
 }
 
-inline float hit_capsule(const float4 a, const float4 b, const float3 o, const float3 d) {
+INLINE float hit_capsule(const float4 a, const float4 b, const float3 o, const float3 d) {
     const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
     const float baba = dot(ba, ba), bad = dot(ba, d), baoa = dot(ba, oa), dd = dot(d, d);
     const float3 dp = d - ba * (bad / baba), op = oa - ba * (baoa / baba);  /* perpendicular to the axis */
@@ -110,7 +110,7 @@ inline float hit_capsule(const float4 a, const float4 b, const float3 o, const f
     return hc > 0.0f ? closest - sqrt(hc / dd) : -INFINITY;
 }
 
-inline float hit_cone(const float4 a, const float4 b, const float3 o, const float3 d) {
+INLINE float hit_cone(const float4 a, const float4 b, const float3 o, const float3 d) {
     const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
     const float m0 = dot(ba, ba), m1 = dot(oa, ba), m2 = dot(d, ba);
     const float slope = (a.w - b.w) / m0;
@@ -131,14 +131,14 @@ inline float hit_cone(const float4 a, const float4 b, const float3 o, const floa
     return y > 0.0f && y < m0 ? t : -INFINITY;
 }
 
-inline float hit_prim(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
+INLINE float hit_prim(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
     if (type == BOX) return hit_box(a, b, o, d);
     if (type == ELLIPSOID) return hit_ellipsoid(a, b, o, d);
     if (type == CAPSULE) return hit_capsule(a, b, o, d);
     return hit_cone(a, b, o, d);
 }
 
-inline float3 prim_normal(const int type, const float4 a, const float4 b, const float3 p) {
+INLINE float3 prim_normal(const int type, const float4 a, const float4 b, const float3 p) {
     if (type == BOX) {
         const float3 q = p - a.xyz;
         const float3 gap = fabs(fabs(q) - b.xyz);
@@ -159,7 +159,7 @@ inline float3 prim_normal(const int type, const float4 a, const float4 b, const 
     return normalize(radial / greater(r, 1e-9f) * length_ba + axis * (a.w - b.w));
 }
 
-inline float distance_to(const int type, const float4 a, const float4 b, const float3 p) {
+INLINE float distance_to(const int type, const float4 a, const float4 b, const float3 p) {
     if (type == BOX) {
         const float x = fabs(p.x - a.x) - b.x, y = fabs(p.y - a.y) - b.y, z = fabs(p.z - a.z) - b.z;
         const float out_x = greater(x, 0.0f), out_y = greater(y, 0.0f), out_z = greater(z, 0.0f);
@@ -182,7 +182,7 @@ inline float distance_to(const int type, const float4 a, const float4 b, const f
 }
 
 /* Parameter at which the ray comes closest to the primitive (exact for spheres and capsules). */
-inline float closest_approach(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
+INLINE float closest_approach(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
     if (type == BOX) {
         const float2 span = box_span(a.xyz, b.xyz, o, 1.0f / nonzero(d));
         return span.y < 0.0f ? -1.0f : 0.5f * (greater(span.x, 0.0f) + span.y);
@@ -201,7 +201,7 @@ inline float closest_approach(const int type, const float4 a, const float4 b, co
 /* ---- traversal: `nodes` is a tree of boxes in depth-first order, (min, next node if missed), (max, object or -1) ---- */
 
 /* Whether a ray with 0 <= t <= t_max meets the box low .. high. */
-inline bool meets_box(const float3 low, const float3 high, const float3 o, const float3 inverse, const float t_max) {
+INLINE bool meets_box(const float3 low, const float3 high, const float3 o, const float3 inverse, const float t_max) {
     const float ax = (low.x - o.x) * inverse.x, bx = (high.x - o.x) * inverse.x;
     const float ay = (low.y - o.y) * inverse.y, by = (high.y - o.y) * inverse.y;
     const float az = (low.z - o.z) * inverse.z, bz = (high.z - o.z) * inverse.z;
@@ -211,7 +211,7 @@ inline bool meets_box(const float3 low, const float3 high, const float3 o, const
 }
 
 /* Nearest hit among the primitives of object i. */
-inline Hit meet_object(const World w, const int i, const float3 o, const float3 d, const int skip, const Hit so_far) {
+INLINE Hit meet_object(const World w, const int i, const float3 o, const float3 d, const int skip, const Hit so_far) {
     Hit best = so_far;
     __global const float4 *object = w.objects + i * OBJECT_SIZE;
     const float4 bound = object[0];
@@ -235,7 +235,7 @@ inline Hit meet_object(const World w, const int i, const float3 o, const float3 
 
 /* Nearest hit along o + t d. A primary ray looks through its tile's `list` of objects, others (list 0) through the
    tree. */
-inline Hit trace(const World w, const float3 o, const float3 d, __global const int *list, const int skip) {
+INLINE Hit trace(const World w, const float3 o, const float3 d, __global const int *list, const int skip) {
     Hit best = {INFINITY, -1, -1};
     const float3 inverse = 1.0f / nonzero(d);
     if (list) {
@@ -262,7 +262,7 @@ inline Hit trace(const World w, const float3 o, const float3 d, __global const i
 }
 
 /* Visibility in [0, 1] of a light of angular radius `spread` (tangent) in direction d (unit) up to `t_max`. */
-inline float visibility(const World w, const float3 o, const float3 d, const float t_max, const float spread,
+INLINE float visibility(const World w, const float3 o, const float3 d, const float t_max, const float spread,
                         const float footprint, const int skip) {
     float least = 1.0f;
     const float3 inverse = 1.0f / nonzero(d);
@@ -299,7 +299,7 @@ inline float visibility(const World w, const float3 o, const float3 d, const flo
 }
 
 /* Openness in [0, 1] of the half space above a surface point, from distances at two heights. */
-inline float openness(const World w, const float3 p, const float3 n, const int skip) {
+INLINE float openness(const World w, const float3 p, const float3 n, const int skip) {
     const float low_height = 0.12f, high_height = 0.7f;
     float near = low_height, far = high_height;
     const float3 p_high = p + high_height * n;

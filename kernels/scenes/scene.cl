@@ -10,7 +10,7 @@
 
 /* ---- shading ---- */
 
-inline float3 sky_color(const World w, const float3 d, const float fp) {
+INLINE float3 sky_color(const World w, const float3 d, const float fp) {
     __global const float4 *frame = w.frame;
     const float up = clamp(d.y, 0.0f, 1.0f);
     float3 c = mix(frame[HORIZON].xyz, frame[ZENITH].xyz, pow(up, 0.55f));
@@ -31,7 +31,7 @@ inline float3 sky_color(const World w, const float3 d, const float fp) {
 
 /* Radiance of the surface itself, without reflections and transmission. Lamps that add little, given the `weight` of the surface
    in the pixel, are taken as partly hidden. */
-inline float3 surface_color(const World w, const int material_index, const float3 p, const float3 n, const float3 eye,
+INLINE float3 surface_color(const World w, const int material_index, const float3 p, const float3 n, const float3 eye,
                             const float3 p_local, const float3 n_local, const float fp,
                             const int prim, const float weight) {
     __global const float4 *material = w.materials + material_index * MATERIAL_SIZE;
@@ -79,7 +79,7 @@ inline float3 surface_color(const World w, const int material_index, const float
     return albedo * diffuse * (1.0f - finish.w) + highlight * finish.x + emitted;
 }
 
-inline World make_world(__global const float4 *frame, __global const float4 *objects,
+INLINE World make_world(__global const float4 *frame, __global const float4 *objects,
                         __global const int4 *object_info, __global const float4 *prims,
                         __global const int2 *prim_info, __global const float4 *materials,
                         __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,
@@ -89,13 +89,13 @@ inline World make_world(__global const float4 *frame, __global const float4 *obj
     return w;
 }
 
-inline float3 primary_direction(__global const float4 *frame, const float2 px) {
+INLINE float3 primary_direction(__global const float4 *frame, const float2 px) {
     const float4 inverse = frame[PINHOLE_INVERSE];
     const float3 v = (float3)((px.x - inverse.z) * inverse.x, (px.y - inverse.w) * inverse.y, 1.0f);
     return turn(frame[VIEW_TO_REL], frame[VIEW_TO_REL + 1], frame[VIEW_TO_REL + 2], v);
 }
 
-inline int surface_key(const World w, const Hit hit, const float3 o, const float3 d) {
+INLINE int surface_key(const World w, const Hit hit, const float3 o, const float3 d) {
     if (hit.prim < 0) return -1;
     __global const float4 *object = w.objects + hit.object * OBJECT_SIZE;
     int face = 0;

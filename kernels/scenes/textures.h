@@ -6,18 +6,18 @@ enum {
     WALLPAPER, COBBLES, WATER
 };
 
-inline uint hash_bits(uint x) {
+INLINE uint hash_bits(uint x) {
     x ^= x >> 16; x *= 0x7feb352du;
     x ^= x >> 15; x *= 0x846ca68bu;
     return x ^ (x >> 16);
 }
 
-inline float hash_cell(const int x, const int y, const int z) {
+INLINE float hash_cell(const int x, const int y, const int z) {
     return (float)(hash_bits((uint)x * 0x9e3779b1u ^ hash_bits((uint)y * 0x85ebca77u ^ hash_bits((uint)z))) >> 8)
            * (1.0f / 16777216.0f);
 }
 
-inline float value_noise(const float3 p) {
+INLINE float value_noise(const float3 p) {
     const float3 base = floor(p);
     const float3 f = p - base;
     const float3 s = f * f * (3.0f - 2.0f * f);
@@ -30,7 +30,7 @@ inline float value_noise(const float3 p) {
 }
 
 /* Mean 0.5, about [0.1, 0.9]; `fp` in the units of p. */
-inline float fbm(float3 p, float fp, const int octaves) {
+INLINE float fbm(float3 p, float fp, const int octaves) {
     float sum = 0.0f, weight = 0.5f;
     for (int k = 0; k < octaves && fp < 0.7f; ++k) {
         sum += weight * (value_noise(p) - 0.5f) * (1.0f - smoothstep(0.3f, 0.7f, fp));
@@ -42,7 +42,7 @@ inline float fbm(float3 p, float fp, const int octaves) {
 }
 
 /* 1 on lines of half-width `half_width` at the integers, 0 between. */
-inline float lines(const float x, const float half_width, const float fp) {
+INLINE float lines(const float x, const float half_width, const float fp) {
     const float edge = 0.5f - fabs(x - floor(x) - 0.5f);
     const float soft = max(0.6f * fp, 1e-4f);
     const float line = 1.0f - smoothstep(half_width - soft, half_width + soft, edge);
@@ -50,25 +50,25 @@ inline float lines(const float x, const float half_width, const float fp) {
 }
 
 /* Square wave of period 2: +1 on even cells, -1 on odd ones. */
-inline float square_wave(const float x, const float fp) {
+INLINE float square_wave(const float x, const float fp) {
     const float half_x = 0.5f * (x - 0.5f);
     const float tent = fabs(half_x - floor(half_x) - 0.5f) * 2.0f;  /* 1 amid even cells, 0 amid odd ones */
     return clamp((tent - 0.5f) * 2.0f / max(fp, 1e-4f), -1.0f, 1.0f) * (1.0f - smoothstep(0.6f, 1.4f, fp));
 }
 
-inline float disc(const float2 p, const float radius, const float fp) {
+INLINE float disc(const float2 p, const float radius, const float fp) {
     return 1.0f - smoothstep(radius - fp, radius + fp, length(p));
 }
 
 /* 0 where a pixel holds more than one cell, 1 where cells are resolved. */
-inline float resolved(const float fp) { return 1.0f - smoothstep(0.4f, 1.2f, fp); }
+INLINE float resolved(const float fp) { return 1.0f - smoothstep(0.4f, 1.2f, fp); }
 
-inline float3 palette(const float h) {
+INLINE float3 palette(const float h) {
     return 0.5f + 0.5f * cos(6.2832f * (h + (float3)(0.0f, 0.33f, 0.67f)));
 }
 
 /* Albedo at local point p with local normal n. `center` and `extent` are those of the primitive. */
-inline float3 texture_color(const int texture, const float3 color, const float3 color2, const float scale,
+INLINE float3 texture_color(const int texture, const float3 color, const float3 color2, const float scale,
                             const float contrast, const float3 seed, const float3 p, const float3 n,
                             const float3 center, const float3 extent, const float fp_meters) {
     const float3 a = fabs(n);
