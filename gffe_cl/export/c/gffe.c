@@ -22,6 +22,8 @@ gffe_options gffe_default_options(int width, int height) {
     return made;
 }
 
+static gffe_status decide_cut(gffe *g);
+
 static int is_side(int n) { return n >= 1 && n <= GFFE_MOST_PIXELS; }
 
 static gffe_status check_options(gffe *g) {
@@ -87,6 +89,7 @@ void gffe_destroy(gffe *g) {
     int k;
     if (!g) return;
     if (g->queue) clFinish(g->queue);
+    if (g->counted) clReleaseEvent(g->counted);
     for (k = g->memory ? 2 * g->plan->buffer_count - 1 : -1; k >= 0; --k)
         if (g->memory[k]) clReleaseMemObject(g->memory[k]);
     for (k = 0; g->kernels && k < gffe_kernel_count; ++k)
@@ -106,10 +109,10 @@ void gffe_destroy(gffe *g) {
 
 const char *gffe_message(const gffe *g) { return g ? g->message : "there is no gffe: NULL was given, or the host has no memory"; }
 
-int gffe_is_cut(const gffe *g) { return g && g->is_cut; }
+int gffe_is_cut(gffe *g) { return g && !decide_cut(g) && g->is_cut; }
 
-double gffe_interval(const gffe *g) {
-    if (!g || !g->is_ready) return 0;
+double gffe_interval(gffe *g) {
+    if (!g || !g->is_ready || decide_cut(g)) return 0;
     return g->step.time_count > 1 ? g->step.times[0] - g->step.times[1] : 1.0 / g->options.fps;
 }
 
@@ -183,32 +186,29 @@ static int is_cut(const cl_int *counts, int jumped) {
             counts[GFFE_CONTRAST_RIGHT] / (double)counts[GFFE_WITH_CONTRAST] < GFFE_CUT_CONTRAST_RIGHT);
 }
 
-/* Sets `is_cut`; waits for the device. */
+/* Counts samples of the rendered frame, and copies the counts to the host, which does not wait. */
 static gffe_status look_for_cut(gffe *g) {
-    cl_int counts[GFFE_CUT_SAMPLES_Y][GFFE_COUNTED], sums[GFFE_COUNTED] = {0};
     const int had_step = g->has_step;
     const double before = g->camera_step;
     double here[3], there[3];
-    size_t size[2];
     gffe_status status;
     cl_int error;
-    int k, row;
+    int k;
     g->has_step = g->is_cut = 0;
     if (!GFFE_CUT_DETECTION || !g->has_previous) return GFFE_OK;
     gffe_position(&g->step.cameras[GFFE_FRAME], here);
     gffe_position(&g->step.cameras[GFFE_PREVIOUS], there);
     for (k = 0; k < 3; ++k) here[k] = here[k] - there[k];
     g->camera_step = gffe_length(here);
+    g->jumped = had_step && g->camera_step > GFFE_CUT_TELEPORT * before;
+    g->has_step = 1;
     status = gffe_run(g, GFFE_CUT, 0);
     if (status) return status;
-    error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_TRUE, 0, sizeof counts, counts, 0, NULL, NULL);
+    error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_FALSE, 0, sizeof g->cut_counts, g->cut_counts, 0,
+                                NULL, &g->counted);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "reading the samples of a cut");
-    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
-    for (row = 0; row < (int)size[1]; ++row)
-        for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += counts[row][k];
-    g->is_cut = is_cut(sums, had_step && g->camera_step > GFFE_CUT_TELEPORT * before);
-    g->has_step = !g->is_cut;
-    return GFFE_OK;
+    error = clFlush(g->queue);
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "reading the samples of a cut");
 }
 
 static void forget(gffe *g) {
@@ -231,6 +231,27 @@ static void remember(gffe *g, double time) {
     }
     g->path_times[0] = time;
     g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
+}
+
+/* Waits for the counts, decides whether the rendered frame is a cut, and works on it again as on a reset if it is. */
+static gffe_status decide_cut(gffe *g) {
+    cl_int sums[GFFE_COUNTED] = {0}, error;
+    size_t size[2];
+    int k, row;
+    if (!g->counted) return GFFE_OK;
+    error = clWaitForEvents(1, &g->counted);
+    clReleaseEvent(g->counted);
+    g->counted = NULL;
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "waiting for the samples of a cut");
+    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
+    for (row = 0; row < (int)size[1]; ++row)
+        for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += g->cut_counts[row][k];
+    g->is_cut = is_cut(sums, g->jumped);
+    if (!g->is_cut) return GFFE_OK;
+    g->has_step = 0;
+    forget(g);
+    remember(g, g->step.times[0]);
+    return gffe_run(g, GFFE_RENDERED_FIRST, 0);
 }
 
 /* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/frame/jitter.py). */
@@ -266,6 +287,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
         display_camera = &shown;
     }
     status = check_frame(g, color, depth, motion, camera, display_camera, time, reset);
+    if (!status) status = decide_cut(g);
     if (!status) status = gffe_wait_for(g, count, wait_for);
     if (status) return status;
     take_frame(g, color, depth, motion ? motion : g->no_motion);
@@ -278,7 +300,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     status = gffe_take_overlays(g);
     if (!status) status = look_for_cut(g);
     if (status) return status;
-    if (!g->has_previous || g->is_cut) forget(g);
+    if (!g->has_previous) forget(g);
     remember(g, time);
     gffe_swap(g, 0);
     status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
@@ -287,9 +309,11 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
 
 /* ---- extrapolated and presented frames ---------------------------------------------------------------- */
 
+/* Checks that there is a rendered frame, and decides whether it is a cut. */
 static gffe_status need_frame(gffe *g, const void *made) {
     const gffe_status status = gffe_need(g, made, "made");
-    return status || g->has_frame ? status : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
+    if (status) return status;
+    return g->has_frame ? decide_cut(g) : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
 }
 
 gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
@@ -413,6 +437,7 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
     size_t size[2];
     int reference;
     if (!status) status = gffe_need(g, found, "found");
+    if (!status) status = decide_cut(g);
     if (status) return status;
     reference = gffe_reference(g, name);
     if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)

@@ -110,11 +110,12 @@ typedef struct gffe_overlays {
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
 
-/* Whether the last submitted frame was detected as an unmarked cut: it was treated as a reset. */
-int gffe_is_cut(const gffe *g);
+/* Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset. This, and what is made next,
+   wait until the samples of the frame are counted, which is the first work on it. */
+int gffe_is_cut(gffe *g);
 
 /* Seconds between the last two rendered frames; 1/fps after a reset. */
-double gffe_interval(const gffe *g);
+double gffe_interval(gffe *g);
 
 /* The factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
 gffe_status gffe_set_exposure(gffe *g, double exposure);

@@ -141,8 +141,10 @@ struct gffe {
     int path_count;
     int is_ready; /* created well */
     int has_frame, has_previous, is_cut;
-    int has_step;
+    int has_step, jumped; /* whether `camera_step` counts, and is far longer than the one before */
     double camera_step;
+    cl_event counted; /* complete when `cut_counts` are there; NULL: nothing is to be decided */
+    cl_int cut_counts[GFFE_CUT_SAMPLES_Y][GFFE_COUNTED];
     char message[4096];
 };
 
