@@ -102,6 +102,8 @@ class Device:
         Bytes: kernels can use host memory in place that begins at a multiple of it.
     works_in_host_memory : bool
         Whether kernels can use NumPy arrays where they are: on CPUs.
+    shares_memory : bool
+        Whether host and device share memory: CPUs and integrated GPUs.
     allocated : int
         Bytes of the buffers made by `buffer` so far.
     opened : Opened
@@ -207,6 +209,13 @@ class Device:
         """Whether kernels can use NumPy arrays where they are: on CPUs."""
         return self.info.kind == "cpu" and self.alignment <= PAGESIZE
 
+    @cached_property
+    def shares_memory(self) -> bool:
+        """Whether host and device share memory, so that mapping copies nothing: as the driver reports, or
+        `GFFE_SHARED_MEMORY` (0 or 1)."""
+        forced = os.environ.get("GFFE_SHARED_MEMORY")
+        return bool(int(forced) if forced else self.cl_device.host_unified_memory)
+
     def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
         """A new NumPy array, not initialized, that begins at a multiple of `alignment`, so that `Pipeline.submit` can
         use it with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
@@ -223,13 +232,14 @@ class Device:
             raise GffeError(f"empty: no array of shape {shown(shape)}: {str(error)[:120]}") from None
 
     def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
-        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it. Raises
-        GffeError if that is no number of bytes, or the device cannot allocate them."""
+        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it without a
+        copy, if host and device share memory. Raises GffeError if that is no number of bytes, or the device cannot
+        allocate them."""
         size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
         mapped = require_bool(mapped, "device: mapped")
         try:
-            flags = cl.mem_flags.READ_WRITE | (cl.mem_flags.ALLOC_HOST_PTR if mapped else 0)
-            made = cl.Buffer(self.context, flags, size)
+            for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
+            made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)
             self.allocated += size
             return made
         except cl.Error as error:
