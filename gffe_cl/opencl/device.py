@@ -1,7 +1,7 @@
 """Choosing and opening OpenCL devices.
 
 Only devices that probing found to work are opened (`probing`); what it found is kept for later processes
-(`known_devices`). The default is a GPU, else the fastest device; `GFFE_DEVICE` overrides it.
+(`device_cache`). The default is the fastest in the probe, GPU or CPU; `GFFE_DEVICE` overrides it.
 """
 
 from __future__ import annotations
@@ -300,12 +300,11 @@ def _choose(infos: list[DeviceInfo], wanted: str | None) -> DeviceInfo:
 
 
 def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
-    """The default among devices that work: a GPU, else the fastest. Of those that are about as fast, PoCL comes last,
-    then the first in the list."""
-    infos = [info for info in infos if info.kind == "gpu"] or infos
+    """The default among devices that work: the fastest in the probe, whatever its kind. Of those that are about as fast
+    a GPU comes first, which leaves the CPU to the network, and PoCL last; then the first in the list."""
     fastest = max(info.megapixels_per_second for info in infos)
     near = [info for info in infos if info.megapixels_per_second * _ABOUT_AS_FAST >= fastest]
-    return min(near, key=lambda info: "pocl" in info.version.lower())
+    return min(near, key=lambda info: (info.kind != "gpu", "pocl" in info.version.lower()))
 
 
 def open_info(info: DeviceInfo) -> Device:
