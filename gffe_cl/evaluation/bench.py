@@ -195,7 +195,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
     start = time.perf_counter()
     for when, work in (
         ("rendered", lambda: pipeline.submit(turn.frame)),
-        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval))),
+        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval)).color),
     ):
         launches[when] = traffic.launches_of(pipeline, work)
         stages = {FrameBlocks.name: pipeline.board.blocks} | pipeline.stages

@@ -53,7 +53,7 @@ from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Siz
 from gffe_cl.stages.color_code import ColorCode
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.connectivity import Connectivity
-from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.stages.frame_block import MAX_ORDER
 from gffe_cl.stages.hidden_parts import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
@@ -303,6 +303,7 @@ class Pipeline:
             )
         if self.watcher:
             self.watcher.before(self, rendered=True)
+        self._settle()
         self._decide_cut()
         self._wait(events)
         before = self._previous, self._current
@@ -367,8 +368,10 @@ class Pipeline:
         the frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`,
         and for events that cannot be waited for."""
         self._need_frame()
+        events = adopted_events(wait_for, self.device.context, "present: wait_for")
+        self._settle()
         self._decide_cut()
-        self._wait(adopted_events(wait_for, self.device.context, "present: wait_for"))
+        self._wait(events)
         frame, picture = self._shown, self._picture("rendered")
         assert frame is not None  # as there is a current one
         if self._needs_presentation:
@@ -533,10 +536,16 @@ class Pipeline:
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         self._finish()
         self._wait(events)
+        correction = self._correction
+        beside = {*INPUTS, ShadingCorrection} if correction and self._previous and correction.works_beside else set()
         for stage in self.stages.values():
+            if type(stage) in beside:
+                continue
             stage.extrapolated(step)
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
+        if beside and correction:
+            correction.begin(step)
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
         if composition := self._overlaid:
@@ -563,9 +572,18 @@ class Pipeline:
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:
-        """Return the stage that makes the final image of the last frame, if that still waits for the network."""
-        correction = self.stages.get(ShadingCorrection.name)
+        """What makes the final image of the last frame, if that still waits for the network."""
+        correction = self._correction
         return correction.finish if correction and correction.is_begun else None
+
+    @property
+    def _correction(self) -> ShadingCorrection | None:
+        return self.stages.get(ShadingCorrection.name)
+
+    def _settle(self) -> None:
+        """Wait until a thread of the network has enqueued its kernels, which belong before all others."""
+        if correction := self._correction:
+            correction.settle()
 
     def _finish(self) -> None:
         if finish := self._unfinished:
@@ -654,6 +672,6 @@ class Pipeline:
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
         stages = stages if self.device.profiles else []
         timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}
-        correction = self.stages.get(ShadingCorrection.name)
+        correction = self._correction
         network = correction.take_network_milliseconds() if correction else {}
         return timings | {name: {name: milliseconds} for name, milliseconds in network.items()}

@@ -296,6 +296,14 @@ def test_the_network_runs_between_its_buffers(device, library, tmp_path):
     assert len(ran) == 3  # the first frame has none before
     assert (library(options)._folder / "scn.onnx").read_bytes() == (tmp_path / "scn.onnx").read_bytes()
 
+    for shared in (0, 1):
+        run_both(device, library, options, frames[:2], network=network_of(device, path, ran), shared_memory=shared)
+        engine = Engine(library(options), device, W, H, shared_memory=shared)
+        for name in ("network_input.frames", "shading_flow.candidates", "correction.judgement"):
+            buffer = cl.Buffer.from_int_ptr(engine.get(name).memory, True)
+            assert bool(buffer.flags & cl.mem_flags.ALLOC_HOST_PTR) == bool(shared), name
+        engine.destroy()
+
     engine = Engine(library(options), device, W, H, network=NETWORK(lambda *_: 7))
     submit(engine, frames[0])
     engine.extrapolate(frames[0].time)
@@ -488,6 +496,7 @@ def test_faults_say_what_and_what_was_expected(device, library):
     host.gffe_destroy(None)
     refused("width and height must be 1 to 16384, got 0 and 61", Engine, host, device, 0, H)
     refused("lanes must be 0, 1 or 8, got 3", Engine, host, device, W, H, lanes=3)
+    refused("shared_memory must be -1, 0 or 1, got 2", Engine, host, device, W, H, shared_memory=2)
     refused("fps must be positive", Engine, host, device, W, H, fps=0.0)
     refused(
         "there is a network, but it was exported without", Engine, host, device, W, H, network=NETWORK(lambda *_: 0)

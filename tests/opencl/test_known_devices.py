@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from test_device import GPU, INTEL, POCL
@@ -130,6 +132,17 @@ def test_other_drivers_are_probed_anew(cache, probes, tmp_path, monkeypatch):
     assert probes.calls == len(keys)
 
 
+def test_what_another_version_found_is_not_recalled(cache, probes, tmp_path, monkeypatch):
+    """It may have ranked devices by another figure."""
+    older = tmp_path / "probing.py"
+    older.write_text(Path(probing.__file__).read_text("utf-8") + "# another one\n", "utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr(probing, "__file__", str(older))
+        list_devices()
+    probes.found = [POCL]
+    assert list_devices() == [POCL] and probes.calls == 2
+
+
 def age(cache, seconds):
     (path,) = cache.glob("devices-*.json")
     document = json.loads(path.read_text())
@@ -215,7 +228,8 @@ def test_the_command_refreshes(cache, probes, tmp_path, capsys):
         assert probes.calls == calls
         listed = json.loads((tmp_path / "report.json").read_text())["devices"]
         assert [(info["name"], info["default"]) for info in listed] == [(POCL.name, False), (INTEL.name, True)]
-    assert "--refresh" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "--refresh" in said and re.search(r"^ *\* +1:0 .* yes +4 +nothing", said, re.MULTILINE), said
 
 
 def test_probing_is_in_a_child(monkeypatch):

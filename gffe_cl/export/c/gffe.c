@@ -19,6 +19,7 @@ gffe_options gffe_default_options(int width, int height) {
     made.height = height;
     made.fps = 30;
     made.int64_atomics = -1;
+    made.shared_memory = -1;
     return made;
 }
 
@@ -40,6 +41,8 @@ static gffe_status check_options(gffe *g) {
         return gffe_fail(g, GFFE_INVALID, "options: lanes must be 0, 1 or 8, got %d", options->lanes);
     if (options->int64_atomics < -1 || options->int64_atomics > 1)
         return gffe_fail(g, GFFE_INVALID, "options: int64_atomics must be -1, 0 or 1, got %d", options->int64_atomics);
+    if (options->shared_memory < -1 || options->shared_memory > 1)
+        return gffe_fail(g, GFFE_INVALID, "options: shared_memory must be -1, 0 or 1, got %d", options->shared_memory);
     if (options->network && !GFFE_CORRECTS_SHADING)
         return gffe_fail(g, GFFE_INVALID, "options: there is a network, but it was exported without (gffe export --scn)");
     return GFFE_OK;

@@ -48,6 +48,8 @@ typedef struct gffe_options {
     double fps;                      /* rendered frames per second, until two of them are known */
     int lanes;                       /* pixels per work-item: 1, 8, or 0: as suits the device */
     int int64_atomics;               /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
+    int shared_memory;               /* whether the network's buffers lie in the host's memory: 0, 1, or -1: where the device
+                                        shares it; the results are the same */
     gffe_network network;            /* NULL: shading is not corrected; only where the export includes it */
     void *network_user;              /* handed to `network` */
 } gffe_options;

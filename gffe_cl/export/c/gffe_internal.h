@@ -30,7 +30,7 @@ enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPO
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
-/* Of buffers: that of the frame before is kept, too; the host works in it; made with the first windowed frame; the caller's;
+/* Of buffers: that of the frame before is kept, too; the host works in it where it shares memory with the device; made with the first windowed frame; the caller's;
    memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated; made
    with the first overlays. */
 enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
@@ -127,7 +127,7 @@ struct gffe {
     cl_context context;
     cl_command_queue queue;
     cl_device_id device;
-    int lanes, exact_division;
+    int lanes, exact_division, shares_memory;
     cl_program *programs;
     cl_kernel *kernels;
     cl_mem *memory; /* by reference */

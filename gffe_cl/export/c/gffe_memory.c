@@ -96,7 +96,7 @@ static void place_transients(gffe *g) {
 
 /* A buffer of its own, of zeros. */
 static cl_int create(gffe *g, int flags, size_t nbytes, cl_mem *made) {
-    const cl_mem_flags mapped = flags & GFFE_MAPPED ? CL_MEM_ALLOC_HOST_PTR : 0;
+    const cl_mem_flags mapped = flags & GFFE_MAPPED && g->shares_memory ? CL_MEM_ALLOC_HOST_PTR : 0;
     const cl_uchar zero = 0;
     cl_int error;
     *made = clCreateBuffer(g->context, CL_MEM_READ_WRITE | mapped, nbytes, NULL, &error);
