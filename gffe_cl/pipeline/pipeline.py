@@ -163,7 +163,7 @@ class Pipeline:
         if int64_atomics is not None:
             int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
         self._exposure = 1.0
-        self._bad_pixels = BadPixels()  # without those of the last upload
+        self._bad_pixels = BadPixels()  # without those that the stage `upload` still has
         self._copied_bytes = 0  # without the copies of the stage `upload`
         self._int64_atomics = int64_atomics
         self.watcher: Watcher | None = None
@@ -247,7 +247,9 @@ class Pipeline:
     @telling_device_faults
     def bad_pixels(self) -> BadPixels:
         """Bad pixels of all NumPy arrays submitted so far. Waits for the device, which counts them."""
-        return self._bad_pixels + self._upload.bad_pixels() if self._upload else self._bad_pixels
+        if self._upload:
+            self._bad_pixels += self._upload.take_bad_pixels()
+        return self._bad_pixels
 
     @property
     def copied_bytes(self) -> int:
@@ -432,7 +434,6 @@ class Pipeline:
         host = host_arrays(frame, height, width)
         if self._upload is None:
             self._upload = Upload(self.board)
-        self._bad_pixels = self.bad_pixels  # copies wait for the device, too
         self._count_conversions(arrays, host)
         shared = self._upload.shared(host) if zero_copy else {}
         self._reads_arrays |= bool(shared)

@@ -382,7 +382,7 @@ class Stage(Owner):
         key = self.board.turn, name, *given, *numbers
         prepared = self._prepared.get(key)
         if prepared is None:
-            prepared = self._prepare(kernel, given)
+            prepared = self._prepare_launch(kernel, given)
             if len(self._prepared) == _PREPARED:
                 self._prepared.clear()
             self._prepared[key] = prepared
@@ -397,7 +397,7 @@ class Stage(Owner):
         queue = self.device.queue
         self._record(name, cl.enqueue_nd_range_kernel(queue, prepared.kernel, prepared.items, prepared.group))
 
-    def _prepare(self, kernel: Kernel, given: Mapping[str, Any]) -> _Prepared:
+    def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any]) -> _Prepared:
         """Set what does not change from one launch with the numbers in `given` to the next."""
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
