@@ -18,7 +18,7 @@ from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages import correction, mu_law, scene_cuts
 from gffe_cl.stages.base import Kernel, NearestStage, Stage
-from gffe_cl.stages.buffers import BLOCK, CUT_SAMPLES, TILE_GROUP, BufferSpec, aligned, texel_of
+from gffe_cl.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
 from gffe_cl.stages.frame_block import FRAME, MAX_LEVELS, MAX_ORDER
 
 OCCASIONS = (
@@ -61,7 +61,7 @@ def config(options: Options) -> str:
         "CELL": texel_of("cells")[0],
         "NETWORK_TEXEL": texel_of("network")[0],
         "NETWORK_MULTIPLE": MULTIPLE,
-        "ALIGNMENT": aligned(1),
+        "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
         "MAX_LEVELS": MAX_LEVELS,
         "MOST_TIMES": MAX_ORDER + 1,
         "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,

@@ -49,7 +49,7 @@ from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.backward_blocks import BackwardBlocks
 from gffe_cl.stages.base import Board, Output, Stage, Step
-from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
 from gffe_cl.stages.color_code import ColorCode
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.connectivity import Connectivity
@@ -157,7 +157,7 @@ class Pipeline:
         self.device = require_kind(device, Device, "pipeline: device", "an open Device (open_device())")
         target = require_size((width, height), "pipeline: size", whole=True)
         source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
-        self.sizes = Sizes(source, target)
+        self.sizes = Sizes(source, target, max(LEAST_ALIGNMENT, device.alignment))
         self.options = Options() if options is None else require_kind(options, Options, "pipeline: options", "Options")
         self.fps = require_frame_rate(fps, "pipeline: fps")
         if int64_atomics is not None:

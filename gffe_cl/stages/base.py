@@ -20,7 +20,7 @@ import pyopencl as cl
 from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, build
-from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes, aligned
+from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
 from gffe_cl.stages.frame_block import FRAME, BlockWriter, block_facts
 
 _EXTRAPOLATE = 1000  # more than there are stages
@@ -215,7 +215,7 @@ class Board:
             lent = next(fitting, None)
             places[stage.name, spec.name] = lent and (lent, starts[lent])
             if lent:  # a byte more: texels of one index must not take each other's place in caches
-                taken[lent].append((starts[lent], aligned(starts[lent] + nbytes + 1), used))
+                taken[lent].append((starts[lent], self.sizes.aligned(starts[lent] + nbytes + 1), used))
         return places
 
     def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:

@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import expand, parse_constants, parse_struct
-from gffe_cl.stages.buffers import DeviceFrame, Sizes, level_starts
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.mu_law import color_law
 
 _SOURCE = expand("frame.h")
@@ -86,7 +86,7 @@ def block_facts(options: Any, sizes: Sizes) -> dict[str, Any]:
     """The members of the frame block that are options, and where the background's levels start."""
     facts = {name: getattr(options, name) for name in FRAME.names or () if hasattr(options, name)}
     if levels := facts.get("levels", 0):
-        starts = level_starts(sizes.source, levels)
+        starts = sizes.level_starts(levels)
         facts["level_starts"] = [*starts[1:levels], *[starts[levels]] * MAX_LEVELS][:MAX_LEVELS]
     return facts
 

@@ -138,12 +138,16 @@ gffe_status gffe_open(gffe *g) {
     gffe_status status = GFFE_OK;
     cl_device_type type = 0;
     cl_bool unified = CL_FALSE;
+    cl_uint alignment = 0; /* bits */
     cl_int error;
     int k, int64 = g->options.int64_atomics;
     error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
     if (error == CL_SUCCESS)
         error = clGetDeviceInfo(g->device, CL_DEVICE_HOST_UNIFIED_MEMORY, sizeof unified, &unified, NULL);
+    if (error == CL_SUCCESS)
+        error = clGetDeviceInfo(g->device, CL_DEVICE_MEM_BASE_ADDR_ALIGN, sizeof alignment, &alignment, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "querying the device");
+    g->step.alignment = alignment / 8 > GFFE_LEAST_ALIGNMENT ? alignment / 8 : GFFE_LEAST_ALIGNMENT;
     g->shares_memory = g->options.shared_memory < 0 ? unified != CL_FALSE : g->options.shared_memory;
     g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
     if (int64 < 0) int64 = has_int64_atomics(g);

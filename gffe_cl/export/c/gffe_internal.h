@@ -119,6 +119,7 @@ typedef struct gffe_step {
     int time_count;
     double time, alpha, exposure;
     int has[4];                     /* overlays */
+    size_t alignment;               /* of parts of buffers, bytes or texels */
 } gffe_step;
 
 struct gffe {
@@ -150,7 +151,7 @@ struct gffe {
 
 /* gffe_values.c */
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
-size_t gffe_aligned(size_t n);
+size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
 /* Of the rendered frame or, if `is_new`, of the new one. */
