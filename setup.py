@@ -1,4 +1,4 @@
-"""Packages of a wheel: every folder of gffe_cl/, kernels/ and viewer/ with all its files. The rest is in pyproject.toml."""
+"""Packages of a wheel: all folders of gffe_cl/, kernels/ and viewer/, with all files. pyproject.toml has the rest."""
 
 from setuptools import find_namespace_packages, setup
 
