@@ -196,11 +196,12 @@ def _kept(path: Path, provider: Provider) -> Path | None:
     if folder is None:
         return None
     code = [Path(str(module.__file__)).read_bytes() for module in (providers, sessions)] + [Path(__file__).read_bytes()]
+    versions = provider.versions()  # imports onnxruntime, which sets a variable of its own
     facts = [
         fingerprint(),
         sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)),
         provider.name,
-        provider.versions(),
+        versions,
         [hashlib.sha256(content).hexdigest() for content in [path.read_bytes(), cpu_model(path).read_bytes(), *code]],
     ]
     digest = hashlib.sha256(repr(facts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
