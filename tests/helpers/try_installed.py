@@ -45,7 +45,7 @@ def run(*command, code=0):
     """What the command says. AssertionError, with all of it, for another exit code."""
     start = time.monotonic()
     environment = os.environ | {"LIBGL_ALWAYS_SOFTWARE": "1"}
-    child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
     assert child.returncode == code, f"{' '.join(map(str, command))}: {child.returncode}\n{child.stdout}{child.stderr}"
     print(f"{time.monotonic() - start:5.1f} s  {' '.join(map(str, command[-6:]))}", flush=True)
     return child.stdout + child.stderr
