@@ -18,8 +18,8 @@ EXPOSURES = (1e-6, 1e6)
 FRAME_RATES = (1e-6, 1e6)
 MOST_SEED = 2**32 - 1
 MOST_SIDE = 1 << 16  # pixels
-_SIDES = (1e-9, 1e9)  # where they need not be whole
-_LARGEST = 1e300
+SIDES = (1e-9, 1e9)  # where they need not be whole
+LARGEST = 1e300
 NUMBERS = (int, float, np.integer, np.floating)
 
 
@@ -33,7 +33,7 @@ def scalar(value: Any) -> Any:
 def is_number(value: Any) -> bool:
     """Whether `value` is a finite number: no bool, no text, nothing over 1e300."""
     value = scalar(value)
-    return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-_LARGEST < value < _LARGEST)
+    return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-LARGEST < value < LARGEST)
 
 
 def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
@@ -92,7 +92,7 @@ def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tupl
         width, height = value
         if whole:
             return require_whole(width, what, 1, MOST_SIDE), require_whole(height, what, 1, MOST_SIDE)
-        return require_within(width, what, *_SIDES), require_within(height, what, *_SIDES)
+        return require_within(width, what, *SIDES), require_within(height, what, *SIDES)
     except (GffeError, TypeError, ValueError):
         kind = f"whole pixels from 1 to {MOST_SIDE}" if whole else "pixels"
         raise GffeError(f"{what} must be (width, height) in {kind}, got {shown(value)}") from None
@@ -170,7 +170,7 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
 def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
     """(count,) float64; GffeError unless `value` holds so many finite numbers."""
     array = require_array(value, what, count).astype(np.float64)
-    if not (np.abs(array) < _LARGEST).all():
+    if not (np.abs(array) < LARGEST).all():
         raise GffeError(f"{what} must be {count} finite numbers, got {array.tolist()}")
     return array
 

@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import foreign_files
 import pytest
 from test_device import GPU, INTEL, POCL
 
@@ -90,6 +91,14 @@ def test_bytes_that_are_no_text_are_replaced(cache, probes):
     (path,) = cache.iterdir()
     path.write_bytes(b"\xff\xfe\0")
     assert list_devices() == [POCL, INTEL] and probes.calls == 2
+
+
+@pytest.mark.parametrize("kind", foreign_files.KINDS)
+def test_regular_files_only(cache, probes, kind):
+    list_devices()
+    (path,) = cache.iterdir()
+    foreign_files.put(path, kind)
+    assert foreign_files.within(10, list_devices) == [POCL, INTEL] and probes.calls == 2
 
 
 def test_a_folder_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, probes):

@@ -1,7 +1,6 @@
 /* The order of things, and the state between frames (gffe_cl/pipeline/pipeline.py). */
 #include "gffe.h"
 
-#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -35,8 +34,9 @@ static gffe_status check_options(gffe *g) {
     if (!is_side(g->step.source[0]) || !is_side(g->step.source[1]))
         return gffe_fail(g, GFFE_INVALID, "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
                          GFFE_MOST_PIXELS, options->render_width, options->render_height);
-    if (!(options->fps > 0 && options->fps <= DBL_MAX))
-        return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, got %g", options->fps);
+    if (!(options->fps >= GFFE_LEAST_FRAME_RATE && options->fps <= GFFE_MOST_FRAME_RATE))
+        return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, %g to %g, got %g", GFFE_LEAST_FRAME_RATE,
+                         GFFE_MOST_FRAME_RATE, options->fps);
     if (options->lanes != 0 && options->lanes != 1 && options->lanes != 8)
         return gffe_fail(g, GFFE_INVALID, "options: lanes must be 0, 1 or 8, got %d", options->lanes);
     if (options->int64_atomics < -1 || options->int64_atomics > 1)
@@ -122,10 +122,16 @@ double gffe_interval(gffe *g) {
 gffe_status gffe_set_exposure(gffe *g, double exposure) {
     const gffe_status status = gffe_need(g, g, "gffe");
     if (status) return status;
-    if (!(exposure >= 1e-6 && exposure <= 1e6))
-        return gffe_fail(g, GFFE_INVALID, "exposure must be 1e-6 to 1e6, got %g", exposure);
+    if (!(exposure >= GFFE_LEAST_EXPOSURE && exposure <= GFFE_MOST_EXPOSURE))
+        return gffe_fail(g, GFFE_INVALID, "exposure must be %g to %g, got %g", GFFE_LEAST_EXPOSURE, GFFE_MOST_EXPOSURE,
+                         exposure);
     g->step.exposure = exposure;
     return GFFE_OK;
+}
+
+static gffe_status check_time(gffe *g, double time, const char *call) {
+    if (fabs(time) < GFFE_LARGEST) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s: time %g s must be finite, and below %g s", call, time, GFFE_LARGEST);
 }
 
 /* ---- rendered frames ---------------------------------------------------------------------------------- */
@@ -147,8 +153,11 @@ static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motio
     gffe_status status;
     if (!fault) fault = gffe_camera_fault(display);
     if (fault) return gffe_fail(g, GFFE_INVALID, "frame: %s", fault);
-    if (!(fabs(time) <= DBL_MAX) || (g->step.time_count && !reset && time <= g->step.times[0]))
-        return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be finite and after the previous rendered frame's", time);
+    status = check_time(g, time, "frame");
+    if (status) return status;
+    if (g->step.time_count && !reset && time <= g->step.times[0])
+        return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be after the previous rendered frame's (%g s)", time,
+                         g->step.times[0]);
     if (!gffe_have_one_pose(camera, display))
         return gffe_fail(g, GFFE_INVALID,
                          "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
@@ -362,11 +371,16 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     int occasion, corrected;
     if (done) *done = NULL;
     if (status) return status;
+    status = check_time(g, time, "extrapolate");
+    if (status) return status;
     step = &g->step;
     alpha = (time - step->times[0]) / gffe_interval(g);
-    if (!(alpha >= 0 && alpha <= DBL_MAX))
+    if (!(alpha >= 0))
         return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is before the last rendered frame's (%g s)", time,
                          step->times[0]);
+    if (!(alpha <= GFFE_MOST_ALPHA))
+        return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is more than %g intervals after %g s", time,
+                         GFFE_MOST_ALPHA, step->times[0]);
     if (!camera) {
         status = gffe_predict_camera(g, alpha, &predicted);
         if (status) return status;

@@ -266,11 +266,16 @@ gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
                                             events ? "a list of some" : "no list of them");
     for (k = 0; k < count; ++k) {
         cl_context context = NULL;
+        cl_int state = CL_COMPLETE;
         if (!events[k]) return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is NULL", (unsigned)k);
         error = clGetEventInfo(events[k], CL_EVENT_CONTEXT, sizeof context, &context, NULL);
         if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
         if (context != g->context)
             return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is of another context", (unsigned)k);
+        error = clGetEventInfo(events[k], CL_EVENT_COMMAND_EXECUTION_STATUS, sizeof state, &state, NULL);
+        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
+        if (state < 0) /* some drivers would wait for ever */
+            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k, (int)state);
     }
     error = count ? clEnqueueBarrierWithWaitList(g->queue, count, events, NULL) : CL_SUCCESS;
     return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "waiting for events");
