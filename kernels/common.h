@@ -8,8 +8,13 @@
 #define SPARSE __attribute__((vec_type_hint(float4)))
 
 /* Before every helper function. Without `static`, C99 has no definition for calls that a compiler leaves, and the linkers of AMD
-   and NVIDIA refuse the program. Calls that are left break the vectorizer of Intel's CPU runtime. */
+   and NVIDIA refuse the program. Calls that are left break the vectorizer of Intel's CPU runtime. Oclgrind does not know an
+   intrinsic that is left where structs are returned by functions that are always inlined. */
+#ifdef OCLGRIND
+#define INLINE static __attribute__((noinline))
+#else
 #define INLINE static inline __attribute__((always_inline))
+#endif
 
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
 #define COLOR_MAX 65504.0f

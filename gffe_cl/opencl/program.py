@@ -124,6 +124,8 @@ def build(device: Device, name: str, **variant: int) -> Program:
     choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}
     if device.exact_division:
         choices["EXACT_DIVISION"] = 1
+    if device.info.platform == "Oclgrind":
+        choices["OCLGRIND"] = 1
     variant = {choice: value for choice, value in choices.items() if choice in source} | variant
     key = (name, source, *sorted(variant.items()))
     if key not in device.programs:
