@@ -88,14 +88,14 @@ const char *gffe_message(const gffe *g);
 /* Take a rendered frame; they come in order of time (seconds). The buffers are used in place: do not overwrite them
    before two more frames have been submitted. `camera` is what was rasterized, in render pixels; `display_camera` what
    is shown, in display pixels, of the same pose (NULL: the same frustum). `reset`: nothing before this frame may be used
-   (a cut); then motion may be NULL. Returns at once, but with cut detection waits for the device. */
+   (a cut); then motion may be NULL. Returns at once. */
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset);
 
 /* As gffe_submit, with events, as OpenCL's own calls take them: nothing of it begins before all `count` events of
    `wait_for` are complete (0 and NULL: none), and *done (unless `done` is NULL) becomes an event that is complete when the
    work on the frame is; release it. They are of the queue's context. The queue has been flushed then, so that other queues
-   can wait for *done. With cut detection the host waits for `wait_for`, too. Where this fails there is no event. Events that
+   can wait for *done. Where this fails there is no event. Events that
    have failed already are refused. */
 gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                               const gffe_camera *display_camera, double time, int reset, cl_uint count,
