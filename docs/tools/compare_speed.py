@@ -4,6 +4,7 @@
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
     python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
+    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread, too
     python docs/tools/compare_speed.py --old COMMIT --new FOLDER             a commit or a checkout's folder each
 
 Each version runs in a process of its own with its own modules and kernels, driven through the public `Pipeline`. Both
@@ -59,8 +60,9 @@ BUSY = 1.15  # wall time : CPU time from which a warning is printed
 # ---- one version, in a process of its own ------------------------------------------------------------------
 
 
-def serve(footage: Path, device: str, scn: bool) -> None:
-    """Time the frames that standard input asks for, a line of JSON each."""
+def serve(footage: Path, device: str, scn: bool, host: bool) -> None:
+    """Time the frames that standard input asks for, a line of JSON each. With `host`, the device is idle before each
+    call, so that no call waits, and the calling thread's processor time is told."""
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # output of drivers
     import pyopencl as cl
@@ -86,12 +88,20 @@ def serve(footage: Path, device: str, scn: bool) -> None:
         camera = gffe.Camera(**about["cameras"][asked["index"]])
         target = about["targets"][asked["index"]]
         frame = gffe.RenderedFrame(*frames[asked["index"]], camera, asked["time"], reset=asked["reset"])
-        wall, cpu = time.perf_counter(), time.process_time()
+        seen_by = target and gffe.Camera(**target)
+        opened.queue.finish()
+        wall, cpu, calling = time.perf_counter(), time.process_time(), -time.thread_time()
         pipeline.submit(frame)
-        pipeline.extrapolate(target and gffe.Camera(**target), asked["until"])
+        calling += time.thread_time()
+        if host:
+            opened.queue.finish()
+        calling -= time.thread_time()
+        pipeline.extrapolate(seen_by, asked["until"])
+        calling += time.thread_time()
         opened.queue.finish()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        say({"stages": pipeline.take_timings(), "wall": wall * 1e3, "cpu": cpu * 1e3})
+        reply = {"stages": pipeline.take_timings(), "wall": wall * 1e3, "cpu": cpu * 1e3}
+        say(reply | ({"host": calling * 1e3} if host else {}))
 
 
 class Version:
@@ -117,7 +127,8 @@ class Version:
         scn = {name: parts.pop(name) for name in list(parts) if name.startswith("SCN")}
         own = {"SCN, inputs and kernels": sum(scn.get(f"SCN, {name}", 0.0) for name in ("inputs", "flow", "kernels"))}
         clocks = dict(zip(CLOCKS, (heard["wall"], heard["cpu"] / (os.cpu_count() or 1)), strict=True))
-        return parts | {"GAE": sum(parts.values())} | (scn | own if scn else {}) | clocks
+        host = {"host": heard["host"]} if "host" in heard else {}
+        return parts | {"GAE": sum(parts.values())} | (scn | own if scn else {}) | clocks | host
 
     def close(self) -> None:
         self.process.stdin.close()
@@ -179,10 +190,10 @@ def store(footage: Footage, folder: Path) -> None:
     (folder / "about.json").write_text(json.dumps(about))
 
 
-def compare(footage: Footage, folder: Path, trees: list[Path], device: str, repeats: int, scn: bool) -> dict:
+def compare(footage: Footage, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
     """Milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
-    arguments = [str(folder), "--device", device, *(["--scn"] if scn else [])]
+    arguments = [str(folder), "--device", device, *flags]
     versions = [Version(tree, *arguments) for tree in trees]
     if versions[0].device != versions[1].device:
         sys.exit(
@@ -235,12 +246,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=16, help="counted pairs of frames")
     parser.add_argument("--frame", type=int, help="which rendered frame; default: the bench's")
     parser.add_argument("--scn", action="store_true", help="with the shading correction network")
+    parser.add_argument("--host", action="store_true", help="processor time of the calling thread, too")
     parser.add_argument("--device", action="append", help="intel, pocl, …; may be repeated; default: the best one")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.serve:
-        serve(asked.serve, asked.device[0], asked.scn)
+        serve(asked.serve, asked.device[0], asked.scn, asked.host)
         return
 
     from gffe_cl.evaluation.benchmark_input import SCENE, footage_of
@@ -256,7 +268,8 @@ def main() -> None:
             device = open_device(name)
             footage = footage_of(device, subject, (width, height), asked.frame)
             place = folder / f"footage_{number}"
-            reports.append(compare(footage, place, trees, device.info.index, asked.repeats, asked.scn))
+            flags = [flag for flag, is_set in (("--scn", asked.scn), ("--host", asked.host)) if is_set]
+            reports.append(compare(footage, place, trees, device.info.index, asked.repeats, flags))
             show(reports[-1])
             shutil.rmtree(place)
     if asked.json:
