@@ -80,7 +80,7 @@ class Opened:
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
-    process: int | None = None  # that has used it: a driver's threads do not live on in forked children
+    process: int = field(default_factory=os.getpid)  # a driver's threads do not live on in forked children
 
 
 _opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
@@ -179,12 +179,12 @@ class Device:
 
     @property
     def queue(self) -> cl.CommandQueue:
-        """The in-order queue. Raises GffeError in a forked child if the device was used before the fork."""
+        """The in-order queue. Raises GffeError in a forked child if the device was opened before the fork."""
         self.require_process()
         return self._queue
 
     def require_process(self) -> None:
-        """Raise GffeError in a forked child if the device was used before the fork: drivers wait forever there."""
+        """Raise GffeError in a forked child if the device was opened before the fork: drivers wait forever there."""
         _require_process(self.opened, self.info.name)
 
     @cached_property
@@ -316,7 +316,7 @@ def open_info(info: DeviceInfo) -> Device:
     loses them. Raises GffeError if it is not there or cannot be opened."""
     platform, device = (int(part) for part in info.index.split(":"))
     if known := _opened.get(info.index):
-        _require_process(known, info.name, use=False)
+        _require_process(known, info.name)
     try:
         found = cl.get_platforms()[platform].get_devices()[device]
         told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
@@ -331,17 +331,13 @@ def open_info(info: DeviceInfo) -> Device:
         raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error} ({_WHERE_IT_IS})") from None
 
 
-def _require_process(opened: Opened, name: str, use: bool = True) -> None:
-    """Raise GffeError if another process, of which this one was forked, has used the device. With `use` this process
-    uses it now."""
-    process = os.getpid()
-    if opened.process not in (None, process):
+def _require_process(opened: Opened, name: str) -> None:
+    """Raise GffeError if another process, of which this one was forked, has opened the device."""
+    if opened.process != os.getpid():
         raise GffeError(
-            f"{name}: the device was used before this process was forked (expected multiprocessing's start method"
+            f"{name}: the device was opened before this process was forked (expected multiprocessing's start method"
             " 'spawn', or a device that only the child opens)"
         )
-    if use:
-        opened.process = process
 
 
 def _profiling_queue(context: cl.Context, device: cl.Device) -> cl.CommandQueue:

@@ -210,7 +210,7 @@ class Pipeline:
 
     def __del__(self):
         if getattr(self, "_reads_arrays", False):
-            with suppress(cl.Error):
+            with suppress(cl.Error, GffeError):
                 self.device.queue.finish()  # the memory of arrays must not go before
         if board := getattr(self, "board", None):
             board.let_go()
