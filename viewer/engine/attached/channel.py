@@ -90,8 +90,7 @@ class Channel:
     def __init__(self, connected: socket.socket):
         self._socket = connected
         connected.settimeout(None)
-        seconds = struct.pack("ll", int(_SEND_SECONDS), int(_SEND_SECONDS % 1 * 1e6))
-        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
+        _set_patience(connected, _SEND_SECONDS)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _LARGEST)
         _sockets.add(connected)
 
@@ -135,6 +134,12 @@ class Channel:
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+
+
+def _set_patience(waiting: socket.socket, seconds: float) -> None:
+    """Set how long sending and connecting may wait."""
+    timeval = struct.pack("ll", int(seconds), int(seconds % 1 * 1e6))
+    waiting.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
 
 
 def _filled(packet: bytes) -> bytes:
@@ -214,7 +219,7 @@ def connect(name: str) -> Channel:
     folder = socket_folder()
     path = _path(folder, name)
     connected = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(_CONNECT_SECONDS), 0))
+    _set_patience(connected, _CONNECT_SECONDS)
     try:
         connected.connect(str(path))
         uid = _peer_uid(connected)

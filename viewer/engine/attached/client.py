@@ -145,15 +145,20 @@ def _serve(watcher: _Watcher, listener: Listener, pipeline: weakref.ref) -> None
             channel = listener.accept()
         except OSError:
             return
-        viewer = None
-        try:
-            viewer = _welcomed(channel, pipeline)
-            watcher.viewer = viewer
-            while True:
-                viewer.take(channel.receive())
-        except Exception:  # whatever a viewer sends, the next one can come
-            channel.close()
-            watcher.leave(viewer)
+        _look(watcher, channel, pipeline)  # a function of its own, so that nothing of it is kept
+
+
+def _look(watcher: _Watcher, channel: Channel, pipeline: weakref.ref) -> None:
+    """Serve a viewer until it leaves."""
+    viewer = None
+    try:
+        viewer = _welcomed(channel, pipeline)
+        watcher.viewer = viewer
+        while True:
+            viewer.take(channel.receive())
+    except Exception:  # whatever a viewer sends, the next one can come
+        channel.close()
+        watcher.leave(viewer)
 
 
 def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer:
