@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
@@ -22,6 +22,7 @@ from gffe_cl.core.validation import scalar
 from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step
 
 NUMERIC = "biuf"  # kinds of NumPy's types
+_AS_THEY_ARE = {NoneType, bool, int, float, str}
 _MOST_BYTES = 1 << 30  # that an array's shape may claim
 
 
@@ -58,18 +59,21 @@ def decoded(data: bytes, *kinds: type) -> Any:
 
 def _plain(value: Any, arrays: list[np.ndarray]) -> Any:
     """Return `value` as JSON holds it, and append its arrays to `arrays`."""
-    value = scalar(value)
-    if isinstance(value, Step):
+    kind = type(value)
+    if kind in _AS_THEY_ARE:
+        return value
+    if kind in (tuple, list, frozenset):
+        return [_plain(one, arrays) for one in value]
+    if kind is dict:
+        return [[_plain(key, arrays), _plain(one, arrays)] for key, one in value.items()]
+    if kind is Step:
         value = _Linked(str(value), value.links)
     if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name), arrays) for field in fields(value)}
+        return {name: _plain(getattr(value, name), arrays) for name in _hints(type(value))}
+    value = scalar(value)
     if isinstance(value, np.ndarray):
         arrays.append(value)
         return [value.dtype.str, value.shape]
-    if isinstance(value, Mapping):
-        return [[_plain(key, arrays), _plain(one, arrays)] for key, one in value.items()]
-    if isinstance(value, tuple | list | frozenset):
-        return [_plain(one, arrays) for one in value]
     return value
 
 
@@ -104,33 +108,70 @@ def _hints(kind: type) -> dict[str, Any]:
 def _typed(hint: Any, value: Any, arrays: _Arrays) -> Any:
     """Return `value`, from JSON, as the type `hint`. Raises TypeError or ValueError, or whatever the type's constructor
     raises, where it is something else."""
-    origin, inner = get_origin(hint), get_args(hint)
-    if origin in (Union, UnionType):
-        if value is None and NoneType in inner:
-            return None
-        others = [one for one in inner if one is not NoneType]
-        # A text with links is an object, one without is a text.
-        return _typed(others[0] if len(others) == 1 else Step if isinstance(value, dict) else str, value, arrays)
-    if hint is Step:
-        linked = _typed(_Linked, value, arrays)
-        return Step(linked.text, *linked.links)
+    return _reader(hint)(value, arrays)
+
+
+@cache
+def _reader(hint: Any) -> Callable[[Any, _Arrays], Any]:
+    """Return the function that does `_typed` for one type."""
     if hint is np.ndarray:
-        return arrays.take(value)
+        return lambda value, arrays: arrays.take(value)
+    if hint is Step:
+        linked = _reader(_Linked)
+        return lambda value, arrays: (read := linked(value, arrays)) and Step(read.text, *read.links)
     if is_dataclass(hint):
-        hints = _hints(hint)
-        if not isinstance(value, dict) or value.keys() != hints.keys():
-            raise TypeError(f"fields of {hint.__name__}")
-        return hint(**{name: _typed(one, value[name], arrays) for name, one in hints.items()})
-    if hint is float and type(value) is int:
-        value = float(value)
-    if origin is None:
-        if type(value) is not hint:
-            raise TypeError(f"{type(value).__name__} in place of {hint.__name__}")
+        return _reader_of_fields(hint, {name: _reader(one) for name, one in _hints(hint).items()})
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        return _reader_of_either({one: _reader(one) for one in get_args(hint)})
+    return _reader_of_items(origin, get_args(hint)) if origin else _reader_of_value(hint)
+
+
+def _reader_of_fields(kind: Any, readers: dict[str, Callable]) -> Callable:
+    def read(value: Any, arrays: _Arrays) -> Any:
+        if not isinstance(value, dict) or value.keys() != readers.keys():
+            raise TypeError(f"fields of {kind.__name__}")
+        return kind(**{name: read_one(value[name], arrays) for name, read_one in readers.items()})
+
+    return read
+
+
+def _reader_of_either(readers: dict[Any, Callable]) -> Callable:
+    """Of a type that may be None too, or of a text with or without links."""
+
+    def read(value: Any, arrays: _Arrays) -> Any:
+        if value is None and NoneType in readers:
+            return None
+        if Step in readers:
+            return readers[Step if isinstance(value, dict) else str](value, arrays)
+        (read_one,) = (reader for kind, reader in readers.items() if kind is not NoneType)
+        return read_one(value, arrays)
+
+    return read
+
+
+def _reader_of_items(kind: Any, inner: tuple) -> Callable:
+    readers = [_reader(one) for one in inner if one is not Ellipsis]
+    one_by_one = kind is tuple and inner[-1] is not Ellipsis
+
+    def read(value: Any, arrays: _Arrays) -> Any:
+        if not isinstance(value, list):
+            raise TypeError(f"{type(value).__name__} in place of a list")
+        if kind is dict:
+            return {readers[0](key, arrays): readers[1](one, arrays) for key, one in value}
+        if one_by_one:
+            return tuple(read_one(one, arrays) for read_one, one in zip(readers, value, strict=True))
+        return kind([readers[0](one, arrays) for one in value])
+
+    return read
+
+
+def _reader_of_value(kind: type) -> Callable:
+    def read(value: Any, arrays: _Arrays) -> Any:
+        if kind is float and type(value) is int:
+            return float(value)
+        if type(value) is not kind:
+            raise TypeError(f"{type(value).__name__} in place of {kind.__name__}")
         return value
-    if not isinstance(value, list):
-        raise TypeError(f"{type(value).__name__} in place of a list")
-    if origin is dict:
-        return {_typed(inner[0], key, arrays): _typed(inner[1], one, arrays) for key, one in value}
-    if origin is tuple and inner[-1] is not Ellipsis:
-        return tuple(_typed(one, item, arrays) for one, item in zip(inner, value, strict=True))
-    return origin(_typed(inner[0], item, arrays) for item in value)
+
+    return read
