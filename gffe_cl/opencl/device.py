@@ -282,7 +282,7 @@ def open_device(wanted: str | None = None) -> Device:
     try:
         return open_info(_choose(infos, wanted))
     except GffeError:
-        if not known:
+        if not known or any(opened.process != os.getpid() for opened in _opened.values()):
             raise
     return open_info(_choose(list_devices(refresh=True), wanted))
 
