@@ -238,7 +238,9 @@ class _Watcher:
             self._keep(pipeline, frozenset())
 
     def submitted(self, pipeline: Pipeline, frame: RenderedFrame, on_device: DeviceFrame) -> None:
-        begins = frame.reset or pipeline.is_cut or self._camera is None
+        # Asking for cuts may wait for the device, which a program that nobody looks into must not.
+        is_cut = self.viewer is not None and pipeline.is_cut
+        begins = frame.reset or is_cut or self._camera is None
         self._number += 1
         self._before, self._camera = None if begins else self._camera, frame.camera
         self._frame = on_device
