@@ -28,7 +28,7 @@ docs: $(VENV)/.installed-for-docs
 	$(VENV)/bin/python -m sphinx -q -E -W --keep-going -n docs out/docs
 	@echo "documentation: out/docs/index.html"
 
-$(VENV)/.installed: pyproject.toml constraints.txt Makefile
+$(VENV)/.installed: pyproject.toml setup.py constraints.txt Makefile
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "error: $(PYTHON) must be Python 3.11 or newer (make PYTHON=python3.12 …)" >&2; exit 2; }
 	@echo "environment: $(VENV), a few seconds"

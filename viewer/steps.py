@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import read_bounded
 from gffe_cl.pipeline.options import Option
 from gffe_cl.viewer.actions import Action, Actions
 from gffe_cl.viewer.state.captions import Message
@@ -17,6 +18,7 @@ from gffe_cl.viewer.state.comparing import WAYS
 from gffe_cl.viewer.state.navigation import Flight
 from gffe_cl.viewer.state.parameters import ALL, parsed
 
+_MOST_BYTES = 1 << 20  # of a script
 _NEAR = 3  # names that are suggested where one is unknown
 _LONGEST_WAIT = 3600.0  # seconds
 DONE = "done"  # of "wait": until nothing is measured, examined or saved
@@ -50,7 +52,7 @@ def parse(path: Path, app=None) -> list[Step]:
     does not depend on the sequence. `app`: whose actions and panels there are (None: a viewer's that is never opened).
     Raises GffeError."""
     try:
-        lines = Path(path).read_text("utf-8-sig").splitlines()
+        lines = read_bounded(path, _MOST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise GffeError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     app, steps = app or unopened(), []

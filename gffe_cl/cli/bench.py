@@ -81,6 +81,14 @@ def bench(
             " [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
+    host: Annotated[
+        bool,
+        typer.Option(
+            "--host",
+            help="Host cost: processor time of the calling thread in submit and extrapolate"
+            " [dim](default size: 320x180, where kernels are short)[/].",
+        ),
+    ] = False,
     lanes: Annotated[
         str, typer.Option(help="Pixels per work-item that --traffic counts: 1 as on GPUs, 8 as on CPUs, or 1,8.")
     ] = "1",
@@ -107,6 +115,9 @@ def bench(
         opened = [open_device(device)]
     if io:
         _bench_io(opened, subject, parsed, frame, repeats, json_path)
+        return
+    if host:
+        _bench_host(opened, subject, parsed, frame, repeats, options, json_path)
         return
     if methods:
         _bench_methods(opened, subject, parsed, frame, repeats, options, json_path)
@@ -200,6 +211,38 @@ def _bench_io(
         _print_io(device.info, footage.name, results)
         named = {"device": device.info.name, "platform": device.info.platform, "of": footage.name}
         report.append(named | {"repeats": repeats, "frames": [asdict(result) for result in results]})
+    write_json(json_path, {"devices": report})
+
+
+def _bench_host(
+    devices: list[Device],
+    subject: str | None,
+    sizes: list[tuple[int, int]] | None,
+    frame: int | None,
+    repeats: int,
+    options: Options,
+    json_path: Path | None,
+) -> None:
+    from dataclasses import asdict
+
+    from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
+    from gffe_cl.evaluation.host_times import SIZE, measure_host
+
+    report = []
+    table = Table("device", "size", "submit, ms", "extrapolate, ms", "both, ms", box=None, header_style="bold")
+    for device in devices:
+        results = []
+        for size in sizes or [None if is_sequence(subject) else SIZE]:
+            footage = footage_of(device, subject, size, frame)
+            with progress_bars() as progress:
+                advance = steps(progress)(f"{device.info.name} ({device.info.platform})", repeats)
+                results.append(measure_host(device, footage, options, repeats, advance))
+        for result in results:
+            times = (f"{milliseconds:.3f}" for milliseconds in (result.submit, result.extrapolate, result.sum))
+            table.add_row(plain(device.info.platform), f"{result.width}×{result.height}", *times)
+        named = {"device": device.info.name, "platform": device.info.platform}
+        report.append(named | {"repeats": repeats, "sizes": [asdict(result) for result in results]})
+    out.print(table)
     write_json(json_path, {"devices": report})
 
 

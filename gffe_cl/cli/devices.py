@@ -35,7 +35,7 @@ def devices(
     from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
 
     infos = [info for info in list_devices(refresh) if kind in (None, info.kind)]
-    table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
+    table = Table("", "index", "device", "platform", "kernel runs", "Mpixel/s", "lacks", box=None, header_style="bold")
     working = [info for info in infos if info.works]
     default = best_of(working) if working else None
     for info in infos:
@@ -45,12 +45,14 @@ def devices(
             plain(info.name),
             plain(info.platform + (f" ({info.driver})" if info.driver else "")),
             "[green]yes[/]" if info.works else f"[red]no[/]: {plain(info.problem)}",
+            f"{info.megapixels_per_second:.3g}" if info.works else "",
             ", ".join(info.lacks) or "nothing",
         )
     if infos:
         out.print(table)
     if default:
-        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh repeats the tests)")
+        out.print("* the default: the most Mpixel/s in a test of arithmetic and memory, or about as many on a GPU")
+        out.print("choose another with --device or GFFE_DEVICE (--refresh repeats the tests)")
     verdicts = _provider_verdicts(refresh)
     for found in verdicts:
         out.print(plain(f"network's provider {found.provider}: {found.summary()}"))

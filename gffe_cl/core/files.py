@@ -68,6 +68,15 @@ def descriptor_of(path: Path | str, flags: int = os.O_RDONLY) -> tuple[int, int]
     return descriptor, status.st_size
 
 
+def read_bounded(path: Path | str, most: int) -> bytes:
+    """Return the content of a regular file of at most `most` bytes. Raises OSError for any other."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise OSError(errno.EFBIG, f"{size} bytes, expected at most {most}")
+        return file.read(size)
+
+
 def require_readable(path: Path, label: str) -> None:
     """GffeError, beginning with `label`, unless the file at `path` is there and a regular one."""
     try:

@@ -18,8 +18,8 @@ EXPOSURES = (1e-6, 1e6)
 FRAME_RATES = (1e-6, 1e6)
 MOST_SEED = 2**32 - 1
 MOST_SIDE = 1 << 16  # pixels
-_SIDES = (1e-9, 1e9)  # where they need not be whole
-_LARGEST = 1e300
+SIDES = (1e-9, 1e9)  # where they need not be whole
+LARGEST = 1e300
 NUMBERS = (int, float, np.integer, np.floating)
 
 
@@ -33,7 +33,7 @@ def scalar(value: Any) -> Any:
 def is_number(value: Any) -> bool:
     """Whether `value` is a finite number: no bool, no text, nothing over 1e300."""
     value = scalar(value)
-    return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-_LARGEST < value < _LARGEST)
+    return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-LARGEST < value < LARGEST)
 
 
 def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
@@ -41,7 +41,7 @@ def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
     `infinite` and +inf."""
     if is_number(value) or (infinite and isinstance(scalar(value), NUMBERS) and scalar(value) == math.inf):
         return float(value)
-    bounds = f" from {-_LARGEST:g} to {_LARGEST:g}" if _is_finite(value) else ""
+    bounds = f" from {-LARGEST:g} to {LARGEST:g}" if _is_finite(value) else ""
     raise GffeError(f"{what} must be a {'' if infinite else 'finite '}number{bounds}, got {_shown_number(value)}")
 
 
@@ -93,7 +93,7 @@ def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tupl
         width, height = value
         if whole:
             return require_whole(width, what, 1, MOST_SIDE), require_whole(height, what, 1, MOST_SIDE)
-        return require_within(width, what, *_SIDES), require_within(height, what, *_SIDES)
+        return require_within(width, what, *SIDES), require_within(height, what, *SIDES)
     except (GffeError, TypeError, ValueError):
         kind = f"whole pixels from 1 to {MOST_SIDE}" if whole else "pixels"
         raise GffeError(f"{what} must be (width, height) in {kind}, got {shown(value)}") from None
@@ -171,8 +171,8 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
 def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
     """(count,) float64; GffeError unless `value` holds so many finite numbers."""
     array = require_array(value, what, count).astype(np.float64)
-    if not (np.abs(array) < _LARGEST).all():
-        bounds = f" from {-_LARGEST:g} to {_LARGEST:g}" if np.isfinite(array).all() else ""
+    if not (np.abs(array) < LARGEST).all():
+        bounds = f" from {-LARGEST:g} to {LARGEST:g}" if np.isfinite(array).all() else ""
         raise GffeError(f"{what} must be {count} finite numbers{bounds}, got {shown(array.tolist())}")
     return array
 
@@ -216,7 +216,7 @@ def shown(value: Any) -> str:
         return f"an array of shape {value.shape} and type {value.dtype}"
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
-    if isinstance(value, int) and abs(value) > _LARGEST:
+    if isinstance(value, int) and abs(value) > LARGEST:
         return "a number too large"
     if not isinstance(value, bool | int | float | str | list | tuple | dict):
         return _kind_words(value)

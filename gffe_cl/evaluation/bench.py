@@ -25,7 +25,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.base import Board, read_some_rows
+from gffe_cl.stages.base import Board, FrameBlocks, read_some_rows
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
@@ -195,10 +195,11 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
     start = time.perf_counter()
     for when, work in (
         ("rendered", lambda: pipeline.submit(turn.frame)),
-        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval))),
+        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval)).color),
     ):
         launches[when] = traffic.launches_of(pipeline, work)
-        events[when] = {name: stage.take_events() for name, stage in pipeline.stages.items()}
+        stages = {FrameBlocks.name: pipeline.board.blocks} | pipeline.stages
+        events[when] = {name: stage.take_events() for name, stage in stages.items()}
     pipeline.device.queue.finish()
     wall = (time.perf_counter() - start) * 1e3
     correction = pipeline.stages.get(ShadingCorrection.name)

@@ -96,14 +96,14 @@ class _Turn:
     def _upload_frame(self) -> None:
         before = self._upload.copied_bytes
         self._upload.take(host_arrays(self._frame), self._taken)
-        self._upload.bad_pixels()
+        self._upload.take_bad_pixels()
         self.copied = self._upload.copied_bytes - before
 
     def _share_frame(self) -> None:
         before, arrays = self._upload.copied_bytes, host_arrays(self._aligned_frame)
         shared = self._upload.shared(arrays)
         self._upload.take(arrays, replace(self._taken, **shared), shared)
-        self._upload.bad_pixels()
+        self._upload.take_bad_pixels()
         self.zero_copied = self._upload.copied_bytes - before
 
     def _map(self) -> None:

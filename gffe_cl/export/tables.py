@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from gffe_cl.core import validation
 from gffe_cl.core.errors import GffeError
 from gffe_cl.export.recording import MOST_PIXELS, Given, Operation, Plan
 from gffe_cl.frame import camera, camera_prediction, window
@@ -18,7 +19,7 @@ from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages import correction, mu_law, scene_cuts
 from gffe_cl.stages.base import Kernel, NearestStage, Stage
-from gffe_cl.stages.buffers import BLOCK, CUT_SAMPLES, TILE_GROUP, BufferSpec, aligned, texel_of
+from gffe_cl.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
 from gffe_cl.stages.frame_block import FRAME, MAX_LEVELS, MAX_ORDER
 
 OCCASIONS = (
@@ -61,9 +62,17 @@ def config(options: Options) -> str:
         "CELL": texel_of("cells")[0],
         "NETWORK_TEXEL": texel_of("network")[0],
         "NETWORK_MULTIPLE": MULTIPLE,
-        "ALIGNMENT": aligned(1),
+        "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
         "MAX_LEVELS": MAX_LEVELS,
         "MOST_TIMES": MAX_ORDER + 1,
+        "LARGEST": validation.LARGEST,
+        "LEAST_FRAME_RATE": validation.FRAME_RATES[0],
+        "MOST_FRAME_RATE": validation.FRAME_RATES[1],
+        "LEAST_EXPOSURE": validation.EXPOSURES[0],
+        "MOST_EXPOSURE": validation.EXPOSURES[1],
+        "LEAST_SIDE": validation.SIDES[0],
+        "MOST_SIDE": validation.SIDES[1],
+        "MOST_ALPHA": camera.MOST_ALPHA,
         "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,
         "MOST_FOCAL": camera.MOST_FOCAL,
         "MOST_DISTANCE": camera.MOST_DISTANCE,
@@ -76,6 +85,7 @@ def config(options: Options) -> str:
         "RIDGE": camera_prediction.RIDGE,
         "MAX_ENLARGEMENT": window.MAX_ENLARGEMENT,
         "WINDOW_MARGIN": window.MARGIN,
+        "MOST_OF_WINDOW": window.MOST,
         "HORIZON": window.HORIZON,
         "AT_REST": window.AT_REST,
         "NEAR_SAMPLES": window.NEAR_SAMPLES,

@@ -37,7 +37,7 @@ from gffe_cl.frame.camera import Camera, predict_camera
 
 MAX_ENLARGEMENT = 1.5
 _MOST_FIXED = 16
-_MOST = 1e6
+MOST = 1e6
 NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
 NEAR_SAMPLES = 8192  # pixels are enough for it
 MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
@@ -143,9 +143,9 @@ def adaptive_window(
     require_kind(current, Camera, "window: current")
     predicted = [predicted] if isinstance(predicted, Camera) else predicted
     predicted = require_list(predicted, Camera, "window: predicted", "a Camera, or several")
-    max_enlargement = require_within(max_enlargement, "window: max_enlargement", 1, _MOST)
+    max_enlargement = require_within(max_enlargement, "window: max_enlargement", 1, MOST)
     distance = require_positive(distance, "window: distance", infinite=True)
-    margin = require_within(margin, "window: margin", 0, _MOST)
+    margin = require_within(margin, "window: margin", 0, MOST)
     least = require_within(least, "window: least", 0, 1)
     sides = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
     low, high, clamped = -np.ones(2), np.ones(2), False

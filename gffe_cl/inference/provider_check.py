@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.core.files import read_bounded
 from gffe_cl.inference import providers, sessions
 from gffe_cl.inference.model_interface import INPUTS, OUTPUT, shapes_at
 from gffe_cl.inference.providers import CPU, NetworkError, NoDeviceError, Provider, cpu_model, open_session
@@ -33,6 +34,7 @@ _RUNS = 3
 _SECONDS = 180
 _NAME = "provider-{}.json"
 _MOST_FILES = 64
+_MOST_BYTES = 1 << 20
 _HOUR = 3600.0
 _TOLD = ("VK_", "ORT_", "DXVK_", "LIBVA_")  # variables that drivers and onnxruntime read, besides those of OpenCL's
 
@@ -78,7 +80,7 @@ def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
     file = _kept(path, provider)
     if file and not refresh:
         with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
-            found = _from_json(file.read_text("utf-8"))
+            found = _from_json(read_bounded(file, _MOST_BYTES).decode("utf-8"))
             age = time.time() - file.stat().st_mtime
             longest = _HOUR if found.problem else math.inf if vendors() else 24 * _HOUR
             if found.provider == provider.name and 0 <= age <= longest:
@@ -194,11 +196,12 @@ def _kept(path: Path, provider: Provider) -> Path | None:
     if folder is None:
         return None
     code = [Path(str(module.__file__)).read_bytes() for module in (providers, sessions)] + [Path(__file__).read_bytes()]
+    versions = provider.versions()  # imports onnxruntime, which sets a variable of its own
     facts = [
         fingerprint(),
         sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)),
         provider.name,
-        provider.versions(),
+        versions,
         [hashlib.sha256(content).hexdigest() for content in [path.read_bytes(), cpu_model(path).read_bytes(), *code]],
     ]
     digest = hashlib.sha256(repr(facts).encode("utf-8", "surrogateescape")).hexdigest()[:24]

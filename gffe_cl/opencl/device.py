@@ -1,7 +1,7 @@
 """Choosing and opening OpenCL devices.
 
 Only devices that probing found to work are opened (`probing`); what it found is kept for later processes
-(`known_devices`). The default is a GPU, else the fastest device; `GFFE_DEVICE` overrides it.
+(`device_cache`). The default is the fastest in the probe, GPU or CPU; `GFFE_DEVICE` overrides it.
 """
 
 from __future__ import annotations
@@ -103,6 +103,8 @@ class Device:
         Bytes: kernels can use host memory in place that begins at a multiple of it.
     works_in_host_memory : bool
         Whether kernels can use NumPy arrays where they are: on CPUs.
+    shares_memory : bool
+        Whether host and device share memory: CPUs and integrated GPUs.
     allocated : int
         Bytes of the buffers made by `buffer` so far.
     opened : Opened
@@ -219,6 +221,13 @@ class Device:
         """Whether kernels can use NumPy arrays where they are: on CPUs."""
         return self.info.kind == "cpu" and self.alignment <= PAGESIZE
 
+    @cached_property
+    def shares_memory(self) -> bool:
+        """Whether host and device share memory, so that mapping copies nothing: as the driver reports, or
+        `GFFE_SHARED_MEMORY` (0 or 1)."""
+        forced = os.environ.get("GFFE_SHARED_MEMORY")
+        return bool(int(forced) if forced else self.cl_device.host_unified_memory)
+
     def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
         """A new NumPy array, not initialized, that begins at a multiple of `alignment`, so that `Pipeline.submit` can
         use it with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
@@ -235,14 +244,15 @@ class Device:
             raise GffeError(f"empty: no array of shape {shown(shape)}: {str(error)[:120]}") from None
 
     def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
-        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it. Raises
-        GffeError if that is no number of bytes, or the device cannot allocate them."""
+        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it without a
+        copy, if host and device share memory. Raises GffeError if that is no number of bytes, or the device cannot
+        allocate them."""
         size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
         mapped = require_bool(mapped, "device: mapped")
         self.require_process()
         try:
-            flags = cl.mem_flags.READ_WRITE | (cl.mem_flags.ALLOC_HOST_PTR if mapped else 0)
-            made = cl.Buffer(self.context, flags, size)
+            for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
+            made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)
             self.allocated += size
             return made
         except cl.Error as error:
@@ -303,12 +313,11 @@ def _choose(infos: list[DeviceInfo], wanted: str | None) -> DeviceInfo:
 
 
 def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
-    """The default among devices that work: a GPU, else the fastest. Of those that are about as fast, PoCL comes last,
-    then the first in the list."""
-    infos = [info for info in infos if info.kind == "gpu"] or infos
+    """The default among devices that work: the fastest in the probe, whatever its kind. Of those that are about as fast
+    a GPU comes first, which leaves the CPU to the network, and PoCL last; then the first in the list."""
     fastest = max(info.megapixels_per_second for info in infos)
     near = [info for info in infos if info.megapixels_per_second * _ABOUT_AS_FAST >= fastest]
-    return min(near, key=lambda info: "pocl" in info.version.lower())
+    return min(near, key=lambda info: (info.kind != "gpu", "pocl" in info.version.lower()))
 
 
 def open_info(info: DeviceInfo) -> Device:

@@ -18,12 +18,14 @@ from pathlib import Path
 
 import pyopencl as cl
 
+from gffe_cl.core.files import read_bounded
 from gffe_cl.opencl import probing
 from gffe_cl.opencl.probing import DeviceInfo, Probed
 from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 
 _NAME = "devices-{}.json"
 _MOST_FILES = 16
+_MOST_BYTES = 1 << 20
 _HOUR = 3600.0
 # Environment variables of drivers and their libraries.
 TOLD = (
@@ -58,7 +60,7 @@ def recall(key: str) -> Probed | None:
     if folder is None:
         return None
     try:
-        document = json.loads((folder / _NAME.format(key)).read_text("utf-8"))
+        document = json.loads(read_bounded(folder / _NAME.format(key), _MOST_BYTES))
         age = time.time() - float(document["time"])
         found = Probed(
             [_device(device) for device in document["devices"]],

@@ -20,13 +20,16 @@ from pathlib import Path
 import pyopencl as cl
 
 from gffe_cl.opencl.runtimes import NO_CACHE, VENDORS, hide_vendors, only_vendors, vendors
-from gffe_cl.opencl.subprocess_runner import run_child
+from gffe_cl.opencl.subprocess_runner import run_child, slowdown
 
 # Time limits; beyond them a driver hangs.
 _FIRST_SECONDS = 6.0  # for all devices in one child process
 _LIST_SECONDS = 6.0  # for listing the devices of one vendor
 _DEVICE_SECONDS = 8.0  # for one device alone
-_RANKING_SECONDS = 0.1  # of repeating the probe kernel: other processes disturb single runs
+_RANKING_SECONDS = (
+    0.2  # of repeating the kernel, and the copy: other processes disturb single runs, and GPUs begin with low clocks
+)
+_BYTES_PER_PIXEL = 96  # that the probe copies: GAE reads and writes about as many
 _PROBED = "probed"  # last line of a child process: later failures are no device's fault
 
 
@@ -45,7 +48,7 @@ class DeviceInfo:
     problem: str = ""  # why it does not work
     lacks: list[str] = field(default_factory=list)
     exact_division: bool = False  # found out by trying
-    megapixels_per_second: float = 0.0  # of the probe kernel; only for ranking
+    megapixels_per_second: float = 0.0  # of the probe, arithmetic and memory; only for ranking
 
 
 @dataclass
@@ -168,16 +171,23 @@ def _probe(info: DeviceInfo, device: cl.Device) -> None:
     print(json.dumps(asdict(info)), flush=True)
 
 
+# Arithmetic like that of GAE: four chains of additions and multiplications per pixel. CPUs get 16 pixels per work-item,
+# as their compilers make vectors of such loops only where the source has them.
 _PROBE_SOURCE = """
 #pragma OPENCL FP_CONTRACT OFF
-__kernel void probe(__global const float *a, __global half *b, const int n) {
+__kernel __attribute__((vec_type_hint(FLOATS))) void probe(__global const FLOATS *given, __global half *out) {
     const int i = get_global_id(0);
-    if (i >= n) return;
-    float x = a[i];
-    for (int k = 0; k < 32; ++k) x = x * 0.5f + 1.0f / (1.0f + x * x);
-    vstore_half_rte(a[i] < 2.0f ? a[i] : x, i, b);
+    FLOATS p = given[i], q = 0.5f * p, r = 0.25f * p, s = 0.125f * p;
+    for (int k = 0; k < 128; ++k) {
+        p = p * 0.5f + fabs(q - 0.25f);
+        q = q * 0.5f + fabs(r - 0.5f);
+        r = r * 0.5f + (s < 0.75f ? s : 0.75f);
+        s = s * 0.5f + (p < 1.25f ? p : 1.25f);
+    }
+    STORE(given[i] < 2.0f ? given[i] : p + q + r + s, i, out);
 }
 """
+_LANES_OF_CPU = 16
 
 INT64_SOURCE = """
 #pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
@@ -189,29 +199,44 @@ __kernel void least(__global ulong *a) {
 
 
 def _run_probe_kernel(context, queue) -> float:
+    """Return megapixels per second of a kernel and a copy, each at its fastest."""
     import numpy as np
 
-    n = 1 << 18 if "oclgrind" not in os.environ.get("LD_PRELOAD", "") else 64
-    host = np.linspace(0.0, 4.0, n, dtype=np.float32)
-    flags = cl.mem_flags
-    a = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
-    b = cl.Buffer(context, flags.WRITE_ONLY, 2 * n)
+    on_cpu, simulated = bool(queue.device.type & cl.device_type.CPU), "oclgrind" in os.environ.get("LD_PRELOAD", "")
+    lanes = _LANES_OF_CPU if on_cpu else 1
+    # Enough for a GPU; on CPUs less, as other processes disturb long runs more. Copies are beyond most caches.
+    pixels, copied = (64, 64) if simulated else (1 << 14 if on_cpu else 1 << 18, 1 << 18)
+    host = np.linspace(0.0, 4.0, pixels, dtype=np.float32)
+    flags, wide = cl.mem_flags, str(lanes) if lanes > 1 else ""
+    given = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
+    out = cl.Buffer(context, flags.WRITE_ONLY, 2 * pixels)
     with quiet_builds():
-        kernel = cl.Kernel(_built(queue, _PROBE_SOURCE), "probe")
-    times, end = [], time.perf_counter() + _RANKING_SECONDS
-    while len(times) < 3 or (len(times) < 20 and time.perf_counter() < end):
-        event = kernel(queue, (n,), None, a, b, np.int32(n))
+        program = _built(queue, _PROBE_SOURCE, f"-DFLOATS=float{wide}", f"-DSTORE=vstore_half{wide}_rte")
+        kernel = cl.Kernel(program, "probe")
+    one, other = (cl.Buffer(context, flags.READ_WRITE, _BYTES_PER_PIXEL * copied) for _ in range(2))
+    for buffer in (one, other):
+        cl.enqueue_fill_buffer(queue, buffer, b"\1", 0, buffer.size)  # reading memory that nobody wrote is faster
+    kernel_time = _fastest(lambda: kernel(queue, (pixels // lanes,), None, given, out))
+    copy_time = _fastest(lambda: cl.enqueue_copy(queue, other, one))
+    found = np.empty(pixels, np.float16)
+    cl.enqueue_copy(queue, found, out)
+    if not np.array_equal(found[host < 2], host[host < 2].astype(np.float16)):
+        raise RuntimeError("a trivial kernel gives wrong results")
+    return 1e3 / (kernel_time / pixels + copy_time / copied)
+
+
+def _fastest(enqueue: Callable[[], cl.Event]) -> int:
+    """Nanoseconds of the fastest of several runs of a command, without the first."""
+    times, end = [], time.perf_counter() + _RANKING_SECONDS * slowdown()
+    while len(times) < 3 or time.perf_counter() < end:
+        event = enqueue()
         event.wait()
         times.append(event.profile.end - event.profile.start)
-    out = np.empty(n, np.float16)
-    cl.enqueue_copy(queue, out, b)
-    if not np.array_equal(out[host < 2], host[host < 2].astype(np.float16)):
-        raise RuntimeError("a trivial kernel gives wrong results")
-    return n / max(min(times[1:]), 1) * 1e3
+    return max(min(times[1:]), 1)
 
 
-def _built(queue: cl.CommandQueue, source: str) -> cl.Program:
-    return cl.Program(queue.context, source).build(options=["-w"], devices=[queue.device], cache_dir=NO_CACHE)
+def _built(queue: cl.CommandQueue, source: str, *options: str) -> cl.Program:
+    return cl.Program(queue.context, source).build(["-w", *options], devices=[queue.device], cache_dir=NO_CACHE)
 
 
 @contextmanager

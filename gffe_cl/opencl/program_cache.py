@@ -2,7 +2,7 @@
 
 pyopencl keeps them too, but behind a lock that a killed process leaves behind: everybody after it waits for a minute.
 Here a file is whole or not there at all, so that nobody waits for anybody. A folder that cannot be read or written is
-no error.
+no error. Drivers crash on damaged binaries: each is stored behind a digest, which is checked first.
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from typing import Any
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
-from gffe_cl.opencl.runtimes import NO_CACHE, keep_file, kept_folder
+from gffe_cl.core.files import read_bounded
+from gffe_cl.opencl.runtimes import NO_CACHE, keep_file, kept_folder, private_folder
 
 _FOLDER = "kernels"
 _MOST_FILES = 256
+_MOST_BYTES = 64 << 20
 
 
 def built_program(context: cl.Context, device: cl.Device, source: str, options: tuple[str, ...] = ()) -> cl.Program:
@@ -30,12 +32,13 @@ def built_program(context: cl.Context, device: cl.Device, source: str, options: 
     path = None if has_src_build_cache(device) else _path(device, source, options)
     if path is not None:
         with suppress(OSError, cl.Error):
-            return _built(cl.Program(context, [device], [path.read_bytes()]), device, options)
+            return _built(cl.Program(context, [device], [_read(path)]), device, options)
     program = _built(cl.Program(context, source), device, options)
     if path is not None:
         with suppress(OSError, cl.Error):
             binaries: Any = program.get_info(cl.program_info.BINARIES)
-            keep_file(path, binaries[context.devices.index(device)], "*.bin", _MOST_FILES)
+            binary = binaries[context.devices.index(device)]
+            keep_file(path, _digest(path, binary) + binary, "*.bin", _MOST_FILES)
     return program
 
 
@@ -43,10 +46,24 @@ def _built(program: cl.Program, device: cl.Device, options: tuple[str, ...]) -> 
     return program.build(options=list(options), devices=[device], cache_dir=NO_CACHE)
 
 
+def _read(path: Path) -> bytes:
+    """Return a stored binary. Raises OSError if it is missing or damaged."""
+    content = read_bounded(path, _MOST_BYTES)
+    size = hashlib.sha256().digest_size
+    if content[:size] != _digest(path, content[size:]):
+        raise OSError(f"{path}: damaged")
+    return content[size:]
+
+
+def _digest(path: Path, binary: bytes) -> bytes:
+    return hashlib.sha256(path.stem.encode() + binary).digest()
+
+
 def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | None:
-    """Return the path of a stored program. Its name hashes everything the program depends on."""
+    """Return the path of a stored program, None if there is no folder that only this user can write to. The name hashes
+    everything the program depends on."""
     folder = kept_folder()
-    if folder is None:
+    if folder is None or not private_folder(folder / _FOLDER):
         return None
     driver = device.platform
     facts = (

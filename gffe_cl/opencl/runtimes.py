@@ -76,17 +76,22 @@ def keep_file(path: Path, content: bytes, alike: str, most: int) -> None:
         file.unlink(missing_ok=True)
 
 
+def private_folder(folder: Path) -> bool:
+    """Make `folder` if it is missing. Return whether only this user can write to it, as native code is loaded from
+    it."""
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        facts = folder.lstat()
+        own = not hasattr(os, "getuid") or (facts.st_uid == os.getuid() and not facts.st_mode & 0o022)
+        return own and stat.S_ISDIR(facts.st_mode)
+    return False
+
+
 def _temporary_folder() -> Path:
-    """Return a temporary folder that only this user can write to, because drivers are loaded from it."""
+    """Return a temporary folder that only this user can write to."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"gffe-cl-{user}"
-    with suppress(OSError):
-        folder.mkdir(mode=0o700)
-    with suppress(OSError):
-        facts = folder.lstat()
-        if stat.S_ISDIR(facts.st_mode) and (user == "user" or (facts.st_uid == user and not facts.st_mode & 0o022)):
-            return folder
-    return Path(tempfile.mkdtemp(prefix="gffe-cl-"))
+    return folder if private_folder(folder) else Path(tempfile.mkdtemp(prefix="gffe-cl-"))
 
 
 def prepare_runtimes() -> None:

@@ -28,7 +28,7 @@ def run_child(
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=seconds * _slowdown(),
+            timeout=seconds * slowdown(),
             env=environment,
         )
     except subprocess.TimeoutExpired as error:
@@ -37,7 +37,7 @@ def run_child(
     return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""
 
 
-def _slowdown() -> float:
+def slowdown() -> float:
     """Return how many times longer work takes because of other processes, estimated from the load average."""
     try:
         load = os.getloadavg()[0] / (os.cpu_count() or 1)

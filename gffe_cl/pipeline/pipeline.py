@@ -49,11 +49,11 @@ from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.backward_blocks import BackwardBlocks
 from gffe_cl.stages.base import Board, Output, Stage, Step
-from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
 from gffe_cl.stages.color_code import ColorCode
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.connectivity import Connectivity
-from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.stages.frame_block import MAX_ORDER
 from gffe_cl.stages.hidden_parts import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
@@ -126,7 +126,7 @@ class Pipeline:
         Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
     is_cut : bool
-        Whether the last submitted frame was detected as an unmarked cut: it was treated as a reset.
+        Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset.
 
     Raises
     ------
@@ -159,15 +159,14 @@ class Pipeline:
         self.device = require_kind(device, Device, "pipeline: device", "an open Device (open_device())")
         target = require_size((width, height), "pipeline: size", whole=True)
         source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
-        self.sizes = Sizes(source, target)
+        self.sizes = Sizes(source, target, max(LEAST_ALIGNMENT, device.alignment))
         self.options = Options() if options is None else require_kind(options, Options, "pipeline: options", "Options")
         self.fps = require_frame_rate(fps, "pipeline: fps")
         if int64_atomics is not None:
             int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
         self._exposure = 1.0
-        self._bad_pixels = BadPixels()  # without those of the last upload
+        self._bad_pixels = BadPixels()  # without those that the stage `upload` still has
         self._copied_bytes = 0  # without the copies of the stage `upload`
-        self.is_cut = False
         self._int64_atomics = int64_atomics
         self.watcher: Watcher | None = None
         self._slots: list[DeviceFrame] = []
@@ -192,6 +191,7 @@ class Pipeline:
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # their cameras
+        self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
     @telling_device_faults
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
@@ -229,7 +229,7 @@ class Pipeline:
         self._finish()
         before, counted = self.board, (self.bad_pixels, self.copied_bytes)
         self._begin(options)
-        (self._bad_pixels, self._copied_bytes), self.is_cut = counted, False
+        self._bad_pixels, self._copied_bytes = counted
         before.let_go()
 
     def _footprint(self) -> str:
@@ -249,7 +249,9 @@ class Pipeline:
     @telling_device_faults
     def bad_pixels(self) -> BadPixels:
         """Bad pixels of all NumPy arrays submitted so far. Waits for the device, which counts them."""
-        return self._bad_pixels + self._upload.bad_pixels() if self._upload else self._bad_pixels
+        if self._upload:
+            self._bad_pixels += self._upload.take_bad_pixels()
+        return self._bad_pixels
 
     @property
     def copied_bytes(self) -> int:
@@ -274,9 +276,12 @@ class Pipeline:
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
         another queue or from the host, before the event of the second `submit` is complete.
-        Returns at once, but with cut detection waits for the device: `is_cut` has the result. On CPUs it also waits
-        where it copies NumPy arrays. `packed`, the result of `pack_frame`, is deprecated: its arrays replace the
-        frame's.
+        Returns at once, but on CPUs waits where it copies NumPy arrays. `packed`, the result of `pack_frame`, is
+        deprecated: its arrays replace the frame's.
+
+        Whether the frame is an unmarked cut is decided when the next frame is made, or `is_cut` is read. The host then
+        waits for the first work on this frame, which counts samples, and not for the rest. A cut is worked on again, as
+        a reset.
 
         `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
         lie as device buffers do (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32; C-contiguous) and
@@ -302,6 +307,8 @@ class Pipeline:
             )
         if self.watcher:
             self.watcher.before(self, rendered=True)
+        self._settle()
+        self._decide_cut()
         self._wait(events)
         before = self._previous, self._current
         overlays = frame.overlays if self.options.overlays else None
@@ -313,21 +320,16 @@ class Pipeline:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
         self._current = on_device
-        self.board.rendered, self.board.previous = self._current, self._previous or self._current
-        detection = self.stages.get(SceneCuts.name)
-        self.is_cut = detection is not None and detection.is_cut(self._current, self._previous)
-        if frame.reset or self.is_cut:
+        if frame.reset:
             self._times.clear()
             self._path.clear()
-            self._previous, self.board.previous = None, self._current
         self._times = [frame.time, *self._times[: POSES - 1]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
         for stage in self.stages.values():
             stage.swap()
         self.board.lend()
-        for stage in self.stages.values():
-            stage.rendered(step)
+        self._take_rendered()
+        self._is_cut = None if SceneCuts.name in self.stages and self._previous else False
         if self.presentation is None and not self._shown_whole(on_device):
             self.presentation = Presentation(self.board)
         done = self._done()
@@ -338,13 +340,42 @@ class Pipeline:
             self.watcher.submitted(self, frame, self._shown)
         return done
 
+    def _take_rendered(self) -> None:
+        """Enqueue the stages' work on the current frame."""
+        self.board.rendered, self.board.previous = self._current, self._previous or self._current
+        assert self._current is not None
+        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
+        for stage in self.stages.values():
+            stage.rendered(step)
+
+    def _decide_cut(self) -> None:
+        """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
+        if self._is_cut is None:
+            self._is_cut = self.stages[SceneCuts.name].is_cut()
+            if self._is_cut:
+                self._leaving.append((self._done(), self._previous))
+                del self._times[1:], self._path[1:]
+                self._previous = None
+                self._take_rendered()
+
+    @property
+    @telling_device_faults
+    def is_cut(self) -> bool:
+        """Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset. Waits until the
+        device has compared it with the frame before."""
+        self._decide_cut()
+        return bool(self._is_cut)
+
     @telling_device_faults
     def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
         """Return the displayed last submitted frame; it is resampled where it was rendered through a window, or where
         the frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`,
         and for events that cannot be waited for."""
         self._need_frame()
-        self._wait(adopted_events(wait_for, self.device.context, "present: wait_for"))
+        events = adopted_events(wait_for, self.device.context, "present: wait_for")
+        self._settle()
+        self._decide_cut()
+        self._wait(events)
         frame, picture = self._shown, self._picture("rendered")
         assert frame is not None  # as there is a current one
         if self._needs_presentation:
@@ -405,7 +436,6 @@ class Pipeline:
         host = host_arrays(frame, height, width)
         if self._upload is None:
             self._upload = Upload(self.board)
-        self._bad_pixels = self.bad_pixels  # copies wait for the device, too
         self._count_conversions(arrays, host)
         shared = self._upload.shared(host) if zero_copy else {}
         self._reads_arrays |= bool(shared)
@@ -454,6 +484,7 @@ class Pipeline:
     @property
     def interval(self) -> float:
         """Seconds between the last two rendered frames; 1/fps after a reset."""
+        self._decide_cut()
         return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
 
     def predict_camera(self, alpha: float) -> Camera:
@@ -490,6 +521,7 @@ class Pipeline:
         """
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
         source = self._need_frame()
+        self._decide_cut()
         time = source.time + self.interval / 2 if time is None else require_number(time, "extrapolate: time")
         alpha = (time - source.time) / self.interval
         if alpha < 0:
@@ -515,10 +547,16 @@ class Pipeline:
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         self._finish()
         self._wait(events)
+        correction = self._correction
+        beside = {*INPUTS, ShadingCorrection} if correction and self._previous and correction.works_beside else set()
         for stage in self.stages.values():
+            if type(stage) in beside:
+                continue
             stage.extrapolated(step)
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
+        if beside and correction:
+            correction.begin(step)
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
         if composition := self._overlaid:
@@ -545,9 +583,18 @@ class Pipeline:
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:
-        """Return the stage that makes the final image of the last frame, if that still waits for the network."""
-        correction = self.stages.get(ShadingCorrection.name)
+        """What makes the final image of the last frame, if that still waits for the network."""
+        correction = self._correction
         return correction.finish if correction and correction.is_begun else None
+
+    @property
+    def _correction(self) -> ShadingCorrection | None:
+        return self.stages.get(ShadingCorrection.name)
+
+    def _settle(self) -> None:
+        """Wait until a thread of the network has enqueued its kernels, which belong before all others."""
+        if correction := self._correction:
+            correction.settle()
 
     def _finish(self) -> None:
         if finish := self._unfinished:
@@ -585,6 +632,7 @@ class Pipeline:
         What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
         is among them once `keep` asked for it.
         """
+        self._decide_cut()
         self._finish()
         yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
         for stage in self.stages.values():
@@ -635,6 +683,6 @@ class Pipeline:
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
         stages = stages if self.device.profiles else []
         timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}
-        correction = self.stages.get(ShadingCorrection.name)
+        correction = self._correction
         network = correction.take_network_milliseconds() if correction else {}
         return timings | {name: {name: milliseconds} for name, milliseconds in network.items()}

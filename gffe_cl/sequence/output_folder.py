@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import TextIO
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.core.files import lock, open_regular
+from gffe_cl.core.files import lock, open_regular, read_bounded
 from gffe_cl.sequence.description import FILE_NAME, check_file_name
 
 GENERATOR = "gffe-cl"
 STAGING = "gffe-unfinished"
 _JOURNAL = ".journal"  # in STAGING: the process, then the names of own files, each a line of JSON
+_MOST_JOURNAL = 1 << 20  # bytes
 _TRIES = 20  # at entering a folder that another run is just leaving
 
 
@@ -266,7 +267,7 @@ def _folder_of(path) -> Path:
 
 def _writer(journal: Path) -> str:
     with contextlib.suppress(OSError, UnicodeError):
-        lines = journal.read_text("utf-8").splitlines()
+        lines = read_bounded(journal, _MOST_JOURNAL).decode("utf-8").splitlines()
         if lines and lines[0].isdigit():
             return f"process {lines[0]}"
     return "another process"

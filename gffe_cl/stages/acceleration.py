@@ -11,7 +11,7 @@ import pyopencl as cl
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
-from gffe_cl.stages.buffers import BufferSpec, aligned
+from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.history import DYNAMIC_PIXELS
 from gffe_cl.stages.pixel_formats import TRUSTED
 
@@ -106,7 +106,7 @@ class Acceleration(Stage):
         self.starts, nbytes = {}, 0
         for spec in self.buffers:
             self.starts[spec.name] = nbytes
-            nbytes += aligned(spec.nbytes(board.sizes))
+            nbytes += board.sizes.aligned(spec.nbytes(board.sizes))
         memory = BufferSpec("memory", np.uint8, (), "once", "of all", planes=nbytes, kept=True, scratch=True)
         self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
         super().__init__(board)

@@ -11,7 +11,7 @@ import pyopencl as cl
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
-from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
+from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, Sizes
 from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 from gffe_cl.stages.warp import DISOCCLUDED, MIXED
 
@@ -32,7 +32,7 @@ PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # wheth
 HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
-_SPARE = 8192  # bytes of lent memory beyond this stage's needs, because its parts are aligned
+_SPARES = 8  # times the alignment: lent memory beyond this stage's needs, because its parts are aligned
 
 
 def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
@@ -146,7 +146,7 @@ class Background(NearestStage):
 
     def __init__(self, board: Board):
         self.levels = board.options.levels
-        self.starts = level_starts(board.sizes.source, self.levels)
+        self.starts = board.sizes.level_starts(self.levels)
         if self.levels == 1:  # nothing is pushed
             self.kernels = tuple(kernel for kernel in self.kernels if kernel.name != "settle_and_push")
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
@@ -154,11 +154,12 @@ class Background(NearestStage):
         even = self.keys(board, "even_", "source")
         self._places = _side_by_side(all_levels, board.sizes)
         self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(even, _KEY_MEMORY, strict=True)}
+        spare = _SPARES * board.sizes.alignment
         nbytes: dict[str, int] = dict.fromkeys(("memory", *_KEY_MEMORY), 0)
         for spec, start in self._places.items():
-            nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes) + _SPARE)
+            nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes) + spare)
         for spec, whole in zip(self.keys(board, "", "target"), _KEY_MEMORY, strict=True):  # the warp's fit in, too
-            nbytes[whole] = max(nbytes[whole], spec.nbytes(board.sizes) + _SPARE)
+            nbytes[whole] = max(nbytes[whole], spec.nbytes(board.sizes) + spare)
         self.buffers = (
             *(spec for level in range(self.levels) for spec in _level_buffers(level)),
             *(
@@ -265,5 +266,5 @@ def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec,
     starts, end = {}, 0
     for spec in specs:
         starts[spec] = end
-        end = aligned(end + spec.nbytes(sizes) + 1)
+        end = sizes.aligned(end + spec.nbytes(sizes) + 1)
     return starts

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from itertools import accumulate
 from typing import Any
 
@@ -27,6 +28,8 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.handles import adopted, is_handle
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.pixel_formats import Packing
+
+LEAST_ALIGNMENT = 1024  # of parts of a buffer; devices may ask for more
 
 RGBA = ("R", "G", "B", "A")
 XY = ("x", "y")
@@ -55,17 +58,28 @@ FILLED_BY = (
 
 @dataclass(frozen=True)
 class Sizes:
-    """Width and height in pixels of rendered (source) and extrapolated (target) images."""
+    """Width and height in pixels of rendered (source) and extrapolated (target) images, and the `alignment` of parts of
+    a buffer, in bytes, or in texels, which have at least one."""
 
     source: tuple[int, int]
     target: tuple[int, int]
+    alignment: int = LEAST_ALIGNMENT
 
+    def aligned(self, n: int) -> int:
+        """Return the first start of a part of a buffer that is not before byte, or texel, `n`."""
+        return -(-n // self.alignment) * self.alignment
+
+    def level_starts(self, levels: int) -> list[int]:
+        """Return the first texel of each background level where they lie one after another, and the end."""
+        return [0, *accumulate(self.aligned(math.prod(halved(self.source, level))) for level in range(levels))]
+
+    @cache  # noqa: B019  # sizes are few, and small
     def of(self, grid: str) -> tuple[int, int]:
         """Width and height of a grid, see `BufferSpec`."""
         if grid == "once":
             return (1, 1)
         if grid.startswith("levels"):
-            return level_starts(self.source, int(grid.removeprefix("levels")))[-1], 1
+            return self.level_starts(int(grid.removeprefix("levels")))[-1], 1
         if grid == "cut_samples":
             return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
         image = self.source if lies_on_source(grid) else self.target
@@ -339,16 +353,3 @@ def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> 
     if array.size < nbytes:
         raise GffeError(f"{what} buffer must hold {nbytes} bytes ({width}×{height}), got {array.size}")
     return array
-
-
-_ALIGNMENT = 1024  # texels, or bytes, between the starts of parts of a buffer: no device asks for more bytes
-
-
-def aligned(n: int) -> int:
-    """The first start of a part of a buffer that is not before texel, or byte, `n`."""
-    return -(-n // _ALIGNMENT) * _ALIGNMENT
-
-
-def level_starts(size: tuple[int, int], levels: int) -> list[int]:
-    """The first texel of each background level of an image of `size` where they lie one after another, and the end."""
-    return [0, *accumulate(aligned(math.prod(halved(size, level))) for level in range(levels))]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +16,7 @@ from gffe_cl.inference.providers import CPU
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
+from gffe_cl.stages.host_view import HostView
 from gffe_cl.stages.network_input import NetworkInput
 from gffe_cl.stages.shading_flow import ShadingFlow
 from gffe_cl.stages.shading_trend import ShadingTrend
@@ -28,8 +28,7 @@ _SEEN, _HIDDEN, _SAID = (_CONSTANTS[name] for name in ("SEEN", "HIDDEN", "SAID")
 assert ((_HIDDEN, _SEEN), (_SAID, _HIDDEN)) == HEAD_LAYERS
 
 _IMAGE_PIXELS = 16  # per pixel of its judgement
-_EVENTS = 1024  # of mapping that are kept until they are taken
-_Mapped = list[tuple[np.ndarray, cl.Event]]  # buffers of the network, and when they are mapped
+INPUTS = (NetworkInput, ShadingTrend, ShadingFlow)  # stages whose work on new frames is for the network alone, in order
 
 
 class ShadingCorrection(Stage):
@@ -127,13 +126,20 @@ class ShadingCorrection(Stage):
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
         self._copying_milliseconds = 0.0
-        self._mappings: deque[cl.Event] = deque(maxlen=_EVENTS)
+        staged, inputs = not board.device.shares_memory, board.stages
+        self._views = (
+            HostView(inputs[NetworkInput.name], "frames", staged=staged),
+            HostView(inputs[ShadingFlow.name], "candidates", staged=staged),
+            HostView(self, "judgement", writes=True, staged=staged),
+        )
+        self._transfers: list[cl.Event] = []  # between these and the device, of the last frame
         self.unusable_pixels = 0
         self.with_refined = False
         self._true = board.device.buffer(4)
         cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
         self._worker: ThreadPoolExecutor | None = None
-        self._begun: tuple[Step, _Mapped, Future] | None = None
+        # The frame in work, what is enqueued for it, and the network's run.
+        self._begun: tuple[Step, Future[list[cl.Event] | None], Future[None]] | None = None
 
     @classmethod
     def is_wanted(cls, options) -> bool:
@@ -141,8 +147,8 @@ class ShadingCorrection(Stage):
 
     @property
     def works_beside(self) -> bool:
-        """Whether the network runs in a thread of its own while the device continues, until `finish`. This requires
-        that they are different processors, and that no other stage needs the final image."""
+        """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
+        they are different processors, and that no other stage needs the final image."""
         same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
         return not same and next(reversed(self.board.stages.values())) is self
 
@@ -150,18 +156,41 @@ class ShadingCorrection(Stage):
         self.with_refined = names is None or "correction.refined" in names
 
     def extrapolated(self, step: Step) -> None:
-        """Make the final image of the filled frame; waits for the network, or leaves the rest to `finish`. A still
-        frame has nothing to correct."""
+        """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
         if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             self.skip()
-        elif self.works_beside:
-            mapped = self._map_all(wait=False)
-            self.device.queue.flush()
-            self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
-            self._begun = step, mapped, self._worker.submit(self._run, mapped)
         else:
             self.infer()
             self._correct(step)
+
+    def begin(self, step: Step) -> None:
+        """Do what `INPUTS` and `extrapolated` would do, in a thread of its own until `finish`: it waits for the
+        decision whether the frame is still, enqueues the kernels before the network, and runs the network. Until
+        `settle` it alone may launch kernels of these stages, and the rendered frame must stay the same."""
+        self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
+        prepared = self._worker.submit(self._prepare, step)
+        self._begun = step, prepared, self._worker.submit(self._run_prepared, prepared)
+
+    def settle(self) -> None:
+        """Wait until the kernels that `begin` has to enqueue are enqueued."""
+        if self._begun is not None:
+            wait([self._begun[1]])
+
+    def _prepare(self, step: Step) -> list[cl.Event] | None:
+        """Enqueue the work before the network, and return the events to wait for, or None for a still frame."""
+        for stage in INPUTS:
+            self.board.stages[stage.name].extrapolated(step)
+        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
+            self.skip()
+            return None
+        events = self._open()
+        self.device.queue.flush()
+        return events
+
+    def _run_prepared(self, prepared: Future[list[cl.Event] | None]) -> None:
+        events = prepared.result()
+        if events is not None:
+            self._run(events)
 
     @property
     def is_begun(self) -> bool:
@@ -172,12 +201,13 @@ class ShadingCorrection(Stage):
         """Wait for the network and make the final image, if that is still to be done."""
         if self._begun is None:
             return
-        (step, mapped, job), self._begun = self._begun, None
+        (step, prepared, job), self._begun = self._begun, None
         try:
             job.result()
         finally:
-            self._unmap(mapped)
-        self._correct(step, changed=self._true)  # the stage that found it may have seen the next frame
+            self._close()
+        if prepared.result() is not None:
+            self._correct(step, changed=self._true)  # the stage that found it may have seen the next frame
 
     def _correct(self, step: Step, **given: Any) -> None:
         self.launch("choose_flow", step)
@@ -197,60 +227,48 @@ class ShadingCorrection(Stage):
         self.fill("focus_mask", 0)
 
     def infer(self) -> None:
-        """Fill `judgement`: the network works in the mapped buffers: no copy where host and device share memory."""
-        mapped = self._map_all(wait=True)
+        """Fill `judgement`. The network works in the buffers themselves where host and device share memory, else in
+        host memory, with one copy of each buffer."""
         try:
-            self._run(mapped)
+            self._run(self._open())
         finally:
-            self._unmap(mapped)
+            self._close()
 
-    def _map_all(self, wait: bool) -> _Mapped:
-        stages = self.board.stages
-        return [
-            self._map(stages[NetworkInput.name], "frames", cl.map_flags.READ, wait),
-            self._map(stages[ShadingFlow.name], "candidates", cl.map_flags.READ, wait),
-            self._map(self, "judgement", cl.map_flags.WRITE_INVALIDATE_REGION, wait),
-        ]
+    def _open(self) -> list[cl.Event]:
+        return [event for view in self._views for event in view.open()]
 
-    def _map(self, stage: Stage, name: str, flags: cl.map_flags, wait: bool) -> tuple[np.ndarray, cl.Event]:
-        spec = stage.spec(name)
-        shape = spec.shape(self.sizes)
-        map_buffer: Any = cl.enqueue_map_buffer  # its stub leaves the event out
-        return map_buffer(
-            self.device.queue, stage.buffer[name], flags, 0, shape, np.dtype(spec.dtype), is_blocking=wait
-        )
-
-    def _run(self, mapped: _Mapped) -> None:
-        for _, event in mapped:
+    def _run(self, events: list[cl.Event]) -> None:
+        for event in events:
             event.wait()
+        self._copying_milliseconds += self._take_transfers()  # complete by now: they came before these
+        self._transfers = events
         start = time.perf_counter()
-        self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(array for array, _ in mapped))
+        self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(view.array for view in self._views))
         copying = self.network.copying
         self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
         self._copying_milliseconds += copying
 
-    def _unmap(self, mapped: _Mapped) -> None:
-        for array, event in mapped:
-            memory: Any = array.base
-            self._record_mapping(event)
-            self._record_mapping(memory.release(self.device.queue))
+    def _close(self) -> None:
+        self._transfers += [event for view in self._views for event in view.close()]
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
         asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
         self.launch("correct", step, asked=asked)
 
-    def _record_mapping(self, event: cl.Event) -> None:
-        if self.device.profiles:
-            self._mappings.append(event)
+    def _take_transfers(self) -> float:
+        """Milliseconds of the last frame's transfers, which must be complete; 0 without profiling."""
+        events, self._transfers = self._transfers, []
+        if not self.device.profiles:
+            return 0.0
+        return sum(event.profile.end - event.profile.start for event in events) * 1e-6
 
     def take_network_milliseconds(self) -> dict[str, float]:
         """Return milliseconds since the last call, kernels excluded; the device must have finished. "network": time
         in the network; "network copies": transfers between the device and the network, if the queue has profiling."""
-        mapping = sum(event.profile.end - event.profile.start for event in self._mappings) * 1e-6
+        copying = self._copying_milliseconds + self._take_transfers()
         taken = {"network": self._network_milliseconds}
         if self.device.profiles:
-            taken["network copies"] = self._copying_milliseconds + mapping
+            taken["network copies"] = copying
         self._network_milliseconds = self._copying_milliseconds = 0.0
-        self._mappings.clear()
         return taken

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
@@ -23,7 +24,7 @@ def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], 
     if pixels * _SURELY <= device.memory:
         return
     shrink = _TRIAL / max(*sizes.source, *sizes.target)
-    trial = Sizes(*(_scaled(size, shrink) for size in (sizes.source, sizes.target)))
+    trial = replace(sizes, source=_scaled(sizes.source, shrink), target=_scaled(sizes.target, shrink))
     frames = KEPT_BYTES_PER_PIXEL * math.prod(sizes.source)
     before = device.allocated
     needed = allocated_for(trial) * pixels / _pixels(trial) + frames

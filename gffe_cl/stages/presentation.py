@@ -123,7 +123,7 @@ def present(
             upload.take(host, on_device)
             stage.present(on_device, before and replace(on_device, camera=before[0], display_camera=before[1]))
             shown, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
-            bad = upload.bad_pixels()
+            bad = upload.take_bad_pixels()
         color = shown[..., :3].astype(color.dtype)
         overlays = overlays and _shown_overlays(overlays, mapping(display, frame.camera), render_size, size)
     made = RenderedFrame(

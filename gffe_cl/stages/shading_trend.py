@@ -9,6 +9,7 @@ import pyopencl as cl
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.host_view import HostView
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
@@ -25,7 +26,9 @@ class ShadingTrend(Stage):
 
     `is_still`: whether there is nothing for the network to correct: in no tile of 32×32 pixels more than 8 of 64
     samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
-    whole image is to be the network's.
+    whole image is to be the network's. The device decides while it works on the rendered frame; `submit` does not wait.
+    The host reads the decision where it is about to wait for the network anyway, behind all other work on the new
+    frame: in the network's thread, where that runs beside the device (`ShadingCorrection.begin`).
     """
 
     name = "shading_trend"
@@ -74,7 +77,7 @@ class ShadingTrend(Stage):
             "changed_samples", np.uint8, (), "cells", "samples, of four in 8×8 pixels, that move or change by more than"
             " noise from t − 1 on",
         ),
-        BufferSpec("changed", np.int32, (), "once", "1 where enough do, else there is nothing to correct"),
+        BufferSpec("changed", np.int32, (), "once", "1 where enough do, else there is nothing to correct", mapped=True),
         BufferSpec(
             "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
         ),
@@ -96,19 +99,22 @@ class ShadingTrend(Stage):
 
     def __init__(self, board: Board):
         super().__init__(board)
-        self._changed = np.ones(1, np.int32)
-        self._known: cl.Event | None = None  # of `_changed`
+        self._changed = HostView(self, "changed")
+        self._known: list[cl.Event] = []  # complete when `_changed` can be read
 
     @property
     def is_still(self) -> bool:
-        """Waits until the device has looked at the rendered frame."""
-        if self._known:
-            self._known.wait()
-        return self._known is not None and not self._changed[0]
+        """Whether there is nothing to correct. Waits until the device has looked at the rendered frame; work that was
+        enqueued after that goes on."""
+        for event in self._known:
+            event.wait()
+        changed = self._changed.array
+        return changed is not None and not changed[0]
 
     def rendered(self, step: Step) -> None:
         """Find the trend, and whether any light changes. After a reset there is none."""
-        self._known = None
+        self._known = []
+        self._changed.close()
         if step.previous is None:
             self.fill("trend", 0)
             self.fill("changes", 0)
@@ -117,8 +123,7 @@ class ShadingTrend(Stage):
         self.launch("find_change", step)
         options = self.board.options
         if options.corrects_shading and options.focus_mask and self.recorder is None:
-            queue, buffer = self.device.queue, self.buffer["changed"]
-            self._known = cl.enqueue_copy(queue, self._changed, buffer, is_blocking=False)
+            self._known = self._changed.open()
         self.launch("blur_rows", step)
         self.launch("find_trend", step)
 

@@ -38,6 +38,7 @@ def test_bench(gffe, tmp_path):
     for one in report["devices"]:
         for size in one["sizes"]:
             parts = {
+                "frame_block",
                 "scene_cuts",
                 "history",
                 "acceleration",

@@ -23,6 +23,7 @@ from exported import (
 )
 
 from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_exposure, require_frame_rate
 from gffe_cl.export.recording import record
 from gffe_cl.export.writing import export
 from gffe_cl.frame.camera import Camera
@@ -296,6 +297,14 @@ def test_the_network_runs_between_its_buffers(device, library, tmp_path):
     assert len(ran) == 3  # the first frame has none before
     assert (library(options)._folder / "scn.onnx").read_bytes() == (tmp_path / "scn.onnx").read_bytes()
 
+    for shared in (0, 1):
+        run_both(device, library, options, frames[:2], network=network_of(device, path, ran), shared_memory=shared)
+        engine = Engine(library(options), device, W, H, shared_memory=shared)
+        for name in ("network_input.frames", "shading_flow.candidates", "correction.judgement"):
+            buffer = cl.Buffer.from_int_ptr(engine.get(name).memory, True)
+            assert bool(buffer.flags & cl.mem_flags.ALLOC_HOST_PTR) == bool(shared), name
+        engine.destroy()
+
     engine = Engine(library(options), device, W, H, network=NETWORK(lambda *_: 7))
     submit(engine, frames[0])
     engine.extrapolate(frames[0].time)
@@ -346,6 +355,15 @@ def test_work_begins_after_events_and_ends_in_one(device, library):
             assert failure.value.status == INVALID
         with pytest.raises(Failed, match=text):
             engine.submit(buffers, frame.camera, frame.time + 1, wait_for=events)
+    failed = cl.UserEvent(context)
+    failed.set_status(-5)
+    for call in (engine.present, lambda **given: engine.extrapolate(time, **given)):
+        with pytest.raises(Failed, match=r"event 1 has failed \(OpenCL error -5\)") as failure:
+            call(wait_for=[taken, failed])
+        assert failure.value.status == INVALID
+    with pytest.raises(Failed, match="event 0 has failed"):
+        engine.submit(buffers, frame.camera, frame.time + 1, wait_for=[failed])
+    assert_same_frame(engine, engine.present(wait_for=[])[0], pipeline.present())  # nothing has happened
     made = CFrame()
     for count, given in ((1, None), (0, ct.byref(ct.c_void_p(taken.int_ptr)))):
         assert engine.library.gffe_present_after(engine.handle, ct.byref(made), count, given, None) == INVALID
@@ -476,10 +494,12 @@ def test_faults_say_what_and_what_was_expected(device, library):
     ):
         refused(text, engine.set_overlays, Overlays(**dict.fromkeys(names, small)))
     refused("time nan s must be finite", submit, engine, first, time=np.nan)
+    refused(r"frame: time 1e\+308 s must be finite, and below 1e\+300 s", submit, engine, first, time=1e308)
     assert b"not rigid" in host.gffe_camera_fault(ct.byref(bad))
     submit(engine, first, motion=None)  # a reset may lack it
     refused("after the previous rendered frame's", submit, engine, second, time=first.time)
     refused("is before the last rendered frame's", engine.extrapolate, first.time - 1)
+    refused(r"is more than 1e\+06 intervals after", engine.extrapolate, first.time + 1e6)
     refused("there is no buffer 'history.none'", engine.get, "history.none")
     refused("there is no buffer 'presentation.color'", engine.get, "presentation.color")  # nothing was resampled yet
     submit(engine, second)
@@ -488,13 +508,65 @@ def test_faults_say_what_and_what_was_expected(device, library):
     host.gffe_destroy(None)
     refused("width and height must be 1 to 16384, got 0 and 61", Engine, host, device, 0, H)
     refused("lanes must be 0, 1 or 8, got 3", Engine, host, device, W, H, lanes=3)
+    refused("shared_memory must be -1, 0 or 1, got 2", Engine, host, device, W, H, shared_memory=2)
     refused("fps must be positive", Engine, host, device, W, H, fps=0.0)
+    refused(r"fps must be positive, 1e-06 to 1e\+06, got 1e\+308", Engine, host, device, W, H, fps=1e308)
     refused(
         "there is a network, but it was exported without", Engine, host, device, W, H, network=NETWORK(lambda *_: 0)
     )
     refused("needs a context and a queue", Engine, host, device, W, H, context=0)
     other = cl.Context([device.cl_device])
     refused("the queue is of another context", Engine, host, device, W, H, context=other.int_ptr)
+
+
+NUMBERS = (
+    np.nan, np.inf, -np.inf, 1e308, -1e308, 1e299, 1e16, 1e9, 1.1e6, 1e6, 16.0, 2.0, 1.0, 0.5, 0.0, -1.0, 1e-6, 1e-7,
+    1e-10, 5e-324,
+)  # fmt: skip
+
+
+def refuses(call, *arguments, **changes) -> bool:
+    try:
+        call(*arguments, **changes)
+    except (GffeError, Failed):
+        return True
+    return False
+
+
+@pytest.mark.slow
+def test_numbers_that_python_refuses_are_refused(device, library):
+    host, frames = library(DEFAULT), moving(device, 3)
+    engine, pipeline = Engine(host, device, W, H), Pipeline(device, W, H, DEFAULT)
+    for number in NUMBERS:
+        with pytest.raises(Failed) as failure:  # what is wrong for certain is looked at last
+            Engine(host, device, W, H, fps=number, lanes=3)
+        assert ("fps" in str(failure.value)) == refuses(require_frame_rate, number), number
+        again = {"time": number, "reset": True}
+        ours = refuses(pipeline.submit, replace(frames[0], **again))
+        assert refuses(submit, engine, frames[0], **again) == ours, number
+    for frame in (replace(frames[0], reset=True), *frames[1:]):
+        pipeline.submit(frame)
+        submit(engine, frame)
+    for number in NUMBERS:
+        assert refuses(engine.predict_camera, number) == refuses(pipeline.predict_camera, number), number
+        assert refuses(engine.extrapolate, number) == refuses(pipeline.extrapolate, time=number), number
+        exposure = host.gffe_set_exposure(engine.handle, number) == INVALID
+        assert exposure == refuses(require_exposure, number), number
+    engine.destroy()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["max_enlargement", "distance", "margin", "least", "width", "height"])
+def test_windows_that_python_refuses_are_refused(device, library, name):
+    host, camera, made = library(DEFAULT), Camera(np.eye(4), 80, 80, W / 2, H / 2), CWindow()
+    for number in NUMBERS:
+        options, sizes = host.gffe_default_window_options(W, H), {"width": float(W), "height": float(H)}
+        setattr(options, name, number)
+        how = {} if name in sizes else {name: number}
+        size = tuple((sizes | ({name: number} if name in sizes else {})).values())
+        one = ct.byref(CCamera.of(camera))
+        fault = host.gffe_adaptive_window(one, one, 1, ct.byref(options), ct.byref(made))
+        assert bool(fault) == refuses(adaptive_window, camera, camera, size=size, **how), (number, fault)
 
 
 @pytest.mark.slow

@@ -35,7 +35,7 @@ class COptions(ct.Structure):
     _fields_ = (
         *((name, ct.c_int) for name in ("width", "height", "render_width", "render_height")),
         ("fps", ct.c_double),
-        *((name, ct.c_int) for name in ("lanes", "int64_atomics")),
+        *((name, ct.c_int) for name in ("lanes", "int64_atomics", "shared_memory")),
         ("network", NETWORK),
         ("network_user", ct.c_void_p),
     )

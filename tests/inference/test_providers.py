@@ -9,6 +9,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import foreign_files
 import numpy as np
 import pytest
 import tiny_sequence
@@ -125,6 +126,12 @@ def test_verdicts_are_kept(cache, tmp_path, monkeypatch):
         newest.write_text(text)
         verdict(path, WEBGPU)
     assert len(calls) == 12
+    for kind in foreign_files.KINDS:
+        foreign_files.put(newest, kind)
+        assert foreign_files.within(10, lambda: verdict(path, WEBGPU)) == answer
+        if kind == "folder":
+            newest.rmdir()
+    assert len(calls) == 12 + len(foreign_files.KINDS)
 
 
 def test_the_cpu_is_timed_with_the_file_that_it_runs(tmp_path, monkeypatch):

@@ -28,7 +28,8 @@ def info(index, name, platform, kind="cpu", version="", works=True, speed=1.0):
 
 POCL = info("0:0", "pthread-Intel(R) Xeon(R)", "Portable Computing Language", version="OpenCL 3.0 PoCL 3.1")
 INTEL = info("1:0", "Intel(R) Xeon(R)", "Intel(R) OpenCL", speed=4)
-GPU = info("2:0", "Some GPU", "Vendor", "gpu", speed=0.5)
+GPU = info("2:0", "Some GPU", "Vendor", "gpu", speed=60)
+OLD_GPU = info("3:0", "Old GPU", "Vendor", "gpu", speed=2)
 
 
 def test_selection():
@@ -50,6 +51,49 @@ def test_noise_does_not_choose_the_default():
     clearly_faster = replace(POCL, megapixels_per_second=1.6 * INTEL.megapixels_per_second)
     assert best_of([clearly_faster, INTEL]) is clearly_faster
     assert best_of([clearly_faster, INTEL, GPU]) is GPU
+
+
+def test_the_default_is_the_fastest_of_any_kind():
+    """A GPU that is clearly slower than the CPU is not chosen; one that is about as fast is, either way."""
+    assert best_of([OLD_GPU, POCL, INTEL]) is INTEL and best_of([OLD_GPU, INTEL, GPU]) is GPU
+    assert best_of([POCL, OLD_GPU]) is OLD_GPU and best_of([OLD_GPU]) is OLD_GPU
+    for factor in (0.7, 1, 1.4):
+        as_fast = replace(OLD_GPU, megapixels_per_second=factor * INTEL.megapixels_per_second)
+        assert best_of([INTEL, as_fast]) is as_fast and best_of([POCL, as_fast, INTEL]) is as_fast
+
+
+@pytest.mark.parametrize("slow", ["kernel", "copy"])
+def test_the_figure_counts_arithmetic_and_memory(device, monkeypatch, slow):
+    """It is less where either takes longer."""
+    from gffe_cl.opencl import probing
+
+    class Timed:
+        def __init__(self, nanoseconds):
+            self.profile = type("Profile", (), {"start": 0, "end": nanoseconds})
+
+        def wait(self):
+            pass
+
+    monkeypatch.setattr(probing, "_RANKING_SECONDS", 0)
+    copy, kernel, found = cl.enqueue_copy, cl.Kernel, []
+    for kernel_time, copy_time in ((100, 1600), (300, 1600) if slow == "kernel" else (100, 4800)):
+
+        class Launched:
+            def __init__(self, *given):
+                self.kernel = kernel(*given)
+
+            def __call__(self, *given, taken=kernel_time):
+                self.kernel(*given).wait()
+                return Timed(taken)
+
+        def copied(queue, to, of, taken=copy_time, **more):
+            done = copy(queue, to, of, **more)
+            return done if isinstance(to, np.ndarray) else Timed(taken)
+
+        monkeypatch.setattr(cl, "Kernel", Launched)
+        monkeypatch.setattr(cl, "enqueue_copy", copied)
+        found.append(probing._run_probe_kernel(device.context, device.queue))
+    assert found[1] < 0.8 * found[0]
 
 
 def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):

@@ -2,10 +2,13 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
+import foreign_files
 import pytest
 from test_device import GPU, INTEL, POCL
 
@@ -90,6 +93,14 @@ def test_bytes_that_are_no_text_are_replaced(cache, probes):
     assert list_devices() == [POCL, INTEL] and probes.calls == 2
 
 
+@pytest.mark.parametrize("kind", foreign_files.KINDS)
+def test_regular_files_only(cache, probes, kind):
+    list_devices()
+    (path,) = cache.iterdir()
+    foreign_files.put(path, kind)
+    assert foreign_files.within(10, list_devices) == [POCL, INTEL] and probes.calls == 2
+
+
 def test_a_folder_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, probes):
     (tmp_path / "file").touch()
     for folder in (tmp_path / "file", tmp_path / "file" / "folder", tmp_path / ("long" * 100)):
@@ -128,6 +139,17 @@ def test_other_drivers_are_probed_anew(cache, probes, tmp_path, monkeypatch):
     assert len(set(keys)) == len(keys)
     list_devices()
     assert probes.calls == len(keys)
+
+
+def test_what_another_version_found_is_not_recalled(cache, probes, tmp_path, monkeypatch):
+    """It may have ranked devices by another figure."""
+    older = tmp_path / "probing.py"
+    older.write_text(Path(probing.__file__).read_text("utf-8") + "# another one\n", "utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr(probing, "__file__", str(older))
+        list_devices()
+    probes.found = [POCL]
+    assert list_devices() == [POCL] and probes.calls == 2
 
 
 def age(cache, seconds):
@@ -215,7 +237,8 @@ def test_the_command_refreshes(cache, probes, tmp_path, capsys):
         assert probes.calls == calls
         listed = json.loads((tmp_path / "report.json").read_text())["devices"]
         assert [(info["name"], info["default"]) for info in listed] == [(POCL.name, False), (INTEL.name, True)]
-    assert "--refresh" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "--refresh" in said and re.search(r"^ *\* +1:0 .* yes +4 +nothing", said, re.MULTILINE), said
 
 
 def test_probing_is_in_a_child(monkeypatch):

@@ -87,7 +87,7 @@ def upload(device):
             color = np.full((*size[::-1], channels), np.nan, dtype)
             depth, motion = np.zeros(size[::-1], np.float32), np.ones((*size[::-1], 2), np.float32)
             stage.take(HostArrays(color, depth, motion), frame)
-            assert stage.bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
+            assert stage.take_bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
 
 
 def scene(device):

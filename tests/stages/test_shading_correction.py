@@ -190,6 +190,63 @@ def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypa
     assert overlapping.take_timings()["network"] > 0
 
 
+def test_nothing_waits_for_the_decision_that_a_frame_is_still(device, model, monkeypatch):
+    """While the device has not begun with a frame, the next one is made: `extrapolate` returns."""
+    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2), cut_detection=False))
+    for k, factor in enumerate((1, 0.6, 0.36, 0.36)):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16(factor)
+        buffers = DeviceFrame.allocate(device, (40, 24), cam, cam, frame.time)
+        copy_to(device, buffers, HostArrays(with_alpha(frame.color), frame.depth, frame.motion))
+        frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
+        may_begin, made = cl.UserEvent(device.context), []
+
+        def make(frame=frame, may_begin=may_begin, made=made):
+            pipeline.submit(frame, wait_for=[may_begin])
+            made.append(pipeline.extrapolate())
+
+        making = threading.Thread(target=make)
+        making.start()
+        making.join(20)
+        returned = bool(made)
+        may_begin.set_status(cl.command_execution_status.COMPLETE)
+        making.join(20)
+        assert returned, "the host waited for the device"
+        assert (bits(made[0].numpy("color")) == bits(made[0].numpy("gae"))) == (k != 2)
+    assert pipeline.stages["shading_trend"].is_still
+
+
+def with_alpha(color):
+    return np.concatenate([color, np.zeros_like(color[..., :1])], -1)
+
+
+@pytest.mark.parametrize("beside", [False, True], ids=["here", "beside"])
+def test_separate_memories_give_the_same_bits(device, model, monkeypatch, beside):
+    """With one copy each way, of the last frame only; where memory is shared there is none."""
+    monkeypatch.setattr(ShadingCorrection, "works_beside", beside)
+    path, host_memory, results = model(delta=0.1), cl.mem_flags.ALLOC_HOST_PTR, []
+    names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
+    for shares in (True, False):
+        monkeypatch.setitem(device.__dict__, "shares_memory", shares)
+        pipeline, *_, made = run(device, 61, 37, Options(scn_model=path))
+        correction = pipeline.stages["correction"]
+        stored = (pipeline.stages[stage].read(buffer) for stage, buffer in (name.split(".") for name in names))
+        results.append([bits(made.numpy("color")), *map(bits, stored)])
+        for name in names:
+            assert bool(pipeline.board.buffer(name).flags & host_memory) == shares, name
+        arrays = [view._staging for view in correction._views]
+        assert all(array is None for array in arrays) == shares
+        kinds = [event.command_type for event in correction._transfers]
+        types = cl.command_type
+        mapped = [types.MAP_BUFFER] * 3 + [types.UNMAP_MEM_OBJECT] * 3
+        assert kinds == (mapped if shares else [types.READ_BUFFER] * 2 + [types.WRITE_BUFFER])
+        assert pipeline.take_timings()["network copies"] > 0 and not correction._transfers
+    assert results[0] == results[1]
+    assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
+
+
 def test_light_that_flickers_is_left_alone(device, model):
     scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
     pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))

@@ -74,7 +74,7 @@ def test_upload_equals_its_twin(device, stage_of, size, dtype):
             for array, like in zip(found, (expected, depth, motion), strict=True):
                 assert array.tobytes() == like.tobytes()
             bad = BadPixels(infinite, clamped, *twins.count_geometry(depth, motion))
-            assert stage.bad_pixels() == bad == host_arrays(frame).bad
+            assert stage.take_bad_pixels() == bad == host_arrays(frame).bad
 
 
 @pytest.mark.parametrize("dtype", [np.float64, ">f4", ">f2"])
@@ -113,7 +113,7 @@ def test_reset_without_motion(device, stage_of):
     stage, (depth, _) = stage_of(size), geometry(rng, size)
     color = colors(rng, size, 3, np.float32)
     *_, motion = taken(stage, RenderedFrame(color, depth, None, camera(*size), 0.0, reset=True))
-    assert not motion.any() and stage.bad_pixels().motion == 0
+    assert not motion.any() and stage.take_bad_pixels().motion == 0
 
 
 def test_arrays_may_be_changed_after_submit(device):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import foreign_files
 import numpy as np
 import pytest
 import tiny_sequence
@@ -250,6 +251,18 @@ def test_scripts_are_checked_before_anything_starts(tmp_path, unopened_app, text
     (tmp_path / "steps.txt").write_text(text)
     with pytest.raises(GffeError, match=re.escape(WRONG_SCRIPTS[text])):
         parse(tmp_path / "steps.txt", unopened_app)
+
+
+@pytest.mark.parametrize("kind", foreign_files.KINDS)
+def test_scripts_are_regular_files(tmp_path, unopened_app, kind):
+    foreign_files.put(tmp_path / "steps.txt", kind)
+
+    def said():
+        with pytest.raises(GffeError, match=r"steps.txt: cannot be read .*expected") as refused:
+            parse(tmp_path / "steps.txt", unopened_app)
+        return str(refused.value)
+
+    assert "\n" not in foreign_files.within(10, said)
 
 
 def test_steps_are_checked_against_the_sequence(tmp_path, unopened_app):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import foreign_files
 import imageio_ffmpeg
 import numpy as np
 import pytest
@@ -681,7 +682,11 @@ def test_any_file_gives_settings(scratch, data):
 
 def test_settings_without_a_file_or_a_folder(tmp_path, monkeypatch):
     assert Settings.load(tmp_path / "none.json") == (Settings(), None)
-    assert "cannot read" in Settings.load(tmp_path)[1]
+    for kind in foreign_files.KINDS:
+        foreign_files.put(tmp_path / kind, kind)
+        loaded, warning = foreign_files.within(10, lambda: Settings.load(tmp_path / kind))  # noqa: B023
+        assert loaded == Settings() and "cannot read" in warning and "expected" in warning
+        (tmp_path / kind).rmdir() if kind == "folder" else (tmp_path / kind).unlink()
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "viewer.json", tmp_path):
         warning = Settings().save(path)

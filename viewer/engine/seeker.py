@@ -175,4 +175,4 @@ class Seeker:
                 self._before is None,
             )
         )  # fmt: skip
-        self.bad_pixels = self._upload.bad_pixels() if host else BadPixels()
+        self.bad_pixels = self._upload.take_bad_pixels() if host else BadPixels()

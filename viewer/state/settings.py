@@ -13,6 +13,9 @@ from typing import Any
 
 import platformdirs
 
+from gffe_cl.core.files import read_bounded
+
+_MOST_BYTES = 1 << 20  # of the file
 _MOST_RECENT = 12
 LEAST_WINDOW, _LARGEST_WINDOW = 200, 16384  # pixels
 _LARGEST_SCALE = 8.0
@@ -86,7 +89,7 @@ class Settings:
         if path is None:
             return settings, None
         try:
-            document = json.loads(Path(path).read_bytes())
+            document = json.loads(read_bounded(path, _MOST_BYTES))
         except FileNotFoundError:
             return settings, None
         except OSError as error:

@@ -11,11 +11,12 @@ from importlib.resources import files
 from pathlib import Path
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.core.files import replacing
+from gffe_cl.core.files import read_bounded, replacing
 from gffe_cl.evaluation.table.jobs import Cell
 from gffe_cl.opencl.program import kernel_folder
 
 _VERSION = 1
+_MOST_BYTES = 64 << 20  # of a file
 # Modules that figures do not depend on, or that only transport them.
 _ELSEWHERE = ("cli", "viewer", "scn", "remote_workers.py", "demo.py", "run.py", "render.py", "__main__.py")
 _MEASURING = ("datasets", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "jobs",
@@ -35,9 +36,9 @@ class Cache:
     def read(self, key: str) -> Cell | None:
         """The cell, with the times of whatever machine; None if it is not there, or damaged."""
         try:
-            document = json.loads((self.path / f"{key}.json").read_text("utf-8"))
+            document = json.loads(read_bounded(self.path / f"{key}.json", _MOST_BYTES))
             names = document.pop("pictures")
-            pictures = {name: (self.path / f"{key}.{name}.webp").read_bytes() for name in names}
+            pictures = {name: read_bounded(self.path / f"{key}.{name}.webp", _MOST_BYTES) for name in names}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return None
         return Cell(document, pictures)
@@ -59,7 +60,7 @@ class Cache:
         own = self.path / f"{key}.{_slug(machine)}.time.json"
         for path in (own, *sorted(self.path.glob(f"{key}.*.time.json"))):
             try:
-                return json.loads(path.read_text("utf-8"))
+                return json.loads(read_bounded(path, _MOST_BYTES))
             except (OSError, ValueError):
                 continue
         return None

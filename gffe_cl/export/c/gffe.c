@@ -1,7 +1,6 @@
 /* The order of things, and the state between frames (gffe_cl/pipeline/pipeline.py). */
 #include "gffe.h"
 
-#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,8 +18,11 @@ gffe_options gffe_default_options(int width, int height) {
     made.height = height;
     made.fps = 30;
     made.int64_atomics = -1;
+    made.shared_memory = -1;
     return made;
 }
+
+static gffe_status decide_cut(gffe *g);
 
 static int is_side(int n) { return n >= 1 && n <= GFFE_MOST_PIXELS; }
 
@@ -32,12 +34,15 @@ static gffe_status check_options(gffe *g) {
     if (!is_side(g->step.source[0]) || !is_side(g->step.source[1]))
         return gffe_fail(g, GFFE_INVALID, "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
                          GFFE_MOST_PIXELS, options->render_width, options->render_height);
-    if (!(options->fps > 0 && options->fps <= DBL_MAX))
-        return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, got %g", options->fps);
+    if (!(options->fps >= GFFE_LEAST_FRAME_RATE && options->fps <= GFFE_MOST_FRAME_RATE))
+        return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, %g to %g, got %g", GFFE_LEAST_FRAME_RATE,
+                         GFFE_MOST_FRAME_RATE, options->fps);
     if (options->lanes != 0 && options->lanes != 1 && options->lanes != 8)
         return gffe_fail(g, GFFE_INVALID, "options: lanes must be 0, 1 or 8, got %d", options->lanes);
     if (options->int64_atomics < -1 || options->int64_atomics > 1)
         return gffe_fail(g, GFFE_INVALID, "options: int64_atomics must be -1, 0 or 1, got %d", options->int64_atomics);
+    if (options->shared_memory < -1 || options->shared_memory > 1)
+        return gffe_fail(g, GFFE_INVALID, "options: shared_memory must be -1, 0 or 1, got %d", options->shared_memory);
     if (options->network && !GFFE_CORRECTS_SHADING)
         return gffe_fail(g, GFFE_INVALID, "options: there is a network, but it was exported without (gffe export --scn)");
     return GFFE_OK;
@@ -87,6 +92,7 @@ void gffe_destroy(gffe *g) {
     int k;
     if (!g) return;
     if (g->queue) clFinish(g->queue);
+    if (g->counted) clReleaseEvent(g->counted);
     for (k = g->memory ? 2 * g->plan->buffer_count - 1 : -1; k >= 0; --k)
         if (g->memory[k]) clReleaseMemObject(g->memory[k]);
     for (k = 0; g->kernels && k < gffe_kernel_count; ++k)
@@ -106,20 +112,26 @@ void gffe_destroy(gffe *g) {
 
 const char *gffe_message(const gffe *g) { return g ? g->message : "there is no gffe: NULL was given, or the host has no memory"; }
 
-int gffe_is_cut(const gffe *g) { return g && g->is_cut; }
+int gffe_is_cut(gffe *g) { return g && !decide_cut(g) && g->is_cut; }
 
-double gffe_interval(const gffe *g) {
-    if (!g || !g->is_ready) return 0;
+double gffe_interval(gffe *g) {
+    if (!g || !g->is_ready || decide_cut(g)) return 0;
     return g->step.time_count > 1 ? g->step.times[0] - g->step.times[1] : 1.0 / g->options.fps;
 }
 
 gffe_status gffe_set_exposure(gffe *g, double exposure) {
     const gffe_status status = gffe_need(g, g, "gffe");
     if (status) return status;
-    if (!(exposure >= 1e-6 && exposure <= 1e6))
-        return gffe_fail(g, GFFE_INVALID, "exposure must be 1e-6 to 1e6, got %g", exposure);
+    if (!(exposure >= GFFE_LEAST_EXPOSURE && exposure <= GFFE_MOST_EXPOSURE))
+        return gffe_fail(g, GFFE_INVALID, "exposure must be %g to %g, got %g", GFFE_LEAST_EXPOSURE, GFFE_MOST_EXPOSURE,
+                         exposure);
     g->step.exposure = exposure;
     return GFFE_OK;
+}
+
+static gffe_status check_time(gffe *g, double time, const char *call) {
+    if (fabs(time) < GFFE_LARGEST) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s: time %g s must be finite, and below %g s", call, time, GFFE_LARGEST);
 }
 
 /* ---- rendered frames ---------------------------------------------------------------------------------- */
@@ -141,8 +153,11 @@ static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motio
     gffe_status status;
     if (!fault) fault = gffe_camera_fault(display);
     if (fault) return gffe_fail(g, GFFE_INVALID, "frame: %s", fault);
-    if (!(fabs(time) <= DBL_MAX) || (g->step.time_count && !reset && time <= g->step.times[0]))
-        return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be finite and after the previous rendered frame's", time);
+    status = check_time(g, time, "frame");
+    if (status) return status;
+    if (g->step.time_count && !reset && time <= g->step.times[0])
+        return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be after the previous rendered frame's (%g s)", time,
+                         g->step.times[0]);
     if (!gffe_have_one_pose(camera, display))
         return gffe_fail(g, GFFE_INVALID,
                          "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
@@ -183,32 +198,29 @@ static int is_cut(const cl_int *counts, int jumped) {
             counts[GFFE_CONTRAST_RIGHT] / (double)counts[GFFE_WITH_CONTRAST] < GFFE_CUT_CONTRAST_RIGHT);
 }
 
-/* Sets `is_cut`; waits for the device. */
+/* Counts samples of the rendered frame, and copies the counts to the host, which does not wait. */
 static gffe_status look_for_cut(gffe *g) {
-    cl_int counts[GFFE_CUT_SAMPLES_Y][GFFE_COUNTED], sums[GFFE_COUNTED] = {0};
     const int had_step = g->has_step;
     const double before = g->camera_step;
     double here[3], there[3];
-    size_t size[2];
     gffe_status status;
     cl_int error;
-    int k, row;
+    int k;
     g->has_step = g->is_cut = 0;
     if (!GFFE_CUT_DETECTION || !g->has_previous) return GFFE_OK;
     gffe_position(&g->step.cameras[GFFE_FRAME], here);
     gffe_position(&g->step.cameras[GFFE_PREVIOUS], there);
     for (k = 0; k < 3; ++k) here[k] = here[k] - there[k];
     g->camera_step = gffe_length(here);
+    g->jumped = had_step && g->camera_step > GFFE_CUT_TELEPORT * before;
+    g->has_step = 1;
     status = gffe_run(g, GFFE_CUT, 0);
     if (status) return status;
-    error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_TRUE, 0, sizeof counts, counts, 0, NULL, NULL);
+    error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_FALSE, 0, sizeof g->cut_counts, g->cut_counts, 0,
+                                NULL, &g->counted);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "reading the samples of a cut");
-    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
-    for (row = 0; row < (int)size[1]; ++row)
-        for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += counts[row][k];
-    g->is_cut = is_cut(sums, had_step && g->camera_step > GFFE_CUT_TELEPORT * before);
-    g->has_step = !g->is_cut;
-    return GFFE_OK;
+    error = clFlush(g->queue);
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "reading the samples of a cut");
 }
 
 static void forget(gffe *g) {
@@ -231,6 +243,27 @@ static void remember(gffe *g, double time) {
     }
     g->path_times[0] = time;
     g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
+}
+
+/* Waits for the counts, decides whether the rendered frame is a cut, and works on it again as on a reset if it is. */
+static gffe_status decide_cut(gffe *g) {
+    cl_int sums[GFFE_COUNTED] = {0}, error;
+    size_t size[2];
+    int k, row;
+    if (!g->counted) return GFFE_OK;
+    error = clWaitForEvents(1, &g->counted);
+    clReleaseEvent(g->counted);
+    g->counted = NULL;
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "waiting for the samples of a cut");
+    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
+    for (row = 0; row < (int)size[1]; ++row)
+        for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += g->cut_counts[row][k];
+    g->is_cut = is_cut(sums, g->jumped);
+    if (!g->is_cut) return GFFE_OK;
+    g->has_step = 0;
+    forget(g);
+    remember(g, g->step.times[0]);
+    return gffe_run(g, GFFE_RENDERED_FIRST, 0);
 }
 
 /* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/frame/jitter.py). */
@@ -266,6 +299,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
         display_camera = &shown;
     }
     status = check_frame(g, color, depth, motion, camera, display_camera, time, reset);
+    if (!status) status = decide_cut(g);
     if (!status) status = gffe_wait_for(g, count, wait_for);
     if (status) return status;
     take_frame(g, color, depth, motion ? motion : g->no_motion);
@@ -278,7 +312,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     status = gffe_take_overlays(g);
     if (!status) status = look_for_cut(g);
     if (status) return status;
-    if (!g->has_previous || g->is_cut) forget(g);
+    if (!g->has_previous) forget(g);
     remember(g, time);
     gffe_swap(g, 0);
     status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
@@ -287,9 +321,11 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
 
 /* ---- extrapolated and presented frames ---------------------------------------------------------------- */
 
+/* Checks that there is a rendered frame, and decides whether it is a cut. */
 static gffe_status need_frame(gffe *g, const void *made) {
     const gffe_status status = gffe_need(g, made, "made");
-    return status || g->has_frame ? status : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
+    if (status) return status;
+    return g->has_frame ? decide_cut(g) : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
 }
 
 gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
@@ -335,11 +371,16 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     int occasion, corrected;
     if (done) *done = NULL;
     if (status) return status;
+    status = check_time(g, time, "extrapolate");
+    if (status) return status;
     step = &g->step;
     alpha = (time - step->times[0]) / gffe_interval(g);
-    if (!(alpha >= 0 && alpha <= DBL_MAX))
+    if (!(alpha >= 0))
         return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is before the last rendered frame's (%g s)", time,
                          step->times[0]);
+    if (!(alpha <= GFFE_MOST_ALPHA))
+        return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is more than %g intervals after %g s", time,
+                         GFFE_MOST_ALPHA, step->times[0]);
     if (!camera) {
         status = gffe_predict_camera(g, alpha, &predicted);
         if (status) return status;
@@ -413,6 +454,7 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
     size_t size[2];
     int reference;
     if (!status) status = gffe_need(g, found, "found");
+    if (!status) status = decide_cut(g);
     if (status) return status;
     reference = gffe_reference(g, name);
     if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)

@@ -45,9 +45,11 @@ typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, c
 typedef struct gffe_options {
     int width, height;               /* of the display, and so of extrapolated frames, pixels */
     int render_width, render_height; /* of rendered frames; 0: as the display */
-    double fps;                      /* rendered frames per second, until two of them are known */
+    double fps;                      /* rendered frames per second, 1e-6 to 1e6, until two of them are known */
     int lanes;                       /* pixels per work-item: 1, 8, or 0: as suits the device */
     int int64_atomics;               /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
+    int shared_memory;               /* whether the network's buffers lie in the host's memory: 0, 1, or -1: where the device
+                                        shares it; the results are the same */
     gffe_network network;            /* NULL: shading is not corrected; only where the export includes it */
     void *network_user;              /* handed to `network` */
 } gffe_options;
@@ -93,7 +95,8 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
 /* As gffe_submit, with events, as OpenCL's own calls take them: nothing of it begins before all `count` events of
    `wait_for` are complete (0 and NULL: none), and *done (unless `done` is NULL) becomes an event that is complete when the
    work on the frame is; release it. They are of the queue's context. The queue has been flushed then, so that other queues
-   can wait for *done. With cut detection the host waits for `wait_for`, too. Where this fails there is no event. */
+   can wait for *done. With cut detection the host waits for `wait_for`, too. Where this fails there is no event. Events that
+   have failed already are refused. */
 gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                               const gffe_camera *display_camera, double time, int reset, cl_uint count,
                               const cl_event *wait_for, cl_event *done);
@@ -110,11 +113,12 @@ typedef struct gffe_overlays {
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
 
-/* Whether the last submitted frame was detected as an unmarked cut: it was treated as a reset. */
-int gffe_is_cut(const gffe *g);
+/* Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset. This, and what is made next,
+   wait until the samples of the frame are counted, which is the first work on it. */
+int gffe_is_cut(gffe *g);
 
 /* Seconds between the last two rendered frames; 1/fps after a reset. */
-double gffe_interval(const gffe *g);
+double gffe_interval(gffe *g);
 
 /* The factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
 gffe_status gffe_set_exposure(gffe *g, double exposure);

@@ -230,7 +230,7 @@ static double smaller(double a, double b) { return b < a ? b : a; }
 static const char *predict(const gffe_camera *previous, const gffe_camera *current, double alpha, gffe_camera *made) {
     double position[2][3], direction[3], ups[3][3], at[3], axes[3][3], right[3], least, own[3][3];
     int k, up;
-    if (!(fabs(alpha) <= DBL_MAX)) return "camera: alpha must be a finite number of intervals";
+    if (!(fabs(alpha) <= GFFE_MOST_ALPHA)) return "camera: alpha must be a finite number of intervals, up to a million";
     gffe_position(previous, position[0]);
     gffe_position(current, position[1]);
     for (k = 0; k < 3; ++k) {
@@ -426,10 +426,16 @@ const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, cons
         steps[i] = times[i] - times[i + 1];
         if (!(steps[i] > 0)) return "camera: needs one decreasing time per camera, and one camera";
     }
+    for (i = 0; i < count; ++i) {
+        fault = gffe_camera_fault(&cameras[i]);
+        if (fault) return fault;
+    }
+    if (!(fabs(time) < GFFE_LARGEST)) return "camera: time must be finite, and below 1e300 s";
     *made = cameras[0];
     if (count == 1) return NULL;
     to = time - times[0];
     fault = predict(&cameras[1], &cameras[0], to / steps[0], made);
+    if (!fault) fault = gffe_camera_fault(made);
     if (fault || order == 1 || count == 2) return fault;
     for (i = 0; i < count; ++i) gffe_position(&cameras[i], positions[i]);
     for (i = 0; i + 1 < count; ++i) {
@@ -451,5 +457,5 @@ const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, cons
     gffe_position(made, position);
     for (k = 0; k < 3; ++k) position[k] = position[k] + move[k];
     set_pose(made, rotation, position);
-    return NULL;
+    return gffe_camera_fault(made);
 }

@@ -137,10 +137,18 @@ static gffe_status set_initial(gffe *g) {
 gffe_status gffe_open(gffe *g) {
     gffe_status status = GFFE_OK;
     cl_device_type type = 0;
+    cl_bool unified = CL_FALSE;
+    cl_uint alignment = 0; /* bits */
     cl_int error;
     int k, int64 = g->options.int64_atomics;
     error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
+    if (error == CL_SUCCESS)
+        error = clGetDeviceInfo(g->device, CL_DEVICE_HOST_UNIFIED_MEMORY, sizeof unified, &unified, NULL);
+    if (error == CL_SUCCESS)
+        error = clGetDeviceInfo(g->device, CL_DEVICE_MEM_BASE_ADDR_ALIGN, sizeof alignment, &alignment, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "querying the device");
+    g->step.alignment = alignment / 8 > GFFE_LEAST_ALIGNMENT ? alignment / 8 : GFFE_LEAST_ALIGNMENT;
+    g->shares_memory = g->options.shared_memory < 0 ? unified != CL_FALSE : g->options.shared_memory;
     g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
     if (int64 < 0) int64 = has_int64_atomics(g);
     g->exact_division = divides_exactly(g);
@@ -258,11 +266,16 @@ gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
                                             events ? "a list of some" : "no list of them");
     for (k = 0; k < count; ++k) {
         cl_context context = NULL;
+        cl_int state = CL_COMPLETE;
         if (!events[k]) return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is NULL", (unsigned)k);
         error = clGetEventInfo(events[k], CL_EVENT_CONTEXT, sizeof context, &context, NULL);
         if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
         if (context != g->context)
             return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is of another context", (unsigned)k);
+        error = clGetEventInfo(events[k], CL_EVENT_COMMAND_EXECUTION_STATUS, sizeof state, &state, NULL);
+        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
+        if (state < 0) /* some drivers would wait for ever */
+            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k, (int)state);
     }
     error = count ? clEnqueueBarrierWithWaitList(g->queue, count, events, NULL) : CL_SUCCESS;
     return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "waiting for events");

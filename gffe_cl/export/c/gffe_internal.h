@@ -30,7 +30,7 @@ enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPO
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
-/* Of buffers: that of the frame before is kept, too; the host works in it; made with the first windowed frame; the caller's;
+/* Of buffers: that of the frame before is kept, too; the host works in it where it shares memory with the device; made with the first windowed frame; the caller's;
    memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated; made
    with the first overlays. */
 enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
@@ -119,6 +119,7 @@ typedef struct gffe_step {
     int time_count;
     double time, alpha, exposure;
     int has[4];                     /* overlays */
+    size_t alignment;               /* of parts of buffers, bytes or texels */
 } gffe_step;
 
 struct gffe {
@@ -127,7 +128,7 @@ struct gffe {
     cl_context context;
     cl_command_queue queue;
     cl_device_id device;
-    int lanes, exact_division;
+    int lanes, exact_division, shares_memory;
     cl_program *programs;
     cl_kernel *kernels;
     cl_mem *memory; /* by reference */
@@ -141,14 +142,16 @@ struct gffe {
     int path_count;
     int is_ready; /* created well */
     int has_frame, has_previous, is_cut;
-    int has_step;
+    int has_step, jumped; /* whether `camera_step` counts, and is far longer than the one before */
     double camera_step;
+    cl_event counted; /* complete when `cut_counts` are there; NULL: nothing is to be decided */
+    cl_int cut_counts[GFFE_CUT_SAMPLES_Y][GFFE_COUNTED];
     char message[4096];
 };
 
 /* gffe_values.c */
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
-size_t gffe_aligned(size_t n);
+size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
 /* Of the rendered frame or, if `is_new`, of the new one. */

@@ -5,7 +5,7 @@
 
 #include "gffe_internal.h"
 
-enum { SPARE = 8 * GFFE_ALIGNMENT }; /* bytes of lent memory beyond its parts, for alignment */
+enum { SPARES = 8 }; /* times the alignment: lent memory beyond its parts */
 
 static int is_transient(const gffe_buffer *buffer) { return buffer->first >= 0; }
 
@@ -26,14 +26,14 @@ static void place_parts(gffe *g) {
         whole = &g->places[buffer->whole];
         place->root = whole->root >= 0 ? whole->root : 2 * buffer->whole;
         if (g->plan->buffers[buffer->whole].flags & GFFE_MEMORY) {
-            place->start = whole->bytes ? gffe_aligned(whole->bytes + 1) : 0;
+            place->start = whole->bytes ? gffe_aligned(&g->step, whole->bytes + 1) : 0;
             whole->bytes = place->start + place->bytes;
         } else {
             place->start = whole->start + gffe_level_start(&g->step, buffer->level) * (size_t)buffer->bytes;
         }
     }
     for (number = 0; number < g->plan->buffer_count; ++number)
-        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE)) g->places[number].bytes += SPARE;
+        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE)) g->places[number].bytes += SPARES * g->step.alignment;
 }
 
 static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) { return a->first <= b->last && b->first <= a->last; }
@@ -49,7 +49,7 @@ static size_t free_start(const gffe *g, int root, int number) {
         moved = 0;
         for (k = 0; k < g->plan->buffer_count; ++k) {
             const gffe_place *other = &g->places[k];
-            const size_t end = gffe_aligned(other->start + other->bytes + 1);
+            const size_t end = gffe_aligned(&g->step, other->start + other->bytes + 1);
             if (!is_transient(&g->plan->buffers[k]) || other->root != root || !at_one_time(buffer, &g->plan->buffers[k]))
                 continue;
             if (start < end && other->start < start + nbytes) {
@@ -96,7 +96,7 @@ static void place_transients(gffe *g) {
 
 /* A buffer of its own, of zeros. */
 static cl_int create(gffe *g, int flags, size_t nbytes, cl_mem *made) {
-    const cl_mem_flags mapped = flags & GFFE_MAPPED ? CL_MEM_ALLOC_HOST_PTR : 0;
+    const cl_mem_flags mapped = flags & GFFE_MAPPED && g->shares_memory ? CL_MEM_ALLOC_HOST_PTR : 0;
     const cl_uchar zero = 0;
     cl_int error;
     *made = clCreateBuffer(g->context, CL_MEM_READ_WRITE | mapped, nbytes, NULL, &error);

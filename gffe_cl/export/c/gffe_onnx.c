@@ -81,6 +81,8 @@ static int run_session(const gffe_onnx *n, void *frames, void *candidates, void 
     return good;
 }
 
+/* Where host and device share memory nothing is copied; else the driver copies once: here, or when it is unmapped if the
+   host writes. */
 static void *map(cl_command_queue queue, cl_mem buffer, cl_map_flags flags, size_t nbytes) {
     return clEnqueueMapBuffer(queue, buffer, CL_TRUE, flags, 0, nbytes, 0, NULL, NULL, NULL);
 }

@@ -10,14 +10,14 @@
 
 static size_t rounded_up(size_t n, size_t side) { return (n + side - 1) / side; }
 
-size_t gffe_aligned(size_t n) { return rounded_up(n, GFFE_ALIGNMENT) * GFFE_ALIGNMENT; }
+size_t gffe_aligned(const gffe_step *step, size_t n) { return rounded_up(n, step->alignment) * step->alignment; }
 
 size_t gffe_level_start(const gffe_step *step, int level) {
     size_t start = 0;
     int k;
     for (k = 0; k < level; ++k) {
         const size_t side = (size_t)1 << k;
-        start += gffe_aligned(rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
+        start += gffe_aligned(step, rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
     }
     return start;
 }

@@ -119,13 +119,16 @@ const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *
     if (!options || !made || (!predicted && count > 0)) return "window: predicted, options and made must not be NULL";
     size[0] = options->width;
     size[1] = options->height;
-    if (!(options->max_enlargement >= 1 && options->max_enlargement <= DBL_MAX))
-        return "window: the maximum enlargement must be at least 1";
-    if (!(options->distance > 0)) return "window: the distance of the virtual plane must be positive";
-    if (!(options->margin >= 0 && options->margin <= DBL_MAX && options->least >= 0 && options->least < 1))
-        return "window: margin and least must not be negative, and least below 1";
-    if (!(size[0] > 0 && size[0] <= DBL_MAX && size[1] > 0 && size[1] <= DBL_MAX))
-        return "window: the size of the display must be positive";
+    if (!(options->max_enlargement >= 1 && options->max_enlargement <= GFFE_MOST_OF_WINDOW))
+        return "window: the maximum enlargement must be from 1 to 1e6";
+    if (!(options->distance > 0 && (options->distance < GFFE_LARGEST || options->distance > DBL_MAX)))
+        return "window: the distance of the virtual plane must be positive, and below 1e300 or infinite";
+    if (!(options->margin >= 0 && options->margin <= GFFE_MOST_OF_WINDOW))
+        return "window: the margin must be from 0 to 1e6 pixels";
+    if (!(options->least >= 0 && options->least <= 1)) return "window: least must be from 0 to 1";
+    for (k = 0; k < 2; ++k)
+        if (!(size[k] >= GFFE_LEAST_SIDE && size[k] <= GFFE_MOST_SIDE))
+            return "window: the size of the display must be positive, 1e-9 to 1e9 pixels";
     for (i = 0; i < count && !fault; ++i) fault = gffe_camera_fault(&predicted[i]);
     if (fault) return fault;
     for (i = 0; i < count; ++i) clamped |= cover(current, &predicted[i], options, low, high);

@@ -1,0 +1,177 @@
+"""An installed copy as its users meet it: every module, every public name, every command, the viewer. Needs nothing but
+what is installed with it, and xvfb-run. Works in the current folder, which must be empty.
+
+    python -I try_installed.py
+"""
+
+import importlib
+import os
+import pkgutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gffe_cl
+
+OPTIONAL = {"cv2", "dask", "distributed", "h5py", "onnx", "torch"}  # modules that extras bring
+ATTACHED_PROGRAM = Path(__file__).parents[1] / "viewer" / "attached_program.py"
+GFFE = Path(sys.prefix) / "bin" / "gffe"
+XVFB = ("xvfb-run", "-a", "-s", "-screen 0 1920x1200x24")
+W, H = 96, 64
+OPENGL_PROJECTION = np.array([[1.0, 0, 0, 0], [0, 1.5, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
+PATIENCE = 120.0  # seconds
+COMMANDS = """
+devices
+formats
+demo --size 96x54 --output demo
+render plaza rendered --size 96x64 --frames 4 --ground-truth
+run rendered extrapolated
+compare extrapolated rendered
+check rendered
+calibrate rendered calibrated --fov 60
+import rendered imported
+bench rendered --repeats 2 --device {device}
+eval rendered --methods gffe,baseline --out report
+export exported
+selftest --quick --device {device}
+"""
+
+
+def run(*command, code=0):
+    """What the command says. AssertionError, with all of it, for another exit code."""
+    start = time.monotonic()
+    environment = os.environ | {"LIBGL_ALWAYS_SOFTWARE": "1"}
+    child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
+    assert child.returncode == code, f"{' '.join(map(str, command))}: {child.returncode}\n{child.stdout}{child.stderr}"
+    print(f"{time.monotonic() - start:5.1f} s  {' '.join(map(str, command[-6:]))}", flush=True)
+    return child.stdout + child.stderr
+
+
+def import_all():
+    """Import every module. Those of optional packages may be missing."""
+    count = 0
+    for module in pkgutil.walk_packages(gffe_cl.__path__, "gffe_cl.", onerror=importlib.import_module):
+        if not module.name.endswith(".__main__"):
+            try:
+                importlib.import_module(module.name)
+                count += 1
+            except ModuleNotFoundError as error:
+                assert error.name in OPTIONAL, f"{module.name}: {error}"
+    assert count > 150, f"{count} modules"
+    print(f"{count} modules", flush=True)
+
+
+class Used:
+    """The package. Remembers which of its names were used."""
+
+    def __init__(self):
+        self.names = set()
+
+    def __getattr__(self, name):
+        self.names.add(name)
+        return getattr(gffe_cl, name)
+
+
+def use_all_names():
+    """A program that uses every public name."""
+    gffe = Used()
+    assert gffe.__version__
+    gffe.prepare_runtimes()
+    assert all(isinstance(info, gffe.DeviceInfo) for info in gffe.list_devices())
+    device = gffe.open_device()
+    assert isinstance(device, gffe.Device) and isinstance(gffe.sharing_support(device), gffe.SharingSupport)
+    for sharing in (gffe.GlSharing, gffe.MemorySharing):
+        try:
+            sharing(device)
+        except gffe.GffeError as error:
+            assert "does not offer" in str(error)
+
+    camera = gffe.Camera(np.eye(4), 80, 80, W / 2, H / 2)
+    cameras = [gffe.Jitter(16).camera(camera, 0), camera]
+    assert cameras[0] != camera == gffe.predict_camera(camera, camera, 0.5)
+    assert gffe.predict_camera_at(0.05, cameras, [1 / 30, 0])
+    windows = gffe.adaptive_window(camera, camera), gffe.fixed_window(1.2)
+    assert all(isinstance(window, gffe.Window) for window in windows)
+    depth = gffe.depth_from_distance(np.full((H, W), 5.0, np.float32), camera)
+    assert gffe.nearest_depth(depth) <= 5
+    assert gffe.depth_from_device(np.full((H, W), 0.5), OPENGL_PROJECTION).shape == (H, W)
+    zero = np.zeros((H, W, 2), np.float32)
+    for convert in (gffe.motion_from_uv, gffe.motion_from_ndc, gffe.motion_from_unreal):
+        assert convert(zero, (W, H)).shape == zero.shape
+
+    color = np.random.default_rng(0).random((H, W, 3), np.float32)
+    frames = [
+        gffe.RenderedFrame(color, depth, zero, camera, k / 30, reset=k == 0, overlays=gffe.Overlays()) for k in range(3)
+    ]
+    assert isinstance(gffe.check(frames), str | None)
+    assert gffe.pack_frame(frames[0], H, W)  # deprecated, but there
+    assert gffe.present(frames[0]).color.shape[:2] == (H, W)
+    options = gffe.Options(shading_correction=True)
+    assert gffe.OPTIONS["shading_correction"]
+    pipeline, pacer = gffe.Pipeline(device, W, H, options), gffe.Pacer(60)
+    with gffe.attach(pipeline, "used", pacer=pacer):
+        for frame in frames:
+            pipeline.submit(frame)
+            made = pipeline.extrapolate(time=frame.time + 1 / 60)
+    assert isinstance(made, gffe.ExtrapolatedFrame) and made.numpy("color").shape[:2] == (H, W)
+    assert isinstance(pipeline.present(), gffe.PresentedFrame) and isinstance(pipeline.bad_pixels, gffe.BadPixels)
+
+    with gffe.SequenceWriter("written", W, H, 30.0) as writer:
+        for k, frame in enumerate(frames):
+            entry = gffe.FrameEntry(f"{k}.exr", frame.time, reset=frame.reset, render_camera=frame.camera)
+            writer.add(entry, gffe.named_channels(frame.color, frame.depth, frame.motion))
+    for sequence in (gffe.open_sequence("written"), gffe.open_capture("written")):
+        assert isinstance(sequence, gffe.Sequence) and len(list(sequence)) == 3
+    shown = gffe.to_display(color)
+    assert gffe.psnr(shown, shown) == 100 and gffe.ssim(shown, shown) > 0.99
+    assert gffe.names >= set(gffe_cl.__all__), f"not used: {set(gffe_cl.__all__) - gffe.names}"
+    print(f"{len(gffe_cl.__all__)} names", flush=True)
+
+
+def run_all_commands():
+    """Every command once, `view` excepted."""
+    from typer.main import get_command
+
+    from gffe_cl.cli.commands import app
+
+    lines = [line.format(device=gffe_cl.open_device().info.index).split() for line in COMMANDS.strip().splitlines()]
+    for line in lines:
+        run(GFFE, *line)
+    assert "torch" in run(GFFE, "train", "trained", code=2).lower()
+    group: Any = get_command(app)
+    shown = {name for name, command in group.commands.items() if not command.hidden}
+    assert shown == {line[0] for line in lines} | {"train", "view"}
+
+
+def view():
+    """A screenshot, a script, and a running program."""
+    run(*XVFB, GFFE, "view", "rendered", "--screenshot", "shot.png", "--frame", "3")
+    Path("steps.txt").write_text("layer frame.motion\nwait 0.2\nshot script.png\n")
+    run(*XVFB, GFFE, "view", "rendered", "--script", "steps.txt")
+    Path("attached.txt").write_text("layer frame.filled_by\nwait 0.2\nshot attached.png\n")
+    log, end = Path("log.txt"), time.monotonic() + PATIENCE
+    with subprocess.Popen([sys.executable, "-I", ATTACHED_PROGRAM, "game", log]) as program:
+        try:
+            while program.poll() is None and not (log.exists() and log.read_text()):
+                assert time.monotonic() < end, "the attached program renders nothing"
+                time.sleep(0.05)
+            run(*XVFB, GFFE, "view", "--attach", "game", "--script", "attached.txt")
+            assert program.poll() is None, "the attached program has ended"
+        finally:
+            program.kill()
+    for name in ("shot", "script", "attached"):
+        assert Path(f"{name}.png").read_bytes()[1:4] == b"PNG"
+
+
+if __name__ == "__main__":
+    assert Path(gffe_cl.__file__).is_relative_to(sys.prefix), f"{gffe_cl.__file__} is not installed"
+    os.environ.update({name: os.getcwd() for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")})  # settings, sockets
+    import_all()
+    use_all_names()
+    run_all_commands()
+    view()
+    print("installed copy: passed")

@@ -1,0 +1,69 @@
+"""Installed copies: what a wheel holds, and that it works with the newest and the lowest versions of what it needs."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PARTS = {"gffe_cl": "gffe_cl", "kernels": "gffe_cl/kernels", "viewer": "gffe_cl/viewer"}  # folders of the package
+TRY = ROOT / "tests" / "helpers" / "try_installed.py"
+pytestmark = pytest.mark.long
+
+
+def uv(*arguments):
+    """Run uv, the one of this environment."""
+    command = [sys.executable, "-m", "uv", "--quiet", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Built from a source distribution, as by installers that find no wheel."""
+    source, built = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("built")
+    for name in PARTS:
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    uv("build", "--out-dir", built, source)
+    (path,) = built.glob("*.whl")
+    return path
+
+
+def test_wheel_holds_the_package_and_nothing_else(wheel):
+    """Stylesheets, scripts, kernels and weights included; tests excluded."""
+    there = {
+        f"{inside}/{path.relative_to(ROOT / name).as_posix()}"
+        for name, inside in PARTS.items()
+        for path in (ROOT / name).rglob("*")
+        if path.is_file() and path.parent.name != "__pycache__"
+    }
+    held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert held == there
+    assert {".css", ".js", ".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}
+
+
+@pytest.mark.parametrize("resolution", ["highest", "lowest-direct"])
+def test_wheel_works(wheel, resolution, tmp_path):
+    """In an environment that has nothing but it and the versions that it asks for. Intel's runtime is this one's."""
+    if shutil.which("xvfb-run") is None:
+        assert not os.environ.get("CI"), "CI must have xvfb-run"
+        pytest.skip("xvfb-run is not installed")
+    fresh, working = tmp_path / "environment", tmp_path / "working"
+    working.mkdir()
+    uv("venv", "--python", sys.executable, fresh)
+    needs = ("-r", ROOT / "pyproject.toml", wheel)
+    uv("pip", "install", "--python", fresh, "--only-binary", ":all:", "--resolution", resolution, *needs)
+    for path in (Path(sys.prefix) / "lib").iterdir():
+        if path.is_file() and not (fresh / "lib" / path.name).exists():
+            (fresh / "lib" / path.name).symlink_to(path)
+    command = [fresh / "bin" / "python", "-I", TRY]
+    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "OCL_ICD_VENDORS")}
+    done = subprocess.run(command, cwd=working, env=environment, capture_output=True, text=True, timeout=3600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.endswith("installed copy: passed\n")
