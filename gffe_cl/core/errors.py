@@ -1,19 +1,24 @@
 """The one exception users meet, how names of theirs are shown, and how parts that are not installed are installed."""
 
+from __future__ import annotations
+
+import re
+
 # The address of the repository, for users; empty until it is known, then lines that would name it are left out.
 REPOSITORY = ""
+_LONG_NUMBER = re.compile(r"(\d{12})\d{48,}")
 
 
 class GffeError(Exception):
     """A structural fault in the caller's input: bad file, size, camera, device, option.
 
     The message is one line with the fault, its place, and the expected input; control characters in it, of file
-    names perhaps, are escaped. The command line prints it and exits with code 2. Bad *pixels* never raise it, except in
-    strict mode.
+    names perhaps, are escaped, and numbers of 60 digits and more are cut. The command line prints it and exits with
+    code 2. Bad *pixels* never raise it, except in strict mode.
     """
 
     def __init__(self, message: str):
-        super().__init__(printable(message))
+        super().__init__(printable(_LONG_NUMBER.sub(r"\1…", message)))
 
 
 MOST = 1000  # characters of a message

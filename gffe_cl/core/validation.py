@@ -41,7 +41,8 @@ def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
     `infinite` and +inf."""
     if is_number(value) or (infinite and isinstance(scalar(value), NUMBERS) and scalar(value) == math.inf):
         return float(value)
-    raise GffeError(f"{what} must be a {'' if infinite else 'finite '}number, got {shown(value)}")
+    bounds = f" from {-LARGEST:g} to {LARGEST:g}" if _is_finite(value) else ""
+    raise GffeError(f"{what} must be a {'' if infinite else 'finite '}number{bounds}, got {_shown_number(value)}")
 
 
 def require_positive(value: Any, what: str, *, infinite: bool = False) -> float:
@@ -68,7 +69,7 @@ def require_within(value: Any, what: str, low: float, high: float) -> float:
     """`value` as a float; GffeError unless it is a number from `low` to `high`."""
     if is_number(value) and low <= float(value) <= high:
         return float(value)
-    raise GffeError(f"{what} must be a finite number from {low:g} to {high:g}, got {shown(value)}")
+    raise GffeError(f"{what} must be a finite number from {low:g} to {high:g}, got {_shown_number(value)}")
 
 
 def require_whole(value: Any, what: str, low: float = -math.inf, high: float = math.inf) -> int:
@@ -171,7 +172,8 @@ def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
     """(count,) float64; GffeError unless `value` holds so many finite numbers."""
     array = require_array(value, what, count).astype(np.float64)
     if not (np.abs(array) < LARGEST).all():
-        raise GffeError(f"{what} must be {count} finite numbers, got {array.tolist()}")
+        bounds = f" from {-LARGEST:g} to {LARGEST:g}" if np.isfinite(array).all() else ""
+        raise GffeError(f"{what} must be {count} finite numbers{bounds}, got {shown(array.tolist())}")
     return array
 
 
@@ -195,6 +197,16 @@ def _shape_words(shape: tuple) -> str:
     return f"({', '.join(words)})"
 
 
+def _is_finite(value: Any) -> bool:
+    value = scalar(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf
+
+
+def _shown_number(value: Any) -> str:
+    """As `shown`, for a value that is not the number that it should be."""
+    return f"{shown(value)} (out of range)" if _is_finite(value) else shown(value)
+
+
 def shown(value: Any) -> str:
     """Return a short text of `value` for a message: JSON where that is possible, the type for arrays and objects."""
     value = scalar(value)
@@ -204,6 +216,8 @@ def shown(value: Any) -> str:
         return f"an array of shape {value.shape} and type {value.dtype}"
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return "a number too large"
     if not isinstance(value, bool | int | float | str | list | tuple | dict):
         return _kind_words(value)
     try:

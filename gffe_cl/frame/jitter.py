@@ -10,6 +10,7 @@ included. Generated frames have none: they are seen through display cameras.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 from gffe_cl.core.errors import GffeError
@@ -37,7 +38,7 @@ class Jitter:
         if require_kind(text, str, "jitter", "a text") == "off":
             return cls()
         kind, _, length = text.partition(":")
-        if kind != "halton" or not (length.isascii() and length.isdigit()) or not 2 <= int(length) <= _MOST:
+        if kind != "halton" or not re.fullmatch("[0-9]{1,9}", length) or not 2 <= int(length) <= _MOST:
             raise GffeError(f"jitter must be off or halton:LENGTH, LENGTH 2 to {_MOST}, got '{text}'")
         return cls(int(length))
 

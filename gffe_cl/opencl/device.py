@@ -80,6 +80,7 @@ class Opened:
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
+    process: int = field(default_factory=os.getpid)  # a driver's threads do not live on in forked children
 
 
 _opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
@@ -131,8 +132,8 @@ class Device:
         self.programs = self.opened.programs
         if queue is not None:
             require_kind(queue, cl.CommandQueue, "device: queue")
-        self.queue = queue or _profiling_queue(self.context, cl_device)
-        self.profiles = bool(self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+        self._queue = queue or _profiling_queue(self.context, cl_device)
+        self.profiles = bool(self._queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
 
     @classmethod
     def from_context(cls, context: Any, queue: Any = None) -> Device:
@@ -166,6 +167,7 @@ class Device:
             opened = _adopted.get(key)
             if opened is None:
                 opened = _adopted[key] = Opened(context)
+            _require_process(opened, found.name.strip())
             info = describe("–", found.platform, found)
             if opened.exact_division is None:
                 opened.exact_division = try_exact_division(context, queue)
@@ -176,6 +178,16 @@ class Device:
 
     def __repr__(self):
         return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        """The in-order queue. Raises GffeError in a forked child if the device was opened before the fork."""
+        self.require_process()
+        return self._queue
+
+    def require_process(self) -> None:
+        """Raise GffeError in a forked child if the device was opened before the fork: drivers wait forever there."""
+        _require_process(self.opened, self.info.name)
 
     @cached_property
     def lanes(self) -> int:
@@ -237,6 +249,7 @@ class Device:
         allocate them."""
         size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
         mapped = require_bool(mapped, "device: mapped")
+        self.require_process()
         try:
             for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
             made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)
@@ -279,7 +292,7 @@ def open_device(wanted: str | None = None) -> Device:
     try:
         return open_info(_choose(infos, wanted))
     except GffeError:
-        if not known:
+        if not known or any(opened.process != os.getpid() for opened in _opened.values()):
             raise
     return open_info(_choose(list_devices(refresh=True), wanted))
 
@@ -311,6 +324,8 @@ def open_info(info: DeviceInfo) -> Device:
     """Open a device that `list_devices` returned. Opening it again shares context and kernels until a driver error
     loses them. Raises GffeError if it is not there or cannot be opened."""
     platform, device = (int(part) for part in info.index.split(":"))
+    if known := _opened.get(info.index):
+        _require_process(known, info.name)
     try:
         found = cl.get_platforms()[platform].get_devices()[device]
         told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
@@ -323,6 +338,15 @@ def open_info(info: DeviceInfo) -> Device:
         raise GffeError(f"{info.name} ({info.platform}): there is no device {info.index} ({_WHERE_IT_IS})") from None
     except cl.Error as error:
         raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error} ({_WHERE_IT_IS})") from None
+
+
+def _require_process(opened: Opened, name: str) -> None:
+    """Raise GffeError if another process, of which this one was forked, has opened the device."""
+    if opened.process != os.getpid():
+        raise GffeError(
+            f"{name}: the device was opened before this process was forked (expected multiprocessing's start method"
+            " 'spawn', or a device that only the child opens)"
+        )
 
 
 def _profiling_queue(context: cl.Context, device: cl.Device) -> cl.CommandQueue:

@@ -43,6 +43,7 @@ def telling_device_faults(method: Callable) -> Callable:
 
     @wraps(method)
     def wrapped(self, *arguments, **more):
+        self.device.require_process()
         with device_faults(self.device, method.__name__.strip("_"), self._footprint):
             return method(self, *arguments, **more)
 

@@ -8,12 +8,15 @@ from collections import deque
 from dataclasses import dataclass
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import require_number, require_positive
+from gffe_cl.core.validation import require_frame_rate, require_within
+from gffe_cl.frame.camera import MOST_ALPHA
 
 _RECENT = 120  # refreshes over which jitter is measured
 _COMPARED = 120  # rendered frames, whose fastest gives the least delay from a frame's time to its display
 _LASTING = 16  # frames whose slowest gives the time to make one
 _SAME = 1e-3  # of a refresh: times closer than that are one
+_LEAST_ALPHA = 1e-6
+_MOST_SECONDS = 1e12  # of a clock: beyond, numbers cannot tell tenths of a millisecond apart
 
 
 @dataclass(frozen=True)
@@ -68,19 +71,20 @@ class Pacer:
     Parameters
     ----------
     display_rate : float
-        Refreshes per second.
+        Refreshes per second, 1e-6 to 1e6.
     most_alpha : float
-        How far to extrapolate at most, in intervals of rendered frames.
+        How far to extrapolate at most, in intervals of rendered frames, up to a million.
 
     Raises
     ------
     GffeError
-        For arguments that are not positive numbers, and for times that go back.
+        For arguments out of range, for times beyond ±1e12 s, and for times that go back.
     """
 
     def __init__(self, display_rate: float, most_alpha: float = 2.0):
-        self._period = 1.0 / require_positive(display_rate, "pacer: display_rate")
-        self._most_alpha = require_positive(most_alpha, "pacer: most_alpha")
+        self._period = 1.0 / require_frame_rate(display_rate, "pacer: display_rate")
+        self._most_alpha = require_within(most_alpha, "pacer: most_alpha", _LEAST_ALPHA, MOST_ALPHA)
+        self._now = -_MOST_SECONDS
         self._newest: float | None = None  # time of the last rendered frame
         self._interval = 0.0
         self._delays: deque[float] = deque(maxlen=_COMPARED)  # from a rendered frame's time to its first refresh
@@ -93,7 +97,7 @@ class Pacer:
 
     def rendered(self, time: float) -> None:
         """A rendered frame of this `time`, on the renderer's clock, is here."""
-        time = require_number(time, "pacer: time")
+        time = require_within(time, "pacer: time", -_MOST_SECONDS, _MOST_SECONDS)
         if self._newest is not None:
             if time <= self._newest:
                 raise GffeError(
@@ -106,7 +110,7 @@ class Pacer:
     def plan(self, now: float) -> Plan:
         """Return the frame to show at the next refresh for which one can be ready. Raises GffeError before the first
         rendered frame."""
-        now = require_number(now, "pacer: now")
+        now = self._advanced(now)
         if self._newest is None:
             raise GffeError("pacer: nothing to show (expected a rendered frame first)")
         self._began = now
@@ -131,7 +135,7 @@ class Pacer:
 
     def ready(self, now: float) -> None:
         """Note that the frame planned last is ready `now`: made and handed to the display."""
-        now = require_number(now, "pacer: now")
+        now = self._advanced(now)
         if self._last is None:
             raise GffeError("pacer: nothing was planned")
         if not self._making:
@@ -145,6 +149,17 @@ class Pacer:
         """Counts since the beginning, and the jitter of recent steps."""
         jitter = 1e3 * statistics.pstdev(self._steps) if len(self._steps) > 1 else 0.0
         return PacingStatistics(**self._counts, jitter=jitter)
+
+    def _advanced(self, now: float) -> float:
+        """Return `now`, the latest time of the caller's clock so far. Raises GffeError if it goes back."""
+        now = require_within(now, "pacer: now", -_MOST_SECONDS, _MOST_SECONDS)
+        if now < self._now:
+            raise GffeError(
+                f"pacer: now {now:.9g} s is before the last call's ({self._now:.9g} s, expected a clock that only goes"
+                " forward)"
+            )
+        self._now = now
+        return now
 
     def _refresh_after(self, now: float) -> float:
         """The first refresh from `now` on that nothing is planned for; refreshes are counted from the first one on."""

@@ -95,6 +95,8 @@ STAGES: tuple[type[Stage], ...] = (
     Sharpening,
 )
 
+_FAR_ALPHA = 16  # intervals
+
 
 def stages_of(options: Options) -> list[type[Stage]]:
     """The stages that the options ask for, in order."""
@@ -208,7 +210,7 @@ class Pipeline:
 
     def __del__(self):
         if getattr(self, "_reads_arrays", False):
-            with suppress(cl.Error):
+            with suppress(cl.Error, GffeError):
                 self.device.queue.finish()  # the memory of arrays must not go before
         if board := getattr(self, "board", None):
             board.let_go()
@@ -512,6 +514,8 @@ class Pipeline:
         and motion (H, W, 2) float32 of the new frame as `ExtrapolatedFrame` has them, replaces these before upscaling
         reads them, likewise.
 
+        Warns of a time over 16 intervals after the last rendered frame's, which mostly is of another clock or unit.
+
         Raises GffeError before the first `submit`, for a time before the last rendered frame's or over a million
         intervals after it, and for arguments of other types or shapes, or events that cannot be waited for.
         """
@@ -525,6 +529,12 @@ class Pipeline:
         if not alpha <= MOST_ALPHA:
             raise GffeError(
                 f"extrapolate: time {time:g} s is more than {MOST_ALPHA:g} intervals after {source.time:g} s"
+            )
+        if alpha > _FAR_ALPHA:  # a program may have stalled: it must not fail
+            warnings.warn(
+                f"extrapolate: time {time:g} s is {alpha:.0f} intervals after the last rendered frame's (expected up to"
+                f" {_FAR_ALPHA}, in seconds on the clock of the rendered frames)",
+                stacklevel=3,
             )
         camera = self.predict_camera(alpha) if camera is None else camera
         require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")

@@ -39,7 +39,9 @@ def zero_motion_warning(motion, depth, camera: Camera, previous: Camera) -> str 
     The camera moved if the center or a corner of the image, at the median of `depth` (H, W), moved by more
     than half a pixel.
     """
-    if motion is None or np.any(motion):
+    with np.errstate(invalid="ignore"):  # signaling NaN
+        moves = motion is None or np.any(motion)
+    if moves:
         return None
     surface = depth[np.isfinite(depth) & (depth > 0)]
     if not surface.size:

@@ -649,6 +649,31 @@ def test_nothing_heavy_before_the_handlers():
         assert child.stdout == "[]\n"
 
 
+@pytest.mark.parametrize("working", [True, False])
+def test_a_library_that_never_returns_is_interrupted(working):
+    """By the third signal, or by the first before the work: Python itself would not notice any."""
+    program = (
+        "import hashlib\n"
+        "from gffe_cl.cli.interrupts import Interrupts\n"
+        "with Interrupts() as interrupts:\n"
+        f"    {working} and interrupts.begin()\n"
+        "    print('working', flush=True)\n"
+        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 1 << 40)\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert child.stdout.readline() == "working\n"
+    for _ in range(2 * working):
+        child.send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(0.5)
+    child.send_signal(signal.SIGINT)
+    try:
+        assert child.communicate(timeout=10)[1] == "interrupted\n"
+    finally:
+        child.kill()
+    assert child.returncode == 130
+
+
 def test_an_interrupt_that_cannot_pass_comes_again():
     """In a destructor an exception is only printed; the interrupt must not be lost with it."""
     code = (

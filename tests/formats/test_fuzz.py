@@ -8,7 +8,13 @@ from fuzz_targets import FILES, Target, check, mutated, targets
 
 from gffe_cl import GffeError
 
-NAMES = ("camera", "options", *(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files))
+ATTACH = ("attach:request", "attach:answer", "attach:recording")
+NAMES = (
+    "camera",
+    "options",
+    *ATTACH,
+    *(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files),
+)
 CASES = sorted((Path(__file__).parent / "fuzz_cases").glob("*-*"))
 MUTATIONS = 12
 

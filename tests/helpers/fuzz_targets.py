@@ -22,9 +22,16 @@ from PIL import Image
 from gffe_cl import Camera, GffeError, open_capture
 from gffe_cl.frame import conventions
 from gffe_cl.frame.camera import predict_camera
+from gffe_cl.frame.rendered_frame import BadPixels
 from gffe_cl.pipeline.options import OPTIONS, Options
+from gffe_cl.pipeline.pacing import PacingStatistics
 from gffe_cl.selftest.scene import FPS, frames
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.viewer.engine.attached import wire
+from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
+from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan, _About, recorded
+from gffe_cl.viewer.engine.buffers import Moment
+from gffe_cl.viewer.engine.layers import FRAME_LAYERS
 
 W, H, COUNT = 12, 9, 2
 MOST_MESSAGE = 1000  # characters
@@ -249,6 +256,49 @@ def read_options(data):
                     continue
 
 
+def read_request(data):
+    """A message of the viewer to an attached program."""
+    decoded(data, wire.Greeting, *wire.FROM_VIEWER)
+
+
+def read_answer(data):
+    """A message of an attached program to the viewer."""
+    decoded(data, wire.Program, *wire.FROM_PROGRAM)
+
+
+RECORDING = RecordingPlan(3, (W, H), (W, H), FPS)
+
+
+def read_recording(data):
+    """What an attached program leaves in shared memory."""
+    found = recorded(RECORDING, bytearray(data[: RECORDING.nbytes].ljust(RECORDING.nbytes, b"\0")), "program")
+    for entry in found.rendered if found else ():
+        found.read(entry)
+
+
+def answer_seed():
+    camera = seen()[1].camera
+    moment = Moment(1, 0.5, 0.05, camera, camera, camera, None)
+    places = {"final": Placed(0, "<f2", (H, W, 4))}
+    specs = {name: FRAME_LAYERS[name] for name in list(FRAME_LAYERS)[:2]}
+    kernels = {"warp": {"splat": 0.5}}
+    options, pacing = Options(), PacingStatistics(rendered=1)
+    return encoded(wire.Seen(moment, places, specs, kernels, 9.0, 0.5, BadPixels(depth=2), 1.0, options, pacing))
+
+
+def recording_seed():
+    memory = bytearray(RECORDING.nbytes)
+    for k, frame in enumerate(seen()):
+        color, depth, motion = RECORDING.images(memory, k)
+        color[..., :3], depth[:], motion[:] = frame.color, frame.depth, frame.motion
+        said = encoded(
+            _About(k, frame.time, frame.camera, frame.camera, k == 0, 1.0, {frame.time + 0.01: frame.camera})
+        )
+        RECORDING.about(memory, k)[: len(said)] = np.frombuffer(said, np.uint8)
+        RECORDING.head(memory, k)[:] = 1, 1, len(said)
+    return bytes(memory)
+
+
 def options_seed():
     given = {name: option.default for name, option in OPTIONS.items()}
     return json.dumps(given).encode()
@@ -264,6 +314,9 @@ def camera_seed():
 def targets():
     """By name, such as "sequence:frame_1.exr"."""
     found = {"camera": Target(camera_seed(), read_camera), "options": Target(options_seed(), read_options, True)}
+    found["attach:request"] = Target(encoded(wire.Use(Options())), read_request, True)
+    found["attach:answer"] = Target(answer_seed(), read_answer)
+    found["attach:recording"] = Target(recording_seed(), read_recording)
     for form, files in FILES.items():
         for file in files:
 

@@ -405,3 +405,41 @@ def test_misuse_leaves_a_pipeline_that_works(device):
     assert sum(check(call, name) for name, call in calls.items()) > 1000
     assert set(calls) >= ON_A_DEVICE
     assert bits(pipeline) == right
+
+
+@pytest.mark.device
+def test_far_times_are_warned_of(device):
+    """As of milliseconds, or of another clock; a frame is made nevertheless."""
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+    pipeline.submit(next(frames()))
+    with pytest.warns(
+        UserWarning, match=r"time 10 s is 300 intervals after .* \(expected up to 16, in seconds"
+    ) as told:
+        pipeline.extrapolate(time=10)
+    assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pipeline.extrapolate(time=16 / 30)
+
+
+def test_numbers_out_of_range_are_called_that():
+    eye = np.eye(4)
+    for value, told in (
+        (1e308, r"must be a finite number from -1e\+300 to 1e\+300, got 1e\+308 \(out of range\)"),
+        (10**400, r"to 1e\+300, got a number too large \(out of range\)"),
+        (float("inf"), r"must be a finite number, got inf$"),
+        (True, r"must be a finite number, got true$"),
+    ):
+        with pytest.raises(GffeError, match=told):
+            Camera(eye, value, 1.0, 1.0, 1.0)
+    with pytest.raises(GffeError, match=r"3 finite numbers from -1e\+300 to 1e\+300"):
+        Camera.look_at((1e308, 0, 0), (0, 0, 0), (0, 1, 0), 1, 1, 1, 1)
+
+
+def test_messages_print_no_endless_numbers():
+    assert str(GffeError(f"size {'7' * 400}x5")) == f"size {'7' * 12}…x5"
+    assert str(GffeError("digest " + "1a" * 32)) == "digest " + "1a" * 32
+    for digits in (400, 5000):
+        with pytest.raises(GffeError) as refused:
+            gffe_cl.Jitter.parse("halton:" + "9" * digits)
+        assert len(str(refused.value)) < 150

@@ -98,3 +98,43 @@ def test_wrong_order_of_calls():
     pacer.rendered(1.0)
     with pytest.raises(GffeError, match="must be after"):
         pacer.rendered(1.0)
+
+
+@pytest.mark.parametrize("value", [1e-300, 1e300, 1e308, 10**400, float("nan"), -1.0, 0.0])
+def test_absurd_numbers_are_refused(value):
+    for make in (Pacer, lambda most: Pacer(60, most)):
+        with pytest.raises(GffeError, match="must be a finite number from"):
+            make(value)
+
+
+def test_times_out_of_range_are_refused():
+    pacer = Pacer(60)
+    for call in (pacer.rendered, pacer.plan, pacer.ready):
+        for value in (1e13, -1e13, 1e300, 10**400):
+            with pytest.raises(GffeError, match=r"must be a finite number from .* \(out of range\)") as refused:
+                call(value)
+            assert len(str(refused.value)) < 120
+
+
+def test_extreme_numbers_within_the_range():
+    """Every plan is finite, and so are the statistics."""
+    for rate in (1e-6, 1e6):
+        for step in (1e-3, 1e11):
+            pacer = Pacer(rate, 1e6)
+            for k in range(5):
+                pacer.rendered(k * step)
+                plan = pacer.plan(k * step)
+                pacer.ready(k * step)
+                assert np.isfinite([plan.refresh, plan.time, plan.alpha]).all()
+            assert np.isfinite(pacer.statistics.jitter)
+
+
+def test_a_clock_that_goes_back_is_refused():
+    pacer = Pacer(60)
+    pacer.rendered(0.0)
+    pacer.plan(1.0)
+    for call in (pacer.plan, pacer.ready):
+        with pytest.raises(GffeError, match=r"pacer: now 0.5 s is before the last call's \(1 s, expected a clock"):
+            call(0.5)
+    pacer.ready(1.0)
+    assert pacer.plan(1.0).refresh >= 1.0  # as if nothing had been asked

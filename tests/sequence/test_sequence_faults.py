@@ -9,6 +9,7 @@ import struct
 import sys
 import threading
 import time
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -19,8 +20,10 @@ from tiny_sequence import H, W, contiguous, edit, pixels, write
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.metrics import focus_mask, smape, to_display
+from gffe_cl.frame.camera import Camera
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.sequence import SequenceWriter, exr_layout, named_channels, open_sequence, openexr_stderr
+from gffe_cl.sequence.checks import zero_motion_warning
 from gffe_cl.sequence.exr_layout import _Cursor, _parse
 from gffe_cl.sequence.header_camera import header_cameras
 
@@ -388,3 +391,12 @@ def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):
         shown = header_cameras(reader.read(sequence.path / entry.file, "").parts[0])[1]
         camera = entry.render_camera or entry.display_camera
         np.testing.assert_allclose(shown.position, camera.position, atol=1e-4)
+
+
+def test_signaling_nan_in_motion_is_taken_as_nan():
+    """Without a warning of NumPy's, which users would see."""
+    motion, depth = np.full((9, 12, 2), 0x7FA00000, np.uint32).view(np.float32), np.ones((9, 12), np.float32)
+    camera = Camera(np.eye(4), 10, 10, 6, 4.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert zero_motion_warning(motion, depth, camera, camera) is None

@@ -1,12 +1,15 @@
 """The viewer attached to a running program: what it shows and switches there, and what is left when either dies."""
 
+import fcntl
 import os
+import pickle
 import shutil
 import signal
 import socket
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -19,7 +22,8 @@ import pytest
 import gffe_cl as gffe
 from gffe_cl.pipeline.source import Live
 from gffe_cl.scenes import load_scene
-from gffe_cl.viewer.engine.attached import channel, client
+from gffe_cl.viewer.engine.attached import channel, client, wire
+from gffe_cl.viewer.engine.attached.encoding import encoded
 from gffe_cl.viewer.engine.attached.program import RunningProgram
 from gffe_cl.viewer.engine.sources.attached import resolved
 from gffe_cl.viewer.state.model import Model
@@ -121,6 +125,101 @@ def test_other_systems_are_refused(monkeypatch, capsys):
     with pytest.raises(gffe.GffeError, match="attach: this system is win32 \\(expected Linux") as refused:
         channel.Listener("game", "game")
     assert "\n" not in str(refused.value)
+
+
+# ---- what others do to the sockets -----------------------------------------------------------------------------------
+
+
+def test_nobody_waits_for_a_program_that_does_not_accept(sockets, monkeypatch):
+    """As one in a debugger, or with a viewer, whose queue is full."""
+    stopped = channel.Listener("game", "game")
+    waiting = []
+    with suppress(BlockingIOError):
+        while True:
+            waiting.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK))
+            waiting[-1].connect(str(sockets / "game.socket"))
+    start = time.monotonic()
+    others = [channel.Listener(None, "game") for _ in range(20)]
+    assert time.monotonic() - start < 5
+    assert [other.name for other in others[:2]] == ["game-2", "game-3"]
+    with pytest.raises(gffe.GffeError, match="attached as 'game' already"):
+        channel.Listener("game", "game")
+    monkeypatch.setattr(channel, "_CONNECT_SECONDS", 0.2)
+    with pytest.raises(gffe.GffeError, match="game: no answer"):
+        channel.connect("game")
+    for one in (*waiting, *others, stopped):
+        one.close()
+    assert list(sockets.iterdir()) == []
+
+
+def test_nobody_waits_for_a_locked_folder(sockets):
+    folder = os.open(channel.socket_folder(), os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    start = time.monotonic()
+    listener = channel.Listener("game", "game")
+    channel.connect("game").close()
+    assert time.monotonic() - start < 5
+    listener.close()
+    os.close(folder)
+
+
+def test_foreign_things_in_the_folder_stay(sockets):
+    channel.socket_folder()
+    (sockets / "folder.socket").mkdir()
+    (sockets / "file.socket").write_text("mine")
+    (sockets / "loop.socket").symlink_to("loop.socket")
+    (sockets / ("x" * 200 + ".socket")).write_text("")
+    (sockets / "link.socket").symlink_to("stream.socket")
+    others = [
+        socket.socket(socket.AF_UNIX, kind) for kind in (socket.SOCK_STREAM, socket.SOCK_STREAM, socket.SOCK_DGRAM)
+    ]
+    for name, other in zip(("stream", "deaf", "datagram"), others, strict=True):
+        other.bind(str(sockets / f"{name}.socket"))
+    others[0].listen()
+    before = sorted(sockets.iterdir())
+    listener = channel.Listener(None, "folder")
+    assert listener.name == "folder-2" and sorted(sockets.iterdir()) == sorted([*before, listener._path])
+    with pytest.raises(gffe.GffeError, match=r"'gam' \(there are: folder-2\)"):
+        channel.connect("gam")
+    for name in ("folder", "file", "loop", "stream"):
+        with pytest.raises(gffe.GffeError, match=rf"{name}.socket is in the way \(expected another name\)"):
+            channel.Listener(name, "stem")
+        with pytest.raises(gffe.GffeError, match=f"no program is attached as '{name}'"):
+            channel.connect(name)
+    listener.close()
+    assert sorted(sockets.iterdir()) == before and (sockets / "file.socket").read_text() == "mine"
+    for other in others:
+        other.close()
+
+
+def test_a_taken_name_in_the_temporary_folder(monkeypatch, tmp_path):
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / f"gffe-cl-sockets-{os.getuid()}").write_text("")
+    with pytest.raises(gffe.GffeError, match=r"not yours \(expected XDG_RUNTIME_DIR, or TMPDIR"):
+        channel.Listener("game", "game")
+
+
+def test_versions_are_compared_first(sockets):
+    """In plain text, so that any version can tell."""
+    listener = channel.Listener("game", "game")
+
+    def answer(hello):
+        connected, _ = listener._socket.accept()
+        assert connected.recv(100) == f"gffe-cl attach {channel.own_version()}\n".encode()
+        connected.send(hello)
+        connected.close()
+
+    for hello, expected in (
+        (b"gffe-cl attach 0.0.1\n", "game: it runs gffe-cl 0.0.1, this viewer is of"),
+        (pickle.dumps("hello"), "game: it runs gffe-cl another version, this viewer is of"),
+    ):
+        thread = threading.Thread(target=answer, args=(hello,), daemon=True)
+        thread.start()
+        with pytest.raises(gffe.GffeError, match=expected):
+            RunningProgram("game", 3)
+        thread.join()
+    listener.close()
 
 
 # ---- a program in this process -----------------------------------------------------------------------------------
@@ -242,6 +341,78 @@ def test_recorded_frames(game, tmp_path):
 
 def gffe_color(frame):
     return np.asarray(frame.color)[..., :3].astype(np.float16)
+
+
+class Executed:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def open_descriptors():
+    return len(os.listdir("/proc/self/fd"))
+
+
+@pytest.mark.device
+def test_bad_messages_end_one_viewer_only(game, sockets, tmp_path):
+    hello = f"gffe-cl attach {channel.own_version()}\n".encode()
+    greeting, look = encoded(wire.Greeting(3)), encoded(wire.Look(frozenset({"final"})))
+    bad = (
+        (b"garbage",),
+        (hello[:9],),
+        (b"\0" * 70000,),
+        (b"gffe-cl attach 0.0.1\n", greeting),
+        (hello, b"garbage"),
+        (hello, look),
+        (hello, greeting.replace(b"3", b"null")),
+        (hello, greeting.replace(b"3", b"257")),
+        (hello, greeting.replace(b"frames", b"count")),
+        (hello, pickle.dumps(Executed(tmp_path / "executed"))),
+        (hello, greeting, pickle.dumps(Executed(tmp_path / "executed"))),
+        (hello, greeting, b"[" * 100000),
+        (hello, greeting, encoded(wire.Ask(W, 0))),
+        (hello, greeting, encoded(wire.Use(game.pipeline.options)).replace(b'"history":2', b'"history":200')),
+        (hello, greeting, look + b"\0more"),
+    )
+    game.step()
+    before = open_descriptors()
+    for packets in bad:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as viewer:
+            viewer.connect(str(sockets / "game.socket"))
+            viewer.settimeout(PATIENCE)
+            with suppress(BrokenPipeError, ConnectionResetError):
+                for packet in packets:
+                    socket.send_fds(viewer, [packet], [0, 1, 2])
+                while viewer.recv(1 << 20):
+                    pass
+        game.step()
+    assert not (tmp_path / "executed").exists()
+    until(lambda: open_descriptors() <= before, "descriptors to be closed")
+    program = RunningProgram("game", 3)
+    assert game.while_running(lambda: see(program, "final"))[1]["final"].any()
+    program.close()
+
+
+@pytest.mark.device
+def test_forked_children_leave_the_channel_alone(game, sockets):
+    """They neither close it nor keep it open."""
+    program = RunningProgram("game", 3)
+    until(lambda: game.attachment.watched)
+    sent = list(channel._sockets)
+    assert len(sent) >= 3  # the listener's, and both ends of the channel
+    child = os.fork()
+    if child == 0:
+        held = sum(one.fileno() >= 0 for one in sent)
+        game.attachment.close()
+        os._exit(held)
+    assert os.waitpid(child, 0)[1] == 0
+    assert [path.name for path in sockets.iterdir()] == ["game.socket"] and game.attachment.watched
+    assert game.while_running(lambda: see(program, "final"))[1]["final"].any()
+    program.close()
 
 
 @pytest.mark.device

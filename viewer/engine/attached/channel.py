@@ -5,17 +5,18 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
-import pickle
 import re
 import socket
 import stat
 import struct
 import sys
 import tempfile
+import time
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import shown
@@ -24,7 +25,14 @@ _NAME = re.compile(r"[\w.-]{1,64}", re.ASCII)
 _LONGEST_PATH = 107  # bytes, of a Unix socket
 _LARGEST = 1 << 20  # bytes of a message; the kernel refuses those that are larger than its buffers
 _MOST_FDS = 2
+_PROTOCOL = "gffe-cl attach"
 _SEND_SECONDS = 0.2  # who does not read for so long is given up
+_CONNECT_SECONDS = 5.0
+_RETRY_SECONDS = 0.1
+_MOST_PROGRAMS = 1000
+NO_ANSWER = "no answer (another viewer may be attached, or the program is stopped)"
+_LOCK_SECONDS = 1.0
+_OWN_FOLDER = "expected XDG_RUNTIME_DIR, or TMPDIR, to name a folder of your own"
 
 
 def require_linux() -> None:
@@ -50,42 +58,76 @@ def socket_folder() -> Path:
             folder.mkdir(mode=0o700)
         state = folder.lstat()
     except OSError as error:
-        raise GffeError(f"attach: {folder}: {error.strerror} (expected a folder that can be written to)") from None
-    if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid() or state.st_mode & 0o077:
-        raise GffeError(f"attach: {folder} must be a folder that only you can enter (chmod 700)")
+        raise GffeError(f"attach: {folder}: {error.strerror} ({_OWN_FOLDER})") from None
+    if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid():
+        raise GffeError(
+            f"attach: {folder} must be a folder that only you can enter, but it is not yours ({_OWN_FOLDER})"
+        )
+    if state.st_mode & 0o077:
+        raise GffeError(f"attach: {folder} must be a folder that only you can enter (chmod 700 {folder})")
     return folder
 
 
-class Channel:
-    """Messages between two processes of one user, each with file descriptors if need be.
+def own_version() -> str:
+    """Return the version of the package. Both sides must have the same, since messages differ between versions."""
+    try:
+        return version("gffe-cl")
+    except PackageNotFoundError:
+        return "not installed"
 
-    Messages are pickled: that is safe, since whoever could send others may do all that this process may.
+
+class OtherVersion(Exception):
+    """The other side has another version of the package, the argument."""
+
+
+class Channel:
+    """Packets between two processes of one user, each with file descriptors if need be.
+
+    The first packet of either side is its version, in plain text: see `agree`. A forked child has no channel: its
+    copies of the sockets are closed.
     """
 
     def __init__(self, connected: socket.socket):
         self._socket = connected
         connected.settimeout(None)
-        seconds = struct.pack("ll", int(_SEND_SECONDS), int(_SEND_SECONDS % 1 * 1e6))
-        connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, seconds)
+        _set_patience(connected, _SEND_SECONDS)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _LARGEST)
+        _sockets.add(connected)
 
-    def send(self, message: Any, fds: tuple[int, ...] = ()) -> None:
-        """OSError if the other side has ended, or does not read."""
-        socket.send_fds(self._socket, [pickle.dumps(message)], fds)
+    def agree(self, seconds: float) -> None:
+        """Exchange versions. Raises OtherVersion if they differ; other exceptions as `send` and `receive`."""
+        hello = f"{_PROTOCOL} {own_version()}\n".encode()
+        self.send(hello)
+        answer = self.receive(seconds)
+        if answer == hello:
+            return
+        text = answer[:100].decode("ascii", "replace")
+        raise OtherVersion(text.removeprefix(_PROTOCOL).strip() if text.startswith(_PROTOCOL) else "another version")
 
-    def receive(self, seconds: float | None = None) -> tuple[Any, list[int]]:
-        """The next message, and the descriptors that came with it. EOFError if the other side has ended; TimeoutError
-        after `seconds`."""
+    def send(self, packet: bytes, fds: tuple[int, ...] = ()) -> None:
+        """Raise OSError if the other side has ended, or does not read."""
+        socket.send_fds(self._socket, [packet], fds)
+
+    def receive(self, seconds: float | None = None) -> bytes:
+        """The next packet. The kernel closes descriptors that come with it. EOFError if the other side has ended;
+        TimeoutError after `seconds`."""
         self._socket.settimeout(seconds)
         try:
-            data, fds, _, _ = socket.recv_fds(self._socket, _LARGEST, _MOST_FDS)
+            return _filled(self._socket.recv(_LARGEST))
         except TimeoutError:
             raise
         except OSError as error:
             raise EOFError from error
-        if not data:
-            raise EOFError
-        return pickle.loads(data), fds
+
+    def receive_with_fds(self) -> tuple[bytes, list[int]]:
+        """The next packet, and the descriptors that came with it, which the caller closes. EOFError if the other side
+        has ended."""
+        self._socket.settimeout(None)
+        try:
+            data, fds, _, _ = socket.recv_fds(self._socket, _LARGEST, _MOST_FDS, socket.MSG_CMSG_CLOEXEC)
+        except OSError as error:
+            raise EOFError from error
+        return _filled(data), fds
 
     def close(self) -> None:
         """Wakes who waits in `receive`, here and on the other side."""
@@ -94,58 +136,123 @@ class Channel:
         self._socket.close()
 
 
+def _set_patience(waiting: socket.socket, seconds: float) -> None:
+    """Set how long sending and connecting may wait."""
+    timeval = struct.pack("ll", int(seconds), int(seconds % 1 * 1e6))
+    waiting.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
+
+
+def _filled(packet: bytes) -> bytes:
+    if not packet:
+        raise EOFError
+    return packet
+
+
 class Listener:
     """Waits for viewers at a socket of the name `name`, or of `stem` with a number if that is taken; GffeError for a
     `name` that is."""
 
     def __init__(self, name: str | None, stem: str):
         require_linux()
-        self._pid = os.getpid()
-        with _folder_to_oneself() as folder:
-            taken = set(_living(folder))
-            if name is None:
-                name, number = stem, 1
-                while name in taken:
-                    name, number = f"{stem}-{number + 1}", number + 1
-            if require_name(name) in taken:
-                raise GffeError(f"attach: a program is attached as '{name}' already (expected another name)")
-            self.name, self._path = name, _path(folder, name)
+        folder = socket_folder()
+        names = [require_name(name)] if name is not None else [stem, *(f"{stem}-{n}" for n in range(2, _MOST_PROGRAMS))]
+        paths = [_path(folder, one) for one in names]
+        try:
+            with _locked(folder):
+                _remove_dead(folder)
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            self._socket.bind(str(self._path))
-            self._socket.listen(8)
+            _sockets.add(self._socket)
+            found = next((path for path in paths if _bound(self._socket, path)), None)
+            if found is not None:
+                self._socket.listen(8)
+        except OSError as error:
+            raise GffeError(f"attach: {folder}: {error.strerror or error} ({_OWN_FOLDER})") from None
+        if found is None:
+            taken = f"{paths[-1]} is in the way"
+            if _is_program(paths[-1]):
+                taken = f"a program is attached as '{names[-1]}' already"
+            raise GffeError(f"attach: {taken} (expected another name)")
+        self._path, self.name = found, found.stem
 
     def accept(self) -> Channel:
         """The next viewer of this user; others are sent away. OSError once it is closed."""
         while True:
-            connected, _ = self._socket.accept()
-            if _peer_uid(connected) == os.getuid():
-                return Channel(connected)
+            try:
+                connected, _ = self._socket.accept()
+            except OSError as error:
+                if error.errno in (errno.EBADF, errno.EINVAL):  # what `close` leads to
+                    raise
+                time.sleep(_RETRY_SECONDS)  # no descriptor is free, perhaps
+                continue
+            with suppress(OSError):
+                if _peer_uid(connected) == os.getuid():
+                    return Channel(connected)
             connected.close()
 
     def close(self) -> None:
-        """Wakes who waits in `accept`. In a forked child the socket stays the parent's."""
-        if os.getpid() == self._pid:
-            with suppress(OSError):
-                self._socket.shutdown(socket.SHUT_RDWR)
-            with suppress(OSError):
-                self._path.unlink()
+        """Wake the thread that waits in `accept`. In a forked child the socket stays the parent's."""
+        if self._socket.fileno() < 0:
+            return
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):
+            self._path.unlink()
         self._socket.close()
 
 
+def _bound(binding: socket.socket, path: Path) -> bool:
+    """Bind the socket to `path`. Returns whether that was free."""
+    try:
+        binding.bind(str(path))
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:
+            raise
+        return False
+    return True
+
+
 def connect(name: str) -> Channel:
-    """Connect to the program attached as `name`. Raises GffeError if there is none, or if it is another user's."""
+    """Connect to the program attached as `name`. Raises GffeError if there is none, if it does not answer, or if it is
+    another user's."""
     require_linux()
     require_name(name)
-    with _folder_to_oneself() as folder:
-        living = list(_living(folder))
-        connected = _connected(_path(folder, name))
-    if connected is None:
+    folder = socket_folder()
+    path = _path(folder, name)
+    connected = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    _set_patience(connected, _CONNECT_SECONDS)
+    try:
+        connected.connect(str(path))
+        uid = _peer_uid(connected)
+    except BlockingIOError:  # many viewers wait already
+        connected.close()
+        raise GffeError(f"{name}: {NO_ANSWER}") from None
+    except OSError:
+        connected.close()
+        living = _programs(folder)
         there = f"there are: {', '.join(living)}" if living else "no program is: gffe_cl.attach(pipeline) does it"
-        raise GffeError(f"no program is attached as '{name}' ({there})")
-    if _peer_uid(connected) != os.getuid():
+        raise GffeError(f"no program is attached as '{name}' ({there})") from None
+    if uid != os.getuid():
         connected.close()
         raise GffeError(f"the program '{name}' is another user's (expected one of your own)")
     return Channel(connected)
+
+
+# ---- forked children ---------------------------------------------------------------------------------------------
+
+_sockets: weakref.WeakSet[socket.socket] = weakref.WeakSet()  # of this process
+
+
+def _drop_copies() -> None:
+    """Close a forked child's copies of the sockets. Otherwise the other side would not notice the parent's end."""
+    for copy in list(_sockets):
+        copy.close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_drop_copies)
+
+
+# ---- the folder of the sockets -----------------------------------------------------------------------------------
 
 
 def _peer_uid(connected: socket.socket) -> int:
@@ -157,41 +264,61 @@ def _peer_uid(connected: socket.socket) -> int:
 def _path(folder: Path, name: str) -> Path:
     path = folder / f"{name}.socket"
     if len(os.fsencode(path)) > _LONGEST_PATH:
-        raise GffeError(f"attach: {path} is longer than {_LONGEST_PATH} bytes (expected a shorter name)")
+        raise GffeError(
+            f"attach: {path} is longer than {_LONGEST_PATH} bytes (expected a shorter name, or XDG_RUNTIME_DIR to name"
+            " a shorter path)"
+        )
     return path
 
 
 @contextmanager
-def _folder_to_oneself() -> Iterator[Path]:
-    """The folder, in which no other process binds or cleans meanwhile."""
-    folder = socket_folder()
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def _locked(folder: Path) -> Iterator[None]:
+    """No other process removes sockets meanwhile, unless one was stopped while it did."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    end = time.monotonic() + _LOCK_SECONDS
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield folder
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > end:
+                    break
+                time.sleep(0.01)
+        yield
     finally:
         os.close(descriptor)
 
 
-def _living(folder: Path) -> Iterator[str]:
-    """Return names of attached programs, and remove the files of dead ones."""
-    for path in sorted(folder.glob("*.socket"), key=lambda path: path.stem):
-        connected = _connected(path)
-        if connected is not None:
-            connected.close()
-            yield path.stem
-        else:
-            path.unlink(missing_ok=True)
+def _programs(folder: Path) -> list[str]:
+    """Return the names of attached programs."""
+    return sorted(path.stem for path in folder.glob("*.socket") if _is_program(path))
 
 
-def _connected(path: Path) -> socket.socket | None:
-    """Return the connection, None if nobody listens any more."""
-    connected = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    try:
-        connected.connect(str(path))
-    except OSError as error:
-        connected.close()
-        if error.errno in (errno.ECONNREFUSED, errno.ENOENT):
-            return None
-        raise GffeError(f"attach: {path}: {error.strerror}") from None
-    return connected
+def _remove_dead(folder: Path) -> None:
+    """Remove the sockets of dead programs, and nothing else."""
+    for path in folder.glob("*.socket"):
+        with suppress(OSError):
+            if stat.S_ISSOCK(path.lstat().st_mode) and _refusals(path) == {errno.ECONNREFUSED}:
+                path.unlink()
+
+
+def _is_program(path: Path) -> bool:
+    """Whether a living process has a socket of packets there."""
+    with suppress(OSError):
+        return stat.S_ISSOCK(path.lstat().st_mode) and _refusals(path) == {errno.EPROTOTYPE}
+    return False
+
+
+def _refusals(path: Path) -> set[int | None]:
+    """Return the errors of connecting sockets of the wrong types. That never waits and never reaches the program:
+    EPROTOTYPE if a process has a socket of packets there, ECONNREFUSED if none has any."""
+    errors: set[int | None] = set()
+    for kind in (socket.SOCK_DGRAM, socket.SOCK_STREAM):
+        with socket.socket(socket.AF_UNIX, kind | socket.SOCK_NONBLOCK) as connecting:
+            try:
+                connecting.connect(str(path))
+                errors.add(None)
+            except OSError as error:  # paths that are too long have no number
+                errors.add(error.errno)
+    return errors

@@ -18,7 +18,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import require_kind
+from gffe_cl.core.validation import require_kind, require_whole
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.pipeline.made_frame import ExtrapolatedFrame
@@ -29,8 +29,19 @@ from gffe_cl.stages.buffers import DeviceFrame
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.attached.channel import Channel, Listener
+from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
 from gffe_cl.viewer.engine.attached.shared_memory import Recorder, RecordingPlan, SharedBlock, placed
-from gffe_cl.viewer.engine.attached.wire import Ask, Greeting, Look, Program, Recording, Refused, Seen, Use, own_version
+from gffe_cl.viewer.engine.attached.wire import (
+    FROM_VIEWER,
+    Ask,
+    Greeting,
+    Look,
+    Program,
+    Recording,
+    Refused,
+    Seen,
+    Use,
+)
 from gffe_cl.viewer.engine.buffers import Moment, Shot, device_layers, pixel_values, start_reading
 from gffe_cl.viewer.engine.explain.motion_trail import Passed
 from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story
@@ -40,7 +51,6 @@ from gffe_cl.viewer.engine.messages import Inspection
 _GREETING_SECONDS = 2.0
 _LEAST_SECONDS = 1 / 60  # between two frames that are looked at
 _MOST_SHARE = 0.1  # of the program's time that looking may take
-_MOST_RECORDED = 256
 _MOST_SKIPPED = 8  # frames that wait for one of the other kind
 _GENERATES = 3  # rendered frames that follow each other in a program that generates others now and then
 
@@ -135,46 +145,44 @@ def _serve(watcher: _Watcher, listener: Listener, pipeline: weakref.ref) -> None
             channel = listener.accept()
         except OSError:
             return
+        _look(watcher, channel, pipeline)  # a function of its own, so that nothing of it is kept
+
+
+def _look(watcher: _Watcher, channel: Channel, pipeline: weakref.ref) -> None:
+    """Serve a viewer until it leaves."""
+    viewer = None
+    try:
         viewer = _welcomed(channel, pipeline)
-        if viewer is None:
-            channel.close()
-            continue
         watcher.viewer = viewer
-        with suppress(EOFError, OSError):
-            while True:
-                viewer.take(channel.receive()[0])
+        while True:
+            viewer.take(channel.receive())
+    except Exception:  # whatever a viewer sends, the next one can come
+        channel.close()
         watcher.leave(viewer)
 
 
-def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer | None:
-    """The viewer, if it is one of this version."""
-    try:
-        greeting = channel.receive(_GREETING_SECONDS)[0]
-        own, looked_into = own_version(), pipeline()
-        if looked_into is None or not isinstance(greeting, Greeting):
-            return None
-        if greeting.version != own:
-            channel.send(Program(own, refused=f"it runs gffe-cl {own}, this viewer is of {greeting.version}"))
-            return None
-        sizes, fps = looked_into.sizes, looked_into.fps
-        about = Program(
-            own, os.getpid(), sizes.target, sizes.source, fps, looked_into.device.info.name, looked_into.options
-        )
-        channel.send(about)
-        count = min(greeting.frames, _MOST_RECORDED)
-        recorder = Recorder(RecordingPlan.of(count, sizes.source, sizes.target, fps)) if count else None
-        if recorder:
-            channel.send(Recording(recorder.plan), (recorder.block.descriptor,))
-        return _Viewer(channel, recorder)
-    except (OSError, EOFError, AttributeError, ValueError):
-        return None
+def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer:
+    """The viewer, after the greeting. Raises an exception of any type unless it is one of this version."""
+    channel.agree(_GREETING_SECONDS)
+    greeting = decoded(channel.receive(_GREETING_SECONDS), Greeting)
+    looked_into = pipeline()
+    if looked_into is None:
+        raise EOFError
+    sizes, fps = looked_into.sizes, looked_into.fps
+    about = Program(os.getpid(), sizes.target, sizes.source, fps, looked_into.device.info.name, looked_into.options)
+    channel.send(encoded(about))
+    recorder = None
+    if greeting.frames:
+        recorder = Recorder(RecordingPlan.of(greeting.frames, sizes.source, sizes.target, fps))
+        channel.send(encoded(Recording(recorder.plan)), (recorder.block.descriptor,))
+    return _Viewer(channel, recorder, sizes.target)
 
 
 class _Viewer:
     """A connected viewer: its requests, which arrive on a thread of their own, and the answers sent."""
 
-    def __init__(self, channel: Channel, recorder: Recorder | None):
-        self.channel, self.recorder = channel, recorder
+    def __init__(self, channel: Channel, recorder: Recorder | None, size: tuple[int, int]):
+        self.channel, self.recorder, self._size = channel, recorder, size
         self.looks: deque[Look] = deque(maxlen=1)
         self.asks: deque[Ask] = deque(maxlen=1)
         self.uses: deque[Use] = deque(maxlen=1)
@@ -182,9 +190,17 @@ class _Viewer:
         self.specs: dict[str, LayerSpec] | None = None
         self.pending: _Pending | None = None  # the layers it will receive
 
-    def take(self, message) -> None:
+    def take(self, packet: bytes) -> None:
+        """Note the request. Raises GffeError for other packets."""
+        message = decoded(packet, *FROM_VIEWER)
+        if isinstance(message, Ask):
+            require_whole(message.x, "attach: x", 0, self._size[0] - 1)
+            require_whole(message.y, "attach: y", 0, self._size[1] - 1)
         wishes = {Look: self.looks, Ask: self.asks, Use: self.uses}
         wishes[type(message)].append(message)
+
+    def send(self, message, fds: tuple[int, ...] = ()) -> None:
+        self.channel.send(encoded(message), fds)
 
 
 class _Watcher:
@@ -222,7 +238,9 @@ class _Watcher:
             self._keep(pipeline, frozenset())
 
     def submitted(self, pipeline: Pipeline, frame: RenderedFrame, on_device: DeviceFrame) -> None:
-        begins = frame.reset or pipeline.is_cut or self._camera is None
+        # Asking for cuts may wait for the device, which a program that nobody looks into must not.
+        is_cut = self.viewer is not None and pipeline.is_cut
+        begins = frame.reset or is_cut or self._camera is None
         self._number += 1
         self._before, self._camera = None if begins else self._camera, frame.camera
         self._frame = on_device
@@ -272,7 +290,7 @@ class _Watcher:
         try:
             pipeline.change_options(use.options)
         except GffeError as error:
-            viewer.channel.send(Refused(str(error), pipeline.options))
+            viewer.send(Refused(str(error), pipeline.options))
         else:
             self._kept, self._camera = frozenset(), None
             self._passed.clear()
@@ -371,7 +389,7 @@ class _Watcher:
         now = time.perf_counter()
         look_ms = pending.look_ms + (now - start) * 1e3
         self._rested = max(self._rested, now + look_ms * 1e-3 / _MOST_SHARE)
-        viewer.channel.send(
+        viewer.send(
             Seen(
                 pending.moment, places, specs, kernels, pending.frame_ms, look_ms, pipeline.bad_pixels,
                 pipeline.exposure, pipeline.options, self._pacer.statistics if self._pacer else None,
@@ -384,7 +402,7 @@ class _Watcher:
         story = pixel_story(pipeline, shot, ask.x, ask.y, values, self._passed)
         if ask.layers is not None:
             values = {name: value for name, value in values.items() if name in ask.layers}
-        viewer.channel.send(Inspection((ask.x, ask.y), 0, story.source, values, story))
+        viewer.send(Inspection((ask.x, ask.y), 0, story.source, values, story))
 
     def _since_mark(self, stage: Stage) -> list[tuple[str, cl.Event]]:
         """Return the stage's launches for this frame; the program's own `take_timings` returns them, too."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -13,14 +14,24 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pacing import PacingStatistics
 from gffe_cl.sequence import Sequence
-from gffe_cl.viewer.engine.attached.channel import connect
+from gffe_cl.viewer.engine.attached.channel import NO_ANSWER, OtherVersion, connect, own_version
+from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
 from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, mapped, recorded
-from gffe_cl.viewer.engine.attached.wire import Ask, Greeting, Look, Program, Recording, Refused, Seen, Use, own_version
+from gffe_cl.viewer.engine.attached.wire import (
+    FROM_PROGRAM,
+    Ask,
+    Greeting,
+    Look,
+    Program,
+    Recording,
+    Refused,
+    Seen,
+    Use,
+)
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Inspection
 
 FRAMES = 24  # rendered frames that are recorded unless asked otherwise
-MOST_FRAMES = 256
 _ANSWER_SECONDS = 5.0
 _POLL_SECONDS = 0.05
 _PACINGS = 240
@@ -50,7 +61,7 @@ class RunningProgram:
         self.specs: dict[str, LayerSpec] = {}
         self._channel = connect(name)
         self._news = threading.Condition()
-        self._seen: Seen | None = None
+        self._seen: tuple[Seen, dict[str, np.ndarray]] | None = None
         self._owed = False  # an answer to `see`
         self._inspection: Inspection | None = None
         self._refused: Refused | None = None
@@ -58,15 +69,19 @@ class RunningProgram:
         self._plan: RecordingPlan | None = None
         self._recorded: mmap.mmap | None = None
         try:
-            self._channel.send(Greeting(own_version(), frames))
-            self.about: Program = self._channel.receive(_ANSWER_SECONDS)[0]
-        except TimeoutError:
+            self._channel.agree(_ANSWER_SECONDS)
+            self._channel.send(encoded(Greeting(frames)))
+            self.about: Program = decoded(self._channel.receive(_ANSWER_SECONDS), Program)
+        except BaseException as error:
             self._channel.close()
-            raise GffeError(f"{name}: no answer (another viewer may be attached, or the program is stopped)") from None
-        except (EOFError, OSError):
-            raise GffeError(f"{name}: the program has ended, or cannot record so many frames") from None
-        if self.about.refused:
-            raise GffeError(f"{name}: {self.about.refused}")
+            reasons = {
+                TimeoutError: NO_ANSWER,
+                OtherVersion: f"it runs gffe-cl {error}, this viewer is of {own_version()} (expected the same version)",
+            }
+            if isinstance(error, EOFError | OSError | OtherVersion):
+                said = reasons.get(type(error), "the program has ended, or cannot record so many frames")
+                raise GffeError(f"{name}: {said}") from None
+            raise
         self.options = self.about.options
         threading.Thread(target=self._listen, name="gffe-viewer-attached", daemon=True).start()
 
@@ -84,9 +99,9 @@ class RunningProgram:
             self._wait("_seen", check)
         self._owed = True
         self._send(Look(layers, generated))
-        seen = self._wait("_seen", check)
+        seen, images = self._wait("_seen", check)
         self._owed = False
-        return seen, {name: np.array(place.array(self._block)) for name, place in seen.images.items()}
+        return seen, {name: np.array(image) for name, image in images.items()}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None, check: Callable[[], None]) -> Inspection:
         """Return the next frame's values at a pixel; as `see`."""
@@ -105,7 +120,7 @@ class RunningProgram:
 
     def _send(self, message) -> None:
         try:
-            self._channel.send(message)
+            self._channel.send(encoded(message))
         except OSError:
             self.ended = True
 
@@ -130,23 +145,35 @@ class RunningProgram:
     def _listen(self) -> None:
         try:
             while True:
-                self._take(*self._channel.receive())
-        except (EOFError, OSError):
+                packet, fds = self._channel.receive_with_fds()
+                try:
+                    self._take(decoded(packet, *FROM_PROGRAM), [mapped(descriptor) for descriptor in fds])
+                finally:
+                    for descriptor in fds:
+                        os.close(descriptor)
+        except Exception:  # the program has ended, or sends something else
+            self._channel.close()
             with self._news:
                 self.ended = True
                 self._news.notify_all()
 
-    def _take(self, message, fds: list[int]) -> None:
+    def _take(self, message, blocks: list[mmap.mmap]) -> None:
         with self._news:
             if isinstance(message, Recording):
-                self._plan, self._recorded = message.plan, mapped(fds[0])
+                (block,) = blocks
+                if message.plan.nbytes > len(block):
+                    raise GffeError(f"{self.name}: its recording is larger than its memory")
+                self._plan, self._recorded = message.plan, block
             elif isinstance(message, Seen):
-                if fds:
-                    self._block = mapped(fds[0])
+                if blocks:
+                    (self._block,) = blocks
+                if self._block is None:
+                    raise GffeError(f"{self.name}: no memory came with its images")
+                images = {name: place.array(self._block) for name, place in message.images.items()}
                 self.options, self.specs = message.options, message.specs or self.specs
                 if message.pacing is not None:
                     self.pacing.append(message.pacing)
-                self._seen = message
+                self._seen = message, images
             elif isinstance(message, Inspection):
                 self._inspection = message
             elif isinstance(message, Refused):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import mmap
 import os
-import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,15 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import (
+    require_exposure,
+    require_frame_rate,
+    require_number,
+    require_size,
+    require_whole,
+    shown,
+)
 from gffe_cl.formats.capture import described
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
@@ -20,6 +28,7 @@ from gffe_cl.sequence.description import FrameEntry, rendered_entry
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 from gffe_cl.stages.buffers import DeviceFrame
+from gffe_cl.viewer.engine.attached.encoding import NUMERIC, decoded, encoded
 
 _PAGE = mmap.PAGESIZE
 _ABOUT = 16 << 10  # bytes of a frame's description
@@ -49,11 +58,11 @@ class SharedBlock:
 
 
 def mapped(descriptor: int) -> mmap.mmap:
-    """The memory of another process's block, to read; the descriptor is closed."""
-    try:
-        return mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
-    finally:
-        os.close(descriptor)
+    """The memory of another process's block, to read. The caller still has to close the descriptor. Raises OSError for
+    a file that is no such block: reading one that shrinks would end this process."""
+    if not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+        raise OSError("not sealed")
+    return mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
 
 
 # ---- images ------------------------------------------------------------------------------------------------------
@@ -67,8 +76,12 @@ class Placed:
     dtype: str
     shape: tuple[int, ...]
 
+    def __post_init__(self):
+        if np.dtype(self.dtype).kind not in NUMERIC:
+            raise GffeError(f"attach: image has the type {shown(self.dtype)} (expected numbers)")
+
     def array(self, memory: mmap.mmap) -> np.ndarray:
-        """The image there, not a copy."""
+        """The image there, not a copy. Raises ValueError or TypeError where it does not lie in the memory."""
         return np.ndarray(self.shape, self.dtype, memory, self.offset)
 
 
@@ -97,6 +110,12 @@ class RecordingPlan:
     size: tuple[int, int]
     display: tuple[int, int]
     fps: float
+
+    def __post_init__(self):
+        require_whole(self.count, "attach: recorded frames", 1, 1 << 16)
+        for size in (self.size, self.display):
+            require_size(size, "attach: size of recorded frames", whole=True)
+        require_frame_rate(self.fps, "attach: fps")
 
     @classmethod
     def of(cls, wanted: int, size: tuple[int, int], display: tuple[int, int], fps: float) -> RecordingPlan:
@@ -146,6 +165,11 @@ class _About:
     reset: bool
     exposure: float
     cameras: dict[float, Camera]
+
+    def __post_init__(self):
+        require_whole(self.number, "attach: frame number", 0)
+        require_number(self.time, "attach: time")
+        require_exposure(self.exposure)
 
 
 class Recorder:
@@ -203,7 +227,7 @@ class Recorder:
         return self.plan.head(self.block.memory, self._slot)
 
     def _say(self) -> None:
-        said = pickle.dumps(self._about)
+        said = encoded(self._about)
         if len(said) > _ABOUT:  # very many frames were made from one
             return
         self.plan.about(self.block.memory, self._slot)[: len(said)] = np.frombuffer(said, np.uint8)
@@ -222,7 +246,10 @@ def recorded(plan: RecordingPlan, memory: mmap.mmap, name: str) -> Sequence | No
         images = [image.copy() for image in plan.images(memory, slot)]
         if plan.head(memory, slot)[0] != before[0]:
             continue  # it was written meanwhile
-        about = pickle.loads(said)
+        try:
+            about = decoded(said, _About)
+        except GffeError:
+            continue  # the program died meanwhile
         found[about.number] = about, images
     if not found:
         return None

@@ -1,24 +1,19 @@
-"""Protocol between a program and the viewer that is attached to it."""
+"""Messages between a program and the viewer that is attached to it. `encoding` turns them into bytes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass
 
+from gffe_cl.core.validation import require_frame_rate, require_size, require_whole
 from gffe_cl.frame.rendered_frame import BadPixels
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pacing import PacingStatistics
 from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Inspection
 
-
-def own_version() -> str:
-    """Of the package: both sides must be the same, since they exchange its objects."""
-    try:
-        return version("gffe-cl")
-    except PackageNotFoundError:
-        return "not installed"
+MOST_FRAMES = 256  # that a program records
 
 
 # ---- from the viewer ---------------------------------------------------------------------------------------------
@@ -26,10 +21,12 @@ def own_version() -> str:
 
 @dataclass(frozen=True)
 class Greeting:
-    """`version`: of the package; `frames`: rendered frames that the program is to keep."""
+    """First message. `frames`: rendered frames that the program is to keep, 0 to `MOST_FRAMES`."""
 
-    version: str
     frames: int
+
+    def __post_init__(self):
+        require_whole(self.frames, "attach: frames", 0, MOST_FRAMES)
 
 
 @dataclass(frozen=True)
@@ -63,16 +60,19 @@ class Use:
 
 @dataclass(frozen=True)
 class Program:
-    """Description of the answering program: sizes are (width, height). `refused`: the reason if viewers are refused."""
+    """Answer to the greeting: description of the program. Sizes are (width, height)."""
 
-    version: str
-    pid: int = 0
-    display: tuple[int, int] = (0, 0)
-    render_size: tuple[int, int] = (0, 0)
-    fps: float = 30.0
-    device: str = ""
-    options: Options = field(default_factory=Options)
-    refused: str = ""
+    pid: int
+    display: tuple[int, int]
+    render_size: tuple[int, int]
+    fps: float
+    device: str
+    options: Options
+
+    def __post_init__(self):
+        for size in (self.display, self.render_size):
+            require_size(size, "attach: size", whole=True)
+        require_frame_rate(self.fps, "attach: fps")
 
 
 @dataclass(frozen=True)
@@ -106,3 +106,7 @@ class Refused:
 
     why: str
     options: Options
+
+
+FROM_VIEWER = Look, Ask, Use  # after the greeting
+FROM_PROGRAM = Recording, Seen, Inspection, Refused  # after `Program`

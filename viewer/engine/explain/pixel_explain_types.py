@@ -53,8 +53,7 @@ class Story:
         Where that fragment lies in the rendered image, pixels.
     corrected : bool or None
         Whether shading correction changed its color; None for rendered frames and where that is off.
-    sentences : tuple of str
-        Some are a `Step`.
+    sentences : tuple of Step or str
     fragment : (int, int) or None
         Its pixel of the rendered image, where it is a fragment of that.
     way : tuple of WayPoint
@@ -71,6 +70,6 @@ class Story:
     level: int | None = None
     level_px: tuple[float, float] | None = None
     corrected: bool | None = None
-    sentences: tuple[str, ...] = ()
+    sentences: tuple[Step | str, ...] = ()
     fragment: tuple[int, int] | None = None
     way: tuple[WayPoint, ...] = ()
