@@ -36,6 +36,8 @@ _COMPARABLE = 0.5  # color score of static samples, below which movers' colors d
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings are equivalent
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
+_SAME_SHOT = 0.7  # of the usual color score along depth and cameras
+_MOST_GAPS = 12  # frames at which gaps are told from cuts
 _SKY_STILL = 0.05  # pixels
 
 
@@ -121,7 +123,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.looks = search.full.looks
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _tell_residuals(found, search_of)
-    _judge_order(found, looks)
+    _judge_order(found, looks, _gaps(found, clip, exposure))
     _note_sky(found, search)
     _judge_colors(found)
     _tell_unknown(found, search)
@@ -136,7 +138,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
         found.findings = [finding for finding in found.findings if finding.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
-    _judge_order(found, {})
+    _judge_order(found, {}, [])
     return found
 
 
@@ -263,7 +265,21 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
+def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> list[int]:
+    """Return the frames that the one before does not fit though it shows the same: depth and cameras lead to the same
+    colors, only the vectors lead elsewhere."""
+    assert found.order is not None and found.best is not None  # examined before
+    gaps = []
+    for index in found.order.misfits[:_MOST_GAPS]:
+        pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
+        look = pair[index]
+        if look.motion is not None and np.nanmedian(np.abs(look.motion)) > 0:
+            color = Search([look]).camera_color(found.reading.camera, found.reading.depth)
+            gaps += [index] if color > _SAME_SHOT * found.best.camera_color else []
+    return gaps
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> None:
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -271,12 +287,12 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
-    for index in order.gaps:
+    for index in gaps:
         sentence = f"gap before frame {index} ({looks[index].file}): the frame that its vectors lead to is missing"
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )
-    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in order.gaps):
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gffe_cl.doctor.hypotheses.cameras import CAMERA_AS_GIVEN
 from gffe_cl.doctor.hypotheses.depths import rays
 from gffe_cl.doctor.hypotheses.motions import MOTION_AS_GIVEN
 from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Clip, Look
 from gffe_cl.doctor.hypotheses.scoring import Reach
 from gffe_cl.doctor.hypotheses.search import Reading
-from gffe_cl.frame.camera import Camera, predict_camera
+from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry
 
@@ -22,7 +21,6 @@ _FINEST = 0.3  # pixels: residuals that always agree
 _BETTER = 0.2  # share of samples by which another frame must fit better than the one before
 _LEAST = 0.3  # share of samples that agree in correct pairs; below it there is no result
 _SURE = 0.5  # share of samples that must agree with another frame than the one before
-_BETWEEN = np.linspace(0.1, 0.9, 17)  # of the way to the frame before: places of frames that may be missing
 _WINDOW = 24  # frames before and after, among which the right one is looked for
 
 
@@ -31,14 +29,12 @@ class Order:
     """Evidence from pairs of frames.
 
     `fits`: {frame → share of samples that agree with the frame before}; `misfits`: frames that do not follow the one
-    before them; `order`: the frames in the order in which they follow each other, or None; `gaps`: misfits whose
-    vectors lead to a place between their camera and that of the frame before.
+    before them; `order`: the frames in the order in which they follow each other, or None.
     """
 
     fits: dict[int, float]
     misfits: list[int]
     order: list[int] | None
-    gaps: list[int] = field(default_factory=list)
 
 
 class Reordered:
@@ -71,7 +67,6 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
     misfits = [index for index, share in fits.items() if share < _FITTING * usual]
     if not misfits or reading.motion.held_by:
         return Order(fits, misfits, None)
-    gaps = [index for index in misfits if _leads_between(looks[index], reading, step) >= _FITTING * usual]
     step_to = reading.motion.step
     leads_to = {index: index + step_to for index in fits if index not in misfits}
     for index in fits:  # where little moves, even frames that are no misfits may fit another one much better
@@ -79,18 +74,7 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
         if share >= max(_FITTING * usual, fits[index] + _BETTER):
             leads_to[index] = best
     before = leads_to if step_to == PREVIOUS else {target: index for index, target in leads_to.items()}
-    return Order(fits, misfits, _chain(before, count) if len(looks) == count else None, gaps)
-
-
-def _leads_between(look: Look, reading: Reading, step: float) -> float:
-    """Return the largest share of samples whose vectors lead to a camera on the way to that of the other frame."""
-    here, there = (reading.camera.read(camera) for camera in (look.camera, look.camera_of(reading.motion.step)))
-    if here.direction @ there.direction <= 0:
-        return 0.0
-    plain, shares = replace(reading, camera=CAMERA_AS_GIVEN), []
-    for at in _BETWEEN:
-        shares.append(np.nan_to_num(_share(look, here, predict_camera(there, here, -at), plain, step)))
-    return float(max(shares))
+    return Order(fits, misfits, _chain(before, count) if len(looks) == count else None)
 
 
 def shuffled_order(looks: dict[int, Look], count: int, step: float) -> list[int] | None:
