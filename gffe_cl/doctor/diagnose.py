@@ -288,7 +288,8 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> N
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
     for index in gaps:
-        sentence = f"gap before frame {index} ({looks[index].file}): the frame that its vectors lead to is missing"
+        sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
+        sentence += " vectors do not lead there; a frame may be missing"
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )

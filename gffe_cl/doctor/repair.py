@@ -24,6 +24,7 @@ _FAR = 1e9  # stands for infinity where directions are reprojected
 _OWN = 0.25  # pixels: samples that move by less than this, apart from the camera's motion, are static
 _ONE_SURFACE = 0.1  # relative difference of depths
 _USUAL_DEPTH = 5.0  # world units: of two units that are both consistent, the one with depths nearer to this is chosen
+_REFUSED = "nothing is written (expected fewer findings to repair: --only or --except)"
 _COMPARED = 20_000  # pixels of a frame in which residuals are compared
 _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which parameters are rounded, if so near
 
@@ -67,12 +68,12 @@ class Repair:
         for file, one in self._comparisons:
             if one.is_worse:
                 off = f"vectors would be {one.read:.3g} px off, as given they are {one.given:.3g} px off"
-                raise GffeError(f"the repair would make {file} worse: {off}; nothing is written")
+                raise GffeError(f"the repair would make {file} worse: {off}; {_REFUSED}")
         better = sum(one.is_better for _, one in self._comparisons)
         changes = replace(self._reading, rows=tuple(row for row in self._rows if row != "color")) != Reading()
         if changes and self._comparisons and 2 * better <= len(self._comparisons):
             counts = f"{better} of the {len(self._comparisons)} frames that can tell"
-            raise GffeError(f"the repair is not clearly better: only {counts} fit better by it; nothing is written")
+            raise GffeError(f"the repair is not clearly better: only {counts} fit better by it; {_REFUSED}")
 
     def _compare(self, index: int, made: RenderedFrame, before: RenderedFrame | None) -> None:
         if before is None or index == 0 or made.motion is None:
