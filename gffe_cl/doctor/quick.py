@@ -30,6 +30,9 @@ _TURNED = 0.15  # of the share of samples and the color score, by which buffers 
 _FEWEST = 64  # least number of samples with distinctive colors
 _LIKELY, _LIKELIER = 0.5, 0.2  # least agreement of a cause that is named, and by how much it must be better
 _JITTER = 0.15, 1.6  # pixels: least and largest common offset of a frame's vectors that is jitter
+_ALIKE = 0.1  # of scores: a likely cause with about the score of turned buffers is the simpler explanation
+_GIVEN = Reading()
+_JITTERED = "motion vectors are off by another part of a pixel in every frame"
 _STEADY = 0.25  # of that offset: most that other residuals are
 _UPSIDE_DOWN = {(buffer,): f"{buffer} is upside down against the other buffers" for buffer in BUFFERS} | {
     BUFFERS: "y of motion vectors and cameras does not fit the rows of the buffers",
@@ -97,22 +100,23 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
         assert fit is not None  # as there is one of the same frames as given
         turned[rows] = fit.score
     best = max(turned, key=turned.__getitem__)
-    cause = _likely_cause(looks) if given.share < _FITS else ""
-    if turned[best] > given.score + _TURNED and not (cause and best == BUFFERS):  # of all of them one may be simpler
+    is_turned = turned[best] > given.score + _TURNED
+    cause, score = _likely_cause(looks, edges) if is_turned or given.share < _FITS else ("", 0.0)
+    if is_turned and not (cause and score > turned[best] - _ALIKE):
         return _UPSIDE_DOWN[best]
-    if given.share < _FITS:
+    if is_turned or given.share < _FITS:
         likely = f", most likely {cause}" if cause else ""
         return f"motion vectors do not fit depth and cameras (median {np.median(given.off):.3g} px){likely}"
     if _has_jitter(looks):
-        return "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed"
+        return f"{_JITTERED}: camera jitter is in them, or in the cameras, alone"
     if given.still > given.along + _COLORS:
         return "motion vectors do not fit the colors"
     return None
 
 
-def _likely_cause(looks: dict[int, Look]) -> str:
-    """Return the findings of the simplest reading of one buffer with which vectors, depth and cameras agree, or that
-    vectors lack the camera's part; "" if none explains it."""
+def _likely_cause(looks: dict[int, Look], edges: float) -> tuple[str, float]:
+    """Return the findings of the simplest reading of one buffer with which vectors, depth and cameras agree, and its
+    score; or that vectors lack the camera's part, or "", which have none."""
     search = Search([look for look in looks.values() if look.neighbors])
     bench = search.full
 
@@ -126,10 +130,11 @@ def _likely_cause(looks: dict[int, Look]) -> str:
         motion, static = (np.linalg.norm(np.nan_to_num(part), axis=-1) for part in search.motions(Reading(), bench))
         seen = bench.solid & (static > _LEAST)
         if not seen.any() or not mostly_nothing(motion[seen]):
-            return ""
-        return "motion without the camera" if motion.any() else "motion zero"
-    found = faults_of(best, bench.stored[bench.solid])
-    return printable(f"{found[0].about} {', '.join(finding.name for finding in found)}") if found else ""
+            return "", 0.0
+        return ("motion without the camera" if motion.any() else "motion zero"), 0.0
+    found, fit = faults_of(best, bench.stored[bench.solid]), _fit(looks, edges, best)
+    words = f"{found[0].about} {', '.join(finding.name for finding in found)}" if found else ""
+    return printable(words), fit.score if fit else 0.0
 
 
 def _single_causes(search: Search) -> Iterator[Reading]:
@@ -154,20 +159,21 @@ def _has_jitter(looks: dict[int, Look]) -> bool:
     return bool(apart and (size > least).all() and (size < _JITTER[1]).all() and (medians < _STEADY * size).all())
 
 
-def _fit(looks: dict[int, Look], edges: float) -> _Fit | None:
+def _fit(looks: dict[int, Look], edges: float, reading: Reading = _GIVEN) -> _Fit | None:
     """Return None if there is nothing to compare."""
-    pairs = [look for look in looks.values() if PREVIOUS in look.neighbors and look.motion is not None]
+    step_to = reading.motion.step
+    pairs = [look for look in looks.values() if step_to in look.neighbors and look.motion is not None]
     if not pairs:
         return None
     bench = Bench(pairs)
-    motion, static = Search.motions(Reading(), bench)
+    motion, static = Search.motions(reading, bench)
     use = bench.solid & np.isfinite(motion).all(-1)
     off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
     if len(off) < 16:
         return None
     length, step = float(np.median(np.linalg.norm(motion[use], axis=-1))), largest_step(motion_steps(pairs))
     near = max(_AGREES * length, _LEAST, step)
-    scores = bench.color_scores(np.stack([motion, np.zeros_like(motion)]), PREVIOUS)
+    scores = bench.color_scores(np.stack([motion, np.zeros_like(motion)]), step_to)
     telling = np.isfinite(scores).all(0) & moving(motion) & (np.linalg.norm(np.nan_to_num(motion), axis=-1) > 1)
     along = still = float("nan")
     if telling.sum() >= _FEWEST:

@@ -143,7 +143,7 @@ CAUSES = {
     "motion y flipped": "most likely motion y flipped",
     "depth device": "most likely depth device",
     "camera inverted": "most likely camera inverted",
-    "motion jitter not removed": "camera jitter is not removed",
+    "motion jitter not removed": "camera jitter is in them, or in the cameras, alone",
 }
 
 
