@@ -226,22 +226,20 @@ def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) 
     reading = verdict.reading
     if reading in (Reading(), Reading(rows=("color",))):
         return True
-    pairs = []
-    for one in (Reading(), reading):
-        search = search_of(one.rows)
-        pairs.append((search.full, *search.motions(one, search.full), one.motion.step))
-    (bench, *given, _), (_, *read, _) = pairs
-    compared = [Comparison.of(given, read, part, search.step) for part in bench.parts(bench.solid)]
+    before, after = search_of(()), search_of(reading.rows)
+    given, read = before.motions(Reading(), before.full), after.motions(reading, after.full)
+    solid = before.full.solid
+    compared = [Comparison.of(given, read, part, before.step) for part in before.full.parts(solid)]
     telling = [one for one in compared if one is not None]
     if telling and 2 * sum(one.is_better for one in telling) <= len(telling):
         return False
     if telling and not reading.motion.adds_camera:
         return True
     scores = []
-    for bench, motion, _, step in pairs:
+    for bench, motion, step in ((before.full, given[0], PREVIOUS), (after.full, read[0], reading.motion.step)):
         score = bench.color_scores(motion, step)
         scores.append(bench.by_frame(score, np.isfinite(score) & bench.solid))
-    gains = [gain for gain, one in zip(np.subtract(*scores[::-1]), compared, strict=True) if one or not telling]
+    gains = [gain for gain, one in zip(scores[1] - scores[0], compared, strict=True) if one or not telling]
     known = np.array(gains)[np.isfinite(gains)]
     return bool(2 * (known > 0).sum() > len(known))
 

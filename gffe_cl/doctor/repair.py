@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,14 @@ from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range, rays
 from gffe_cl.doctor.hypotheses.motions import MotionReading
 from gffe_cl.doctor.hypotheses.sampling import NEXT, Clip, leads_out
-from gffe_cl.doctor.hypotheses.scoring import Comparison
+from gffe_cl.doctor.hypotheses.scoring import Comparison, Vectors
 from gffe_cl.doctor.hypotheses.search import Reading
 from gffe_cl.doctor.hypotheses.transfer_function import srgb_to_linear
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 
+_KEPT = 3  # frames in memory as they are given
 _FAR = 1e9  # stands for infinity where directions are reprojected
 _OWN = 0.25  # pixels: samples that move by less than this, apart from the camera's motion, are static
 _ONE_SURFACE = 0.1  # relative difference of depths
@@ -34,6 +36,7 @@ class Repair:
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
+        self._read = lru_cache(_KEPT)(lambda index: clip.read(clip.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
         self._comparisons: list[tuple[str, Comparison]] = []  # of the frames so far
@@ -78,16 +81,18 @@ class Repair:
     def _compare(self, index: int, made: RenderedFrame, before: RenderedFrame | None) -> None:
         if before is None or index == 0 or made.motion is None:
             return
-        given_before, given = (self._clip.read(self._clip.rendered[k]) for k in (index - 1, index))
+        given_before, given = (self._read(k) for k in (index - 1, index))
         if given.reset or given.motion is None or np.shape(given_before.depth) != np.shape(given.depth):
             return
         height, width = np.shape(given.depth)
         every = max(1, round(np.sqrt(height * width / _COMPARED)))
-        pairs = []
-        for frame, other in ((given, given_before.camera), (made, before.camera)):
+
+        def vectors(frame: RenderedFrame, other: Camera) -> Vectors:
             motion = np.asarray(frame.motion, np.float64)[::every, ::every].reshape(-1, 2)
             motion = np.where(leads_out(motion, (width, height))[:, None], np.nan, motion)
-            pairs.append((motion, static_motion(frame, other, every).reshape(-1, 2)))
+            return motion, static_motion(frame, other, every).reshape(-1, 2)
+
+        pairs = vectors(given, given_before.camera), vectors(made, before.camera)
         solid = np.isfinite(given.depth) & np.isfinite(made.depth) & (np.abs(made.depth) < _FAR)
         compared = Comparison.of(*pairs, solid[::every, ::every].ravel(), self._diagnosis.step)
         if compared is not None:
@@ -111,7 +116,7 @@ class Repair:
         return np.ascontiguousarray(image[::-1]) if buffer in self._rows else image
 
     def _geometry(self, index: int, time: float, reset: bool) -> RenderedFrame:
-        frame = self._clip.read(self._clip.rendered[index])
+        frame = self._read(index)
         display = frame.display_camera and self.camera(frame.display_camera)
         camera = self.camera(frame.camera)
         depth = self._planar(self._turned("depth", np.asarray(frame.depth)), camera)
@@ -156,10 +161,9 @@ class Repair:
 
     def _converted(self, index: int, shape: tuple[int, ...]) -> np.ndarray | None:
         """(H, W, 2) float64 pixels: the vectors in the file of the frame `index`; None where there are none."""
-        entries = self._clip.rendered
-        if not 0 <= index < len(entries):
+        if not 0 <= index < len(self._clip.rendered):
             return None
-        stored = self._clip.read(entries[index]).motion
+        stored = self._read(index).motion
         if stored is None or np.shape(stored) != shape:
             return None
         height, width = shape[:2]

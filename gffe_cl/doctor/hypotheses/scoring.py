@@ -132,6 +132,9 @@ class Bench:
         return score
 
 
+Vectors = tuple[np.ndarray, np.ndarray]  # motion vectors and static motion, (N, 2) pixels each
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Residuals of static points in one frame, in pixels: as `given` and as `read`. `step`: of quantized vectors."""
@@ -141,11 +144,11 @@ class Comparison:
     step: float = 0.0
 
     @classmethod
-    def of(cls, given: tuple, read: tuple, solid: np.ndarray, step: float = 0.0) -> Comparison | None:
-        """Compare two pairs of motion vectors and static motion, (N, 2) pixels each, at the samples `solid` (N,);
-        None if the camera moves so few of them visibly that the frame cannot tell."""
-        static = [np.linalg.norm(np.nan_to_num(pair[1]), axis=-1) for pair in (given, read)]
-        telling = solid & (np.maximum(*static) > _VISIBLE)
+    def of(cls, given: Vectors, read: Vectors, solid: np.ndarray, step: float = 0.0) -> Comparison | None:
+        """Compare the vectors at the samples `solid` (N,); None if the camera moves so few of them visibly that the
+        frame cannot tell."""
+        moved = [np.linalg.norm(np.nan_to_num(static), axis=-1) for _, static in (given, read)]
+        telling = solid & (np.maximum(moved[0], moved[1]) > _VISIBLE)
         low = [
             np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[telling & np.isfinite(motion).all(-1)], nan=np.inf)
             for motion, static in (given, read)
