@@ -167,7 +167,8 @@ def _camera_moves(entries: list[FrameEntry], indices: list[int]) -> np.ndarray:
             step = here.world_to_view @ np.linalg.inv(before.world_to_view)
             moved[row] = np.linalg.norm(step[:3, :3] - np.eye(3)), np.linalg.norm(step[:3, 3])
     usual = [np.quantile(part[part > 0], 0.9, method="lower") if part.any() else np.inf for part in moved.T]
-    return (moved >= np.multiply(_MOVES, usual)).any(-1) & (moved <= np.multiply(_JUMPS, usual)).all(-1)
+    least, most = np.multiply(_MOVES, usual), np.multiply(_JUMPS, usual)
+    return np.logical_and((moved >= least).any(-1), (moved <= most).all(-1))
 
 
 def _spread(count: int, pixels: int) -> list[int]:

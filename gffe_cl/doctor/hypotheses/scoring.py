@@ -149,13 +149,13 @@ class Comparison:
         frame cannot tell."""
         moved = [np.linalg.norm(np.nan_to_num(static), axis=-1) for _, static in (given, read)]
         telling = solid & (np.maximum(moved[0], moved[1]) > _VISIBLE)
-        low = [
-            np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[telling & np.isfinite(motion).all(-1)], nan=np.inf)
-            for motion, static in (given, read)
-        ]
-        if min(map(len, low)) < _FEWEST:
-            return None
-        return cls(*(float(np.quantile(off, _LOW, method="lower")) for off in low), step)
+        low = []
+        for motion, static in (given, read):
+            off = np.linalg.norm(motion - static, axis=-1)[telling & np.isfinite(motion).all(-1)]
+            if len(off) < _FEWEST:
+                return None
+            low.append(float(np.quantile(np.nan_to_num(off, nan=np.inf), _LOW, method="lower")))
+        return cls(low[0], low[1], step)
 
     @property
     def is_better(self) -> bool:
