@@ -109,7 +109,7 @@ def mistakes(game: Game) -> None:
         source = {"skin without its old vertices": rigid, "jitter not in cx, cy": jittered}.get(mistake.name, right)
         frames = [mistake.make(frame, before) for frame, before in zip(source, [None, *source], strict=False)]
         image = generated(frames, camera, time)
-        found = gffe.check(frames[1:4]) or "nothing"
+        found = (gffe.check(frames[1:4]) or "nothing").partition("; ")[0]
         tiles.append((f"mistake: {mistake.name}", image))
         rows.append((mistake.name, f"{gffe.psnr(image, truth):.2f}", found))
     write_tables("tutorial_live.md", {"mistakes": table(("mistake", "PSNR, dB", "`gffe.check` finds"), rows)})

@@ -44,15 +44,16 @@ def export(
     from gffe_cl.export import export as write
     from gffe_cl.export import write_frames
     from gffe_cl.opencl.device import open_device
+    from gffe_cl.scenes import is_scene
 
     if frames is None and size is not None:
         raise GffeError("--size is for --frames of a built-in scene")
     options = replace(options, shading_correction=bool(options.shading_correction))
     opened, source = open_device(device), None
     if frames is not None:
-        opened, source = open_source(
-            frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None}, options.upscale
-        )
+        made = count if is_scene(str(frames)) else None  # a capture has its own
+        live = {"--size": size, "--frames": made, "--fps": None, "--seed": None}
+        opened, source = open_source(frames, None, device, live, options.upscale)
     written = write(output, opened, options)
     out.print(f"{len(written)} files in {plain(output)}: README.md explains how to build and call them.")
     if source:

@@ -15,12 +15,15 @@ from gffe_cl.doctor.hypotheses.missing_camera_motion import without_camera
 from gffe_cl.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.doctor.hypotheses.row_order import search_rows
 from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, take_looks, with_rows
+from gffe_cl.doctor.hypotheses.scoring import Comparison
 from gffe_cl.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.doctor.hypotheses.transfer_function import display_curve_votes
 from gffe_cl.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
 from gffe_cl.frame.rendered_frame import BadPixels
+from gffe_cl.sequence import FrameEntry
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
+_MOVES, _JUMPS = 0.1, 10.0  # of the camera's usual movement: frames with less are still, with more they are cuts
 _SAMPLES = 2500  # of each frame
 _MOST_READ, _MOST_PIXELS = 40, 80_000_000  # frames and pixels that are read, whichever is more
 _DOUBTFUL = 0.5  # agreements below that make one look for another order of frames
@@ -33,6 +36,8 @@ _COMPARABLE = 0.5  # color score of static samples, below which movers' colors d
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings are equivalent
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
+_SAME_SHOT = 0.7  # of the usual color score along depth and cameras
+_MOST_GAPS = 12  # frames at which gaps are told from cuts
 _SKY_STILL = 0.05  # pixels
 
 
@@ -42,8 +47,8 @@ class Diagnosis:
 
     `findings`: faults, notes, and what cannot be told; `reading`: how the buffers are to be read; `given`, `best`:
     verdicts on what is given and on `reading`; `others`: on the next best; `order`: of the frames; `residuals`: pixels
-    as given and as read; `decodes_color`: colors are to be made linear, which only `gffe_cl.doctor.selected` decides;
-    `frames`: how many were looked at.
+    as given and as read; `step`: of quantized vectors, pixels; `decodes_color`: colors are to be made linear, which
+    only `gffe_cl.doctor.selected` decides; `frames`: how many were looked at.
     """
 
     findings: list[Finding]
@@ -53,6 +58,7 @@ class Diagnosis:
     others: list[Verdict] = field(default_factory=list)
     order: Order | None = None
     residuals: dict[str, float] = field(default_factory=dict)
+    step: float = 0.0
     decodes_color: bool = False
     frames: int = 0
     looks: list[Look] = field(default_factory=list, repr=False)
@@ -74,12 +80,14 @@ class Diagnosis:
 def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     """Examine the rendered frames of `clip`. Raises GffeError if it has none, or if a file cannot be read."""
     count = len(clip.rendered)
-    deep = _deep_frames(count)
+    deep = _deep_frames(clip.rendered)
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
     looks = take_looks(clip, beside | set(_spread(count, _pixels(clip))), _SAMPLES, beside, exposure)
     found = Diagnosis([], Reading(), frames=len(looks))
     found.looks = [looks[k] for k in deep if looks[k].neighbors]
     _note_bad_pixels(found, looks)
+    _note_unknown_motion(found, looks)
+    _note_resets(found, clip.rendered)
     if not any(PREVIOUS in look.neighbors for look in found.looks):
         found.findings.append(
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
@@ -93,6 +101,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         added = are_sums(motion[given.full.solid], static[given.full.solid], steps)
         step *= 1 + added
         found.findings.append(motion_finding(steps, found.looks, added))
+    found.step = step
     found.findings += precision_notes(found.looks, exposure)
 
     edges = edge_agreement(found.looks)
@@ -112,9 +121,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _judge(found, search_of)
     search = search_of(found.reading.rows)
     found.looks = search.full.looks
-    _tell_residuals(found, search_of)
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
-    _judge_order(found, looks)
+    _tell_residuals(found, search_of)
+    _judge_order(found, looks, _gaps(found, clip, exposure))
     _note_sky(found, search)
     _judge_colors(found)
     _tell_unknown(found, search)
@@ -129,14 +138,37 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
         found.findings = [finding for finding in found.findings if finding.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
-    _judge_order(found, {})
+    _judge_order(found, {}, [])
     return found
 
 
-def _deep_frames(count: int) -> list[int]:
-    if count < 3:
-        return list(range(count))
-    return sorted(set(np.linspace(1, count - 2, _DEEP).round().astype(int).tolist()))
+def _deep_frames(entries: list[FrameEntry]) -> list[int]:
+    """Return frames that can tell something, evenly spread: the camera moves before them, and it does not jump."""
+    if len(entries) < 3:
+        return list(range(len(entries)))
+    inner = [k for k in range(1, len(entries) - 1) if not entries[k].reset]
+    telling = [k for k, moves in zip(inner, _camera_moves(entries, inner), strict=True) if moves]
+    chosen = _some(telling, _DEEP)
+    return sorted(chosen + _some([k for k in inner if k not in telling], _DEEP - len(chosen)))
+
+
+def _some(indices: list[int], most: int) -> list[int]:
+    if len(indices) <= most:
+        return indices
+    return [indices[k - 1] for k in sorted(set(np.linspace(1, len(indices), most).round().astype(int).tolist()))]
+
+
+def _camera_moves(entries: list[FrameEntry], indices: list[int]) -> np.ndarray:
+    """(indices,) bool: the camera moves before the frame, and not so far that it must be a cut."""
+    moved = np.zeros((len(indices), 2))  # how far it turns, and how far it goes
+    for row, k in enumerate(indices):
+        before, here = entries[k - 1].render_camera, entries[k].render_camera
+        if before is not None and here is not None:
+            step = here.world_to_view @ np.linalg.inv(before.world_to_view)
+            moved[row] = np.linalg.norm(step[:3, :3] - np.eye(3)), np.linalg.norm(step[:3, 3])
+    usual = [np.quantile(part[part > 0], 0.9, method="lower") if part.any() else np.inf for part in moved.T]
+    least, most = np.multiply(_MOVES, usual), np.multiply(_JUMPS, usual)
+    return np.logical_and((moved >= least).any(-1), (moved <= most).all(-1))
 
 
 def _spread(count: int, pixels: int) -> list[int]:
@@ -155,11 +187,13 @@ def _pixels(clip: Clip) -> int:
 
 def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
     bench, mirrored = search_of(()).full, None
+    assert found.given is not None  # judged before
     found.best = without_camera(search_of(()))
-    if found.best is None:
-        assert found.given is not None  # judged before
+    if found.best is None or not _is_clear(found.best, search_of):
         ways = search_rows(search_of)
         found.best = _convincing(ways.verdicts, found.given)
+        if not _is_clear(found.best, search_of):
+            found.best = found.given
         found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
         mirrored = ways.doubt(found.best.reading)
     found.reading = found.best.reading
@@ -187,11 +221,38 @@ def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
     return given
 
 
+def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
+    """Return whether the reading of `verdict` is better than the given one in most of the frames that can tell. Where
+    vectors lack the camera's part, and where the camera stands still, colors tell."""
+    reading = verdict.reading
+    if reading in (Reading(), Reading(rows=("color",))):
+        return True
+    before, after = search_of(()), search_of(reading.rows)
+    given, read = before.motions(Reading(), before.full), after.motions(reading, after.full)
+    solid = before.full.solid
+    compared = [Comparison.of(given, read, part, before.step) for part in before.full.parts(solid)]
+    telling = [one for one in compared if one is not None]
+    if telling and 2 * sum(one.is_better for one in telling) <= len(telling):
+        return False
+    if telling and not reading.motion.adds_camera:
+        return True
+    scores = []
+    for bench, motion, step in ((before.full, given[0], PREVIOUS), (after.full, read[0], reading.motion.step)):
+        score = bench.color_scores(motion, step)
+        scores.append(bench.by_frame(score, np.isfinite(score) & bench.solid))
+    gains = [gain for gain, one in zip(scores[1] - scores[0], compared, strict=True) if one or not telling]
+    known = np.array(gains)[np.isfinite(gains)]
+    return bool(2 * (known > 0).sum() > len(known))
+
+
 def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
+    """Of the frames that follow the one before."""
+    misfits = found.order.misfits if found.order else []
+    cuts = [place for place, look in enumerate(found.looks) if look.index in misfits]
     for name, reading in (("given", Reading()), ("read", found.reading)):
         search = search_of(reading.rows)
         motion, static = search.motions(reading, search.full)
-        use = search.full.solid & np.isfinite(motion).all(-1)
+        use = search.full.solid & np.isfinite(motion).all(-1) & ~np.isin(search.full.frame, cuts)
         off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
         length = np.linalg.norm(motion[use], axis=-1)
         near = max(0.1 * float(np.median(length)) if len(length) else 0.0, 0.3, search.step)
@@ -203,7 +264,21 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
+def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> list[int]:
+    """Return the frames that the one before does not fit though it shows the same: depth and cameras lead to the same
+    colors, only the vectors lead elsewhere."""
+    assert found.order is not None and found.best is not None  # examined before
+    gaps = []
+    for index in found.order.misfits[:_MOST_GAPS]:
+        pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
+        look = pair[index]
+        if look.motion is not None and np.nanmedian(np.abs(look.motion)) > 0:
+            color = Search([look]).camera_color(found.reading.camera, found.reading.depth)
+            gaps += [index] if color > _SAME_SHOT * found.best.camera_color else []
+    return gaps
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> None:
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -211,7 +286,13 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
-    for index in (k for k in order.misfits if order.fits[k] < _CUT):
+    for index in gaps:
+        sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
+        sentence += " vectors do not lead there; a frame may be missing"
+        found.findings.append(
+            Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
+        )
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})
@@ -227,6 +308,31 @@ def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
     if total:
         sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
         found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))
+
+
+def _note_unknown_motion(found: Diagnosis, looks: dict[int, Look]) -> None:
+    """Vectors that lead out of the image from everywhere, and the value that most of them have."""
+    unknown = sum(look.unknown for look in looks.values())
+    if not unknown:
+        return
+    share = 100 * unknown / sum(look.size[0] * look.size[1] for look in looks.values() if look.motion is not None)
+    sentence = f"{share:.2g}% of the motion vectors are longer than the image's diagonal: they count as unknown"
+    values, counts = np.unique(
+        np.concatenate([look.unknown_values for look in looks.values()]), axis=0, return_counts=True
+    )
+    if len(counts) and counts.max() > 0.5 * counts.sum():
+        common = ", ".join(f"{value:g}" for value in values[counts.argmax()])
+        sentence += f"; most of them are ({common}) px, as where nothing was written"
+    found.findings.append(Finding(NOTE, "motion", "unknown", sentence, figures={"share": share / 100}))
+
+
+def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:
+    """Frames after the first that are marked as resets."""
+    resets = [str(k) for k, entry in enumerate(entries) if k and entry.reset]
+    if resets:
+        frames = f"frames {', '.join(resets[:12])}{' …' if len(resets) > 12 else ''} are resets"
+        sentence = f"{frames if len(resets) > 1 else f'frame {resets[0]} is a reset'}: what leads across is left out"
+        found.findings.append(Finding(NOTE, "frames", "reset", sentence, figures={"frames": len(resets)}))
 
 
 def _note_sky(found: Diagnosis, search: Search) -> None:

@@ -18,6 +18,7 @@ from gffe_cl.sequence.encoding import Encoding
 NEAR, FAR = 0.1, 1000.0  # world units, of device depths
 _FOCAL_ERROR = 1.08
 _GRAIN = 0.03  # of linear colors
+_UNWRITTEN, _FEW = 65504.0, 0.002  # pixels, and the share of vectors that have this value
 _JITTER = 8  # positions of the Halton sequence
 _CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
 
@@ -172,6 +173,19 @@ def _sky_still(frame):
     return {"motion": np.where(np.isinf(frame.depth)[..., None], 0, frame.motion).astype(np.float32)}
 
 
+def _few_unwritten(frames):
+    rng = np.random.default_rng(2)
+
+    def change(v, size):
+        return np.where((rng.random(v.shape[:2]) < _FEW)[..., None], _UNWRITTEN, v)
+
+    return _motion(change)(frames)
+
+
+def _one_dropped(frames):
+    return [frame for k, frame in enumerate(frames) if k != len(frames) // 2]
+
+
 def _letterboxed(frame):
     color, bar = frame.color.copy(), len(frame.color) // 8
     color[:bar] = color[-bar:] = 0
@@ -261,21 +275,25 @@ HARMLESS: dict[str, Callable] = {
     "vectors to 1/16 px": _motion(lambda v, size: np.round(v * 16) / 16),
     "vectors to 1 px": _motion(lambda v, size: np.round(v)),
     "sky without motion": _each(_sky_still),
+    "few vectors unwritten": _few_unwritten,
     "letterboxed": _each(_letterboxed),
     "film grain": _grainy,
     "exposure fades in": _fading_in,
     "as in an engine's capture": _each(lambda frame: vars(_CAPTURE.frame(frame))),
 }
 
+GAPS: dict[str, Callable] = {"frame dropped": _one_dropped}
+
 
 def broken(clip: Kept, names: list[str]) -> Kept:
-    """`clip` with the faults `names` (of BREAKS or HARMLESS), one after the other; GffeError for an unknown one."""
-    frames = clip.images
+    """`clip` with the faults `names` (of BREAKS, HARMLESS or GAPS), one after the other; GffeError for an unknown
+    one."""
+    frames, known = clip.images, {name: change for name, (_, change) in BREAKS.items()} | HARMLESS | GAPS
     for name in names:
-        if name not in BREAKS and name not in HARMLESS:
-            raise GffeError(f"unknown fault '{name}': expected one of {', '.join((*BREAKS, *HARMLESS))}")
+        if name not in known:
+            raise GffeError(f"unknown fault '{name}': expected one of {', '.join(known)}")
         if name == "motion to the next frame" and clip.forward is not None:
             frames = _with_motion(frames, clip.forward)
             continue
-        frames = (BREAKS[name][1] if name in BREAKS else HARMLESS[name])(frames)
+        frames = known[name](frames)
     return Kept(frames, clip.exposure, clip.fps)

@@ -57,7 +57,7 @@ def fixable_ids() -> list[str]:
         "motion": (*motions.SENTENCES, "jitter not removed", "sky without motion", BOTTOM_UP),
         "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP),
         "camera": (*cameras.SENTENCES, "field of view", "jitter not removed"),
-        "frames": ("out of order", "cut"),
+        "frames": ("out of order", "cut", "gap"),
     }
     return [finding_id(about, name) for about, group in names.items() for name in group]
 

@@ -46,7 +46,7 @@ def _changes(finding: Finding, found: set, settings: FolderSettings) -> dict:
         return by_name[finding.about](finding, found, settings)
     if finding.name == DISPLAY_VALUES and settings.color.encoding == "linear":
         return {"encoding": "srgb"}
-    return {"reset": True} if finding.name == "cut" else {}
+    return {"reset": True} if finding.name in ("cut", "gap") else {}
 
 
 def _motion(finding: Finding, found: set, settings: FolderSettings) -> dict:

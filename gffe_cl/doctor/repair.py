@@ -4,23 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range, rays
 from gffe_cl.doctor.hypotheses.motions import MotionReading
-from gffe_cl.doctor.hypotheses.sampling import NEXT, Clip
+from gffe_cl.doctor.hypotheses.sampling import NEXT, Clip, leads_out
+from gffe_cl.doctor.hypotheses.scoring import Comparison, Vectors
+from gffe_cl.doctor.hypotheses.search import Reading
 from gffe_cl.doctor.hypotheses.transfer_function import srgb_to_linear
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 
+_KEPT = 3  # frames in memory as they are given
 _FAR = 1e9  # stands for infinity where directions are reprojected
 _OWN = 0.25  # pixels: samples that move by less than this, apart from the camera's motion, are static
 _ONE_SURFACE = 0.1  # relative difference of depths
 _USUAL_DEPTH = 5.0  # world units: of two units that are both consistent, the one with depths nearer to this is chosen
+_REFUSED = "nothing is written (expected fewer findings to repair: --only or --except)"
+_COMPARED = 20_000  # pixels of a frame in which residuals are compared
 _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which parameters are rounded, if so near
 
 
@@ -29,8 +36,10 @@ class Repair:
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
+        self._read = lru_cache(_KEPT)(lambda index: clip.read(clip.rendered[index]))
         self._rows = diagnosis.reading.rows
-        self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name == "cut"}
+        self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
+        self._comparisons: list[tuple[str, Comparison]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(clip.rendered)
         self._order = (diagnosis.order and diagnosis.order.order) or list(range(count))
@@ -49,8 +58,45 @@ class Repair:
             frame = self._geometry(index, time, reset)
             made = self._with_motion(frame, index, self._order[place - 1], None if reset else before)
             cameras = {"render_camera": made.camera, "display_camera": made.shown_camera}
+            self._compare(index, made, None if reset else before)
             yield replace(entry, time=time, reset=reset, **cameras), made
             before = made
+
+    def refuse_harm(self) -> None:
+        """Raise GffeError if a frame that was made fits worse than as given, or, of a whole repair of vectors, depth or
+        cameras, if most of those that can tell do not fit better. What the user selected is not judged."""
+        best = self._diagnosis.best
+        if best is not None and best.reading != self._reading:
+            return
+        for file, one in self._comparisons:
+            if one.is_worse:
+                off = f"vectors would be {one.read:.3g} px off, as given they are {one.given:.3g} px off"
+                raise GffeError(f"the repair would make {file} worse: {off}; {_REFUSED}")
+        better = sum(one.is_better for _, one in self._comparisons)
+        changes = replace(self._reading, rows=tuple(row for row in self._rows if row != "color")) != Reading()
+        if changes and self._comparisons and 2 * better <= len(self._comparisons):
+            counts = f"{better} of the {len(self._comparisons)} frames that can tell"
+            raise GffeError(f"the repair is not clearly better: only {counts} fit better by it; {_REFUSED}")
+
+    def _compare(self, index: int, made: RenderedFrame, before: RenderedFrame | None) -> None:
+        if before is None or index == 0 or made.motion is None:
+            return
+        given_before, given = (self._read(k) for k in (index - 1, index))
+        if given.reset or given.motion is None or np.shape(given_before.depth) != np.shape(given.depth):
+            return
+        height, width = np.shape(given.depth)
+        every = max(1, round(np.sqrt(height * width / _COMPARED)))
+
+        def vectors(frame: RenderedFrame, other: Camera) -> Vectors:
+            motion = np.asarray(frame.motion, np.float64)[::every, ::every].reshape(-1, 2)
+            motion = np.where(leads_out(motion, (width, height))[:, None], np.nan, motion)
+            return motion, static_motion(frame, other, every).reshape(-1, 2)
+
+        pairs = vectors(given, given_before.camera), vectors(made, before.camera)
+        solid = np.isfinite(given.depth) & np.isfinite(made.depth) & (np.abs(made.depth) < _FAR)
+        compared = Comparison.of(*pairs, solid[::every, ::every].ravel(), self._diagnosis.step)
+        if compared is not None:
+            self._comparisons.append((self._clip.rendered[index].file, compared))
 
     def camera(self, camera: Camera) -> Camera:
         """Return the repaired camera, with its jitter completed."""
@@ -70,7 +116,7 @@ class Repair:
         return np.ascontiguousarray(image[::-1]) if buffer in self._rows else image
 
     def _geometry(self, index: int, time: float, reset: bool) -> RenderedFrame:
-        frame = self._clip.read(self._clip.rendered[index])
+        frame = self._read(index)
         display = frame.display_camera and self.camera(frame.display_camera)
         camera = self.camera(frame.camera)
         depth = self._planar(self._turned("depth", np.asarray(frame.depth)), camera)
@@ -115,10 +161,9 @@ class Repair:
 
     def _converted(self, index: int, shape: tuple[int, ...]) -> np.ndarray | None:
         """(H, W, 2) float64 pixels: the vectors in the file of the frame `index`; None where there are none."""
-        entries = self._clip.rendered
-        if not 0 <= index < len(entries):
+        if not 0 <= index < len(self._clip.rendered):
             return None
-        stored = self._clip.read(entries[index]).motion
+        stored = self._read(index).motion
         if stored is None or np.shape(stored) != shape:
             return None
         height, width = shape[:2]
@@ -138,12 +183,13 @@ class Repair:
         return replace(frame, camera=replace(c, cx=c.cx + self._jitter[0], cy=c.cy + self._jitter[1]))
 
 
-def static_motion(frame: RenderedFrame, other: Camera) -> np.ndarray:
-    """(H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, less where it is."""
+def static_motion(frame: RenderedFrame, other: Camera, every: int = 1) -> np.ndarray:
+    """(H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, less where it is; of
+    `every` so many pixels of a row, and rows."""
     height, width = frame.depth.shape
-    y, x = np.mgrid[:height, :width] + 0.5
+    y, x = np.mgrid[:height:every, :width:every] + 0.5
     px = np.stack([x, y], -1)
-    depth = np.asarray(frame.depth, np.float64)
+    depth = np.asarray(frame.depth, np.float64)[::every, ::every]
     with np.errstate(all="ignore"):
         depth = np.where((depth > 0) & (depth < _FAR), depth, _FAR)
         return other.project(frame.camera.unproject(px, depth))[0] - px
@@ -221,7 +267,8 @@ def _rounded(value: float) -> float:
 
 def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_frame=lambda: None) -> int:
     """Write `sequence` as `diagnosis` reads it to the folder `output`; how many frames. Truth keeps its colors and
-    gets the new cameras; extrapolated frames are left out. Raises GffeError as `SequenceWriter`."""
+    gets the new cameras; extrapolated frames are left out. Raises GffeError as `SequenceWriter`, and for a repair that
+    would do harm."""
     refuse_same_folder(output, sequence.path)
     repair = Repair(sequence, diagnosis)
     size = sequence.width, sequence.height
@@ -229,6 +276,7 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
         for entry, frame in repair.frames():
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
             on_frame()
+        repair.refuse_harm()
         for entry in sequence.ground_truth:
             color = repair.color(sequence.read_color(entry))
             cameras = {

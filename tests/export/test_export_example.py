@@ -164,6 +164,19 @@ def test_cmake_builds_it(folder, loader, tmp_path):
     assert (tmp_path / "gffe_example").is_file()
 
 
+@pytest.mark.long
+def test_the_readme_s_commands_work_as_they_are(folder, loader, tmp_path):
+    require_compiler("cmake")
+    copy = tmp_path / "c"
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("out", "build"))
+    commands = [line for line in (copy / "README.md").read_text().splitlines() if line.startswith("    ")][:2]
+    given = {"LDFLAGS": "-Wl,--unresolved-symbols=ignore-in-shared-libs"}
+    given["CMAKE_LIBRARY_PATH"] = str(Path(loader[0][0]).parent) if loader[0][0].endswith(".so") else ""
+    given["CMAKE_INCLUDE_PATH"] = os.environ.get("C_INCLUDE_PATH", "")
+    subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=copy, env=loader[1] | given, check=True, timeout=600)
+    assert len(list((copy / "out").glob("*.ppm"))) == COUNT
+
+
 def test_null_for_each_pointer_is_an_invalid_argument(folder, loader, tmp_path):
     """Of a gffe that is there, and of one that could not be made; nothing crashes."""
     (tmp_path / "null_calls.c").write_text(null_calls.program(folder))

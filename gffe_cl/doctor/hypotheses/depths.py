@@ -62,7 +62,13 @@ class DepthReading:
 
     @property
     def is_possible(self) -> bool:
+        """Whether the parameters have a meaning, perhaps under axes that are all the other way round."""
         return self.model is not RANGE or misread_range(abs(self.coefficients[1])) is not None
+
+    @property
+    def has_meaning(self) -> bool:
+        """Whether the parameters have a meaning under the axes they were found with."""
+        return self.model is not RANGE or misread_range(self.coefficients[1]) is not None
 
     def inverse(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
         """(N,) float64: 1 / planar depth in units of the camera's translation; 0 for nothing."""

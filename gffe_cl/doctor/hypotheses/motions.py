@@ -13,12 +13,13 @@ _TURNS = {
     (): ((1, 0), (0, 1)),
     ("negated",): ((-1, 0), (0, -1)),
     ("y flipped",): ((1, 0), (0, -1)),
-    ("x flipped",): ((-1, 0), (0, 1)),
+    ("negated", "y flipped"): ((-1, 0), (0, 1)),
     ("x and y swapped",): ((0, 1), (1, 0)),
     ("x and y swapped", "negated"): ((0, -1), (-1, 0)),
     ("x and y swapped", "y flipped"): ((0, 1), (-1, 0)),
     ("x and y swapped", "x flipped"): ((0, -1), (1, 0)),
 }
+_LEFT = {("x flipped",): ((-1, 0), (0, 1))}  # of two parts, where only the other is repaired
 _UNITS = {(): None, ("in UV",): 1.0, ("in NDC",): 0.5}  # pixels of a unit, in image sizes
 _FACTORS = {(): 1.0, ("twice too long",): 0.5, ("half as long as they are",): 2.0}
 _HELD, _LACKING = ("one frame late", "one frame early"), ("without the camera", "zero")
@@ -97,7 +98,9 @@ class MotionReading:
         held_by = self.held_by if any(part in _HELD for part in kept) else 0
         adds = any(part in _LACKING for part in kept)
         pick["unit_first"] = self.unit_first or pick["unit"] is None or "x and y swapped" not in kept
-        return replace(self, parts=kept, turn=_TURNS[turned], step=step, held_by=held_by, adds_camera=adds, **pick)
+        return replace(
+            self, parts=kept, turn=(_TURNS | _LEFT)[turned], step=step, held_by=held_by, adds_camera=adds, **pick
+        )
 
 
 MOTION_AS_GIVEN = MotionReading()

@@ -1,4 +1,4 @@
-"""Frames in the wrong place, and cuts: pairs of frames that do not fit although most pairs do."""
+"""Frames in the wrong place, gaps and cuts: pairs of frames that do not fit although most pairs do."""
 
 from __future__ import annotations
 

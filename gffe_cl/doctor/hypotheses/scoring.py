@@ -18,6 +18,10 @@ from gffe_cl.doctor.hypotheses.sampling import NEXT, PREVIOUS, Look, sampled
 _STILL = 0.05  # share of the usual motion: samples with less are no evidence on motion vectors
 _NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
 _CHANCE = 0.2  # color score where nothing is known
+_VISIBLE = 0.3  # pixels that the camera moves static points, at least, where they tell anything
+_LOW = 0.25  # quantile of residuals that is compared: movers may be most of the rest
+_BETTER, _WORSE, _LEAST = 0.8, 1.25, 0.1  # of the residual as given, and pixels more than that
+_FEWEST = 16  # samples
 
 
 @dataclass
@@ -103,6 +107,10 @@ class Bench:
         moved = reach.pixels(depth.inverse(self.stored, reach.ray)) - self.px
         return np.where(self.has[step][:, None], moved, np.nan)
 
+    def parts(self, chosen: np.ndarray) -> list[np.ndarray]:
+        """Return the `chosen` samples (N,) of each look, as masks of all samples."""
+        return [chosen & (self.frame == k) for k in range(len(self.looks))]
+
     def by_frame(self, values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """(looks,) mean of the chosen `values` (N,); NaN where there are few."""
         count = np.bincount(self.frame[chosen], minlength=len(self.looks))
@@ -122,6 +130,40 @@ class Bench:
             off = np.abs(met - self.color[use]).mean(-1) / self.contrast[use]
             score[..., use] = np.where(inside, 1 / (1 + (off / 0.25) ** 2), _CHANCE)
         return score
+
+
+Vectors = tuple[np.ndarray, np.ndarray]  # motion vectors and static motion, (N, 2) pixels each
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Residuals of static points in one frame, in pixels: as `given` and as `read`. `step`: of quantized vectors."""
+
+    given: float
+    read: float
+    step: float = 0.0
+
+    @classmethod
+    def of(cls, given: Vectors, read: Vectors, solid: np.ndarray, step: float = 0.0) -> Comparison | None:
+        """Compare the vectors at the samples `solid` (N,); None if the camera moves so few of them visibly that the
+        frame cannot tell."""
+        moved = [np.linalg.norm(np.nan_to_num(static), axis=-1) for _, static in (given, read)]
+        telling = solid & (np.maximum(moved[0], moved[1]) > _VISIBLE)
+        low = []
+        for motion, static in (given, read):
+            off = np.linalg.norm(motion - static, axis=-1)[telling & np.isfinite(motion).all(-1)]
+            if len(off) < _FEWEST:
+                return None
+            low.append(float(np.quantile(np.nan_to_num(off, nan=np.inf), _LOW, method="lower")))
+        return cls(low[0], low[1], step)
+
+    @property
+    def is_better(self) -> bool:
+        return self.read < _BETTER * self.given
+
+    @property
+    def is_worse(self) -> bool:
+        return self.read > _WORSE * self.given + max(_LEAST, 0.5 * self.step)
 
 
 def mostly_nothing(length: np.ndarray) -> bool:

@@ -24,6 +24,7 @@ _SAME_UNIT = 0.02  # units of depth and translation that differ by less are one
 _SAME_FOCAL = 0.004  # the same for focal lengths
 _SHARP = 0.05  # of the finest residuals, where parameters are fitted
 _SMALLEST = 0.02  # pixels: the unit of visible errors
+_STILL = 0.05  # of the motion in the frame that moves most: frames with less do not set the scale of residuals
 _MOST_JITTER = 1.6  # pixels between two frames
 
 
@@ -98,14 +99,17 @@ class Search:
             if np.abs(offsets).max() > _MOST_JITTER:
                 return 0.0
             off = off - offsets[bench.frame]
-        coarsest, finest = self._scale(motion)
+        coarsest, finest = self._scale(bench, motion)
         score = log_score(np.linalg.norm(off, axis=-1), coarsest, finest * (_SHARP if sharp else 1))
         return trimmed(bench.by_frame(score, use))
 
-    def _scale(self, motion: np.ndarray) -> tuple[float, float]:
-        """Return the coarsest and the finest residuals that are evidence, in pixels."""
+    def _scale(self, bench: Bench, motion: np.ndarray) -> tuple[float, float]:
+        """Return the coarsest and the finest residuals that are evidence, in pixels. Frames in which nearly nothing
+        moves do not count."""
         length = np.linalg.norm(motion, axis=-1)
         known = np.isfinite(length)
+        usual = np.array([np.median(length[part]) if part.any() else 0.0 for part in bench.parts(known)])
+        known &= (usual >= _STILL * usual.max())[bench.frame]
         scale = max(float(np.median(length[known])) if known.any() else 0.0, _SMALLEST)
         return max(0.5 * scale, 2 * self.step), max(0.005 * scale, 0.5 * self.step)
 
@@ -178,7 +182,7 @@ class Search:
 
         def add(readings) -> None:
             for reading in readings:
-                if reading not in found:
+                if reading not in found and reading.depth.has_meaning:
                     found[reading] = self.verdict(reading)
 
         def refine() -> None:
@@ -236,7 +240,9 @@ class Search:
         found = []
         for motion in motions:
             vectors, color = self.thin.motion(motion), np.nan_to_num(self.motion_color(motion))
-            for agrees, camera, depth in fields[motion.step].scores(vectors, self._scale(vectors), bool(jitter)):
+            for agrees, camera, depth in fields[motion.step].scores(
+                vectors, self._scale(self.thin, vectors), bool(jitter)
+            ):
                 reading = self._facing(replace(self.plain, motion=motion, camera=camera, depth=depth, jitter=jitter))
                 found.append((agrees + color - EDIT * reading.edits, reading))
         found.sort(key=lambda pair: -pair[0])
