@@ -1,15 +1,27 @@
 """Kernels are accepted by compilers that are stricter than the runtimes here, and ask little of a device.
 
 That is clang's OpenCL front end, for a 64-bit device without extensions, warnings being errors; what it makes is valid
-SPIR-V.
+SPIR-V. The compilers of GPUs' vendors build every program as their GPUs get it, and a budget limits what kernels cost there.
 """
 
+import functools
 import os
 import re
 import shutil
 import subprocess
 
 import pytest
+from vendor_compilers import (
+    COMPILERS,
+    FILES,
+    Amd,
+    BuildFailed,
+    NotFound,
+    argument_bytes,
+    build_all,
+    compilers_folder,
+    forms,
+)
 
 from gffe_cl.opencl.program import expand, kernel_folder, parse_kernels
 
@@ -22,8 +34,8 @@ WARNINGS = (
 )  # fmt: skip
 MOST_LOCAL = 16 << 10  # bytes per work-group
 MOST_PRIVATE = {1: 1 << 10, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
-
-FILES = sorted(path.relative_to(kernel_folder()).with_suffix("").as_posix() for path in kernel_folder().rglob("*.cl"))
+MOST_ARGUMENTS = 1000  # bytes of a kernel: some GPUs allow 1024
+MOST_REGISTERS = 64  # on sm_86: more leave it less than half of its threads
 
 
 def tool(*names):
@@ -124,3 +136,132 @@ def test_kernels_are_modest(lanes):
     assert found["holes.fill_from_downsampled"][0] == 3428  # as Intel's runtime and PoCL say
     assert {kernel: sizes for kernel, sizes in found.items() if sizes[0] > MOST_LOCAL} == {}
     assert {kernel: sizes for kernel, sizes in found.items() if sizes[1] > MOST_PRIVATE[lanes]} == {}
+
+
+# ---- rules for kernels -------------------------------------------------------------------------------------------
+
+
+def helpers_without_inline(text):
+    """Names of functions in the text of a kernel file that are neither kernels nor declared with the macro INLINE."""
+    text = re.sub(r"/\*.*?\*/|//[^\n]*", " ", text, flags=re.S).replace("\\\n", " ")
+    text = re.sub(r"^[ \t]*#(?!define\b).*$", ";", text, flags=re.M)
+    text = re.sub(r"^[ \t]*#define[ \t]+\w+(\([^)]*\))?", ";", text, flags=re.M)
+    head = r"([\w \t\n*]*?)\b(\w+)[ \t\n]*\(((?:[^(){};]|\([^(){};]*\))*)\)[ \t\n]*\{"
+    found, depth, start = [], 0, 0
+    for place, letter in enumerate(text):
+        if letter == "{":
+            if depth == 0 and (function := re.search(head + r"\Z", text[start : place + 1])):
+                before = text[start : start + function.start(2)]
+                if "__kernel" not in before and not re.search(r"\bINLINE\s", before):
+                    found.append(function[2])
+            depth += 1
+        elif letter == "}":
+            depth -= 1
+        if letter in ";}" and depth == 0:
+            start = place + 1
+    return found
+
+
+def test_every_helper_is_inlined():
+    """AMD's and NVIDIA's linkers want `static`, Intel's vectorizer no calls: the macro INLINE gives both."""
+    files = [path for kind in ("*.cl", "*.h") for path in kernel_folder().rglob(kind)]
+    assert {path.name: found for path in files if (found := helpers_without_inline(path.read_text()))} == {}
+    assert sum(path.read_text().count("\nINLINE ") for path in files) > 200
+    for fault in (
+        "inline float f(float x) { return x; }",
+        "int g(void)\n{\n}",
+        "#define MAKE(name) float h(float x) { return x; }",
+        "INLINE int f(void) { if (1) { } return 0; }\nstatic inline int k(__local int *p) { return *p; }",
+    ):
+        assert len(helpers_without_inline(fault)) == 1, fault
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_arguments_are_few(name):
+    sizes = argument_bytes(expand(f"{name}.cl"))
+    assert {kernel: size for kernel, size in sizes.items() if size > MOST_ARGUMENTS} == {}
+
+
+def test_arguments_are_counted_as_aligned():
+    struct = "typedef struct { float4 a; int b; } Facts;\n"
+    kernel = "__kernel void f(__global const float *p, const int n, {} Facts {}q, const float x) {{ }}"
+    assert argument_bytes(struct + kernel.format("const", "")) == {"f": 16 + 32 + 4}
+    assert argument_bytes(struct + kernel.format("__constant", "*")) == {"f": 16 + 8 + 4}
+
+
+def kernels_of_any_group(code):
+    """Names of kernels in LLVM's text that use the work-group, or local memory, and do not require its size."""
+    found = []
+    for head, kernel, body in re.findall(r"^define ([^\n]*?@(\w+)\([^\n]*)\{\n(.*?)^\}", code, re.M | re.S):
+        uses = re.search(r"@_Z\d+(get_local_id|get_local_size|get_group_id|barrier)|addrspace\(3\)", body)
+        if "spir_kernel" in head and uses and "!reqd_work_group_size" not in head:
+            found.append(kernel)
+    return found
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_kernels_that_share_work_require_their_group(name):
+    for options in variants(expand(f"{name}.cl")):
+        code = clang(expand(f"{name}.cl"), "CL1.2", "-O1", "-S", "-emit-llvm", *options).decode()
+        assert kernels_of_any_group(code) == [], options
+
+
+def test_a_kernel_of_any_group_is_found():
+    body = "void f(__global int *p) { p[get_global_id(0)] = get_local_id(0); }"
+    required = "__attribute__((reqd_work_group_size(64, 1, 1)))"
+    for attribute, found in (("", ["f"]), (required, [])):
+        code = clang(f"__kernel {attribute} {body}", "CL1.2", "-O1", "-S", "-emit-llvm").decode()
+        assert kernels_of_any_group(code) == found
+
+
+# ---- vendors' compilers ------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def built(kind, only_first=False):
+    """All programs as built by a vendor's compiler; else skips the test."""
+    try:
+        compiler = kind(compilers_folder())
+    except NotFound as missing:
+        pytest.skip(f"{kind.vendor}'s compiler: {missing}")
+    return build_all(compiler, only_first)
+
+
+def failures(programs):
+    return {(one.program, one.form, one.gpu): one.failure for one in programs if one.failure}
+
+
+def test_forms_of_gpus():
+    both = {"LANES": 1, "RUN": 1, "INT64_ATOMICS": 1}
+    assert list(forms(expand("warp.cl")).values()) == [
+        both,
+        both | {"EXACT_DIVISION": 1},
+        {"LANES": 1, "RUN": 1},
+        {"LANES": 1, "RUN": 1, "EXACT_DIVISION": 1},
+    ]
+    assert list(forms("__kernel void f() { }")) == [""]
+
+
+def test_amd_links_every_program():
+    """In the form that most GPUs get."""
+    assert failures(built(Amd, only_first=True)) == {}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", COMPILERS, ids=lambda kind: kind.vendor)
+def test_every_form_of_every_program_builds(kind):
+    programs = built(kind)
+    assert len(programs) >= 2 * len(FILES)
+    assert failures(programs) == {}
+
+
+@pytest.mark.parametrize("kind", COMPILERS, ids=lambda kind: kind.vendor)
+def test_a_function_without_definition_does_not_build(kind, tmp_path):
+    """It fails only when it is linked."""
+    try:
+        compiler = kind(compilers_folder())
+    except NotFound as missing:
+        pytest.skip(f"{kind.vendor}'s compiler: {missing}")
+    program = "int helper(int x);\n__kernel void f(__global int *p) { p[0] = helper(p[1]); }"
+    with pytest.raises(BuildFailed, match="helper"):
+        compiler.build(program, {}, compiler.gpus[0], tmp_path)
