@@ -37,7 +37,7 @@ typedef struct {
 INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f; }
 
 /* The nearest mover of a cell; depth 0 without one. */
-INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {
+INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame *frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);
     Mover mover = {(float3)(0.0f), (float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
@@ -103,20 +103,20 @@ INLINE float3 carried_on(const float3 acceleration, const float3 before) {
    where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it has added
    alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are
    of view space there. `ratio`: of the last two intervals. */
-SPARSE __kernel void track_acceleration(const Frame frame, __global const float *depth, __global const float2 *motion,
+SPARSE __kernel void track_acceleration(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
                                         __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
                                         __global const uint2 *view_velocity_prev, __global float4 *velocity,
                                         __global uint2 *acceleration, __global uint2 *bend, __global uint2 *view_velocity) {
     const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
-    const int level_width = (frame.source_width + MOVER_CELL - 1) / MOVER_CELL;
-    const int level_height = (frame.source_height + MOVER_CELL - 1) / MOVER_CELL;
-    const float ratio = frame.interval_ratio;
-    const Reprojection from_previous = frame.from_previous;
+    const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
+    const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
+    const float ratio = frame->interval_ratio;
+    const Reprojection from_previous = frame->from_previous;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
-    const Mover mover = mover_of_cell(cell_x, cell_y, &frame, fragments);
+    const Mover mover = mover_of_cell(cell_x, cell_y, frame, fragments);
     velocity[cell] = (float4)(mover.velocity, mover.depth);
     acceleration[cell] = packed((float3)(0.0f), -1.0f);
     bend[cell] = packed((float3)(0.0f), 0.0f);
@@ -148,7 +148,7 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
     if (!(weight_sum > 0.0f)) return;
     float3 now = mover.velocity, was = ratio * rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
     bool carried = false;
-    if (frame.camera_fixed) {
+    if (frame->camera_fixed) {
         const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
         const float change = squared_length(mover.view_velocity - seen), in_world = squared_length(now - was);
         const float shaken = SHAKEN * mover.depth;

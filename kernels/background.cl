@@ -214,15 +214,15 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
 }
 
 /* Offers the fragments of B'_level. */
-WIDE __kernel void scatter_level(const Frame frame, const int level, const int pass, __global const float *depth,
+WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const int pass, __global const float *depth,
                                  __global const uchar *dynamic_mask, __global const uchar *links,
                                  __global const float *frame_depth, __global const float *old_depth,
                                  __global const int *old_px, __global const uchar *old_state, __global const uchar *taken,
                                  __global const float *level_depth, __global Key *fill_keys, __global uint *fill_winners,
                                  __global Key *push_keys, __global uint *push_winners) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int last_level = frame.levels - 1;
-    const Reprojection to_current = frame.from_previous;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int last_level = frame->levels - 1;
+    const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
     const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
@@ -369,32 +369,32 @@ INLINE void settle_run(const int x, const int y, const int collect, __global Key
 }
 
 /* Completes a level. */
-SCAN __kernel void settle_level(const Frame frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
+SCAN __kernel void settle_level(__constant Frame *frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
                                 __global const half *frame_color, __global const float *frame_depth,
                                 __global const uint *old_color, __global const float *old_depth, __global const int *old_px,
                                 __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
                                 __global int *level_px, __global uchar *level_state) {
-    const int level_width = level_side(frame.source_width, level), level_height = level_side(frame.source_height, level);
-    const int collect = frame.has_previous;
-    const Reprojection to_current = frame.from_previous;
+    const int level_width = level_side(frame->source_width, level), level_height = level_side(frame->source_height, level);
+    const int collect = frame->has_previous;
+    const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
-    const Level own = {level_color, level_depth, level_px, level_state, level, level_width, frame.levels == 1};
+    const Level own = {level_color, level_depth, level_px, level_state, level, level_width, frame->levels == 1};
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
 /* The same, and begins the next level with the fragments pushed down. */
-SCAN __kernel void settle_and_push(const Frame frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
+SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
                                    __global Key *push_keys, __global uint *push_winners, __global const half *frame_color,
                                    __global const float *frame_depth, __global const uint *old_color,
                                    __global const float *old_depth, __global const int *old_px,
                                    __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
                                    __global int *level_px, __global uchar *level_state, __global uint *next_color,
                                    __global float *next_depth, __global int *next_px, __global uchar *next_state) {
-    const int level_width = level_side(frame.source_width, level), level_height = level_side(frame.source_height, level);
-    const int collect = frame.has_previous;
-    const Reprojection to_current = frame.from_previous;
+    const int level_width = level_side(frame->source_width, level), level_height = level_side(frame->source_height, level);
+    const int collect = frame->has_previous;
+    const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
@@ -446,17 +446,17 @@ INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int 
 }
 
 /* Offers the remembered fragments of all levels, RUN texels per work-item; texels between two levels are EMPTY. */
-SCAN __kernel void project_levels(const Frame frame, const int pass, __global const float *levels_depth,
+SCAN __kernel void project_levels(__constant Frame *frame, const int pass, __global const float *levels_depth,
                                   __global const int *levels_px, __global const uchar *levels_state,
                                   __global const uchar *disoccluded, __global const uchar *mixed,
                                   __global const float *depth, __global Key *keys, __global uint *winners) {
-    const int source_width = frame.source_width;
-    const int texels = frame.level_starts.w;
-    const int4 starts = frame.level_starts;
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame->source_width;
+    const int texels = frame->level_starts.w;
+    const int4 starts = frame->level_starts;
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const Uncovered to = {target_width, target_width * target_height, pass, disoccluded, mixed, depth, keys, winners};
-    const float2 zoom = frame.zoom;
-    const Reprojection to_target = frame.to_target;
+    const float2 zoom = frame->zoom;
+    const Reprojection to_target = frame->to_target;
     const int first = get_global_id(0) * RUN;
     if (first >= texels || !(run_has(levels_state + first, REMEMBERED) || run_has(levels_state + first, BOTH))) return;
     const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
@@ -493,7 +493,7 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
 /* Code of the color of the texels around a winner, weighted by their distance in the target image from `center`, of the winner's surface
    only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height, const float z_winner,
-                           const float2 side, const float2 center, const Frame *frame, const Texels texels) {
+                           const float2 side, const float2 center, __constant Frame *frame, const Texels texels) {
     const int level_width = texels.width;
     float3 sum;
     float weight_sum;
@@ -570,7 +570,7 @@ INLINE bool shown_before(const float2 center, const float z, const Before before
 /* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame before still
    showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
    one surface, the mean is shown. */
-SCAN __kernel void fill_from_levels(const Frame frame, __global const half *color_prev, __global const float *depth_prev,
+SCAN __kernel void fill_from_levels(__constant Frame *frame, __global const half *color_prev, __global const float *depth_prev,
                                     __global const uchar *state_prev, __global const half *frame_color,
                                     __global const float *frame_depth, __global const uint *levels_color,
                                     __global const float *levels_depth, __global const int *levels_px,
@@ -578,20 +578,20 @@ SCAN __kernel void fill_from_levels(const Frame frame, __global const half *colo
                                     __global const uchar *disoccluded, __global const uchar *mixed, __global const Key *keys,
                                     __global const uint *winners, __global half *color, __global float *depth,
                                     __global float2 *motion, __global uchar *filled_by) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int4 starts = frame.level_starts;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const float2 zoom = frame.zoom;
-    const Reprojection to_target = frame.to_target;
-    const Reprojection to_source = frame.to_source;
-    const int has_previous = frame.has_previous;
-    const Reprojection to_previous = frame.target_to_previous;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int4 starts = frame->level_starts;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const float2 zoom = frame->zoom;
+    const Reprojection to_target = frame->to_target;
+    const Reprojection to_source = frame->to_source;
+    const int has_previous = frame->has_previous;
+    const Reprojection to_previous = frame->target_to_previous;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
-    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous, frame.code_offset};
+    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous, frame->code_offset};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
@@ -611,9 +611,9 @@ SCAN __kernel void fill_from_levels(const Frame frame, __global const half *colo
         float3 remembered;
         if (!has_previous || !shown_before(center, nearest_z, before, &remembered))
             remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, center,
-                                      &frame, texels);
-        if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame.code_offset));
-        store_code(remembered, color, dst, frame.code_offset);
+                                      frame, texels);
+        if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
+        store_code(remembered, color, dst, frame->code_offset);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;
         depth[dst] = nearest_z;

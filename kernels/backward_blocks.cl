@@ -145,16 +145,16 @@ INLINE bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
 /* One work-item per source block. smooth: whether it is. reach: the target blocks x0, y0, x1, y1 that it reaches, x1 < x0 if
    none. reached_by: for each target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x,
    FAR_OFF - y, x + 1, y + 1; of blocks that are not smooth, everything. */
-WIDE __kernel void find_reach(const Frame frame, __global const float *depth, __global const uchar *links,
+WIDE __kernel void find_reach(__constant Frame *frame, __global const float *depth, __global const uchar *links,
                               __global const float *target_position, __global uchar *smooth, __global short4 *reach,
                               __global int *reached_by) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments fragments = {depth, target_position, links, source_width, source_height, source_width * source_height,
-                                 target_width, target_height, frame.zoom};
+                                 target_width, target_height, frame->zoom};
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
-    if (bx >= source_blocks || by >= block_rows(source_height) || !(frame.blocks && frame.crack_closing)) return;
+    if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
     const bool is_smooth = is_one_surface(fragments, x0, y0) && is_linear(fragments, x0, y0, &box);
@@ -217,12 +217,12 @@ INLINE float is_affine(const float2 center, const float8 source, const int sourc
 
 /* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the block's reach
    for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens` any. */
-SPARSE __kernel void classify_blocks(const Frame frame, __global const float *target_position, __global const uchar *smooth,
+SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const float *target_position, __global const uchar *smooth,
                                      __global int *reached_by, __global uchar *block_class, __global float8 *block_source,
                                      __global uchar *marked, __global Key *keys, __global uint *winners) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int softens = frame.softens;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int softens = frame->softens;
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width), target_blocks = block_columns(target_width);
     if (bx >= target_blocks || by >= block_rows(target_height)) return;

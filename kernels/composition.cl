@@ -13,9 +13,9 @@
 #define APPROACHES 3  /* of the effects' position to where they come from */
 
 /* Depth without overlays that stay in place: no stage splats, collects or meets them. */
-__kernel void leave_out_fixed(const Frame frame, __global const float *depth, __global const uchar *fixed_mask,
+__kernel void leave_out_fixed(__constant Frame *frame, __global const float *depth, __global const uchar *fixed_mask,
                               __global float *out_depth) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
     const int i = y * source_width + x;
@@ -61,19 +61,19 @@ INLINE float2 effects_origin(const float2 px, const float alpha, __global const 
     return origin;
 }
 
-__kernel void compose(const Frame frame, const int is_rendered, __global const uchar *fixed_mask,
+__kernel void compose(__constant Frame *frame, const int is_rendered, __global const uchar *fixed_mask,
                       __global const half *effects, __global const float2 *effects_motion, __global const half *ui,
                       __global const half *source_color, __global const float *source_depth, __global const half *color,
                       __global half *out_color, __global float *depth, __global float2 *motion, __global uchar *dynamic,
                       __global uchar *disoccluded, __global uchar *filled_by) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const float4 to_render = frame.to_render;
-    const float alpha = is_rendered ? 0.0f : frame.alpha;
-    const int has_fixed_mask = (frame.has_overlays & 1) && !is_rendered;
-    const int has_effects = frame.has_overlays & 2;
-    const int has_effects_motion = frame.has_overlays & 4;
-    const int has_ui = frame.has_overlays & 8;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const float4 to_render = frame->to_render;
+    const float alpha = is_rendered ? 0.0f : frame->alpha;
+    const int has_fixed_mask = (frame->has_overlays & 1) && !is_rendered;
+    const int has_effects = frame->has_overlays & 2;
+    const int has_effects_motion = frame->has_overlays & 4;
+    const int has_ui = frame->has_overlays & 8;
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int dst = y * target_width + x;

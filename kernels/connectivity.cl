@@ -181,11 +181,11 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel void find_links(const Frame frame, __global const float *depth, __global const uchar *dynamic_mask,
+WIDE __kernel void find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
                               __global uchar *links, __global uchar *state, __global Key *fill_keys,
                               __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int collect = frame.collects && frame.has_previous;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int collect = frame->collects && frame->has_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const bool inner = src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
@@ -193,9 +193,9 @@ WIDE __kernel void find_links(const Frame frame, __global const float *depth, __
     const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
     if (inner) {
         p.inner = true;
-        find(p, collect, frame.levels == 1, links, to);
+        find(p, collect, frame->levels == 1, links, to);
     } else {
         p.inner = false;
-        find(p, collect, frame.levels == 1, links, to);
+        find(p, collect, frame->levels == 1, links, to);
     }
 }

@@ -42,9 +42,9 @@ INLINE Floats trust(__global const float *differences, const int plane, const Ta
 
 /* At a quarter of the resolution: the flow to follow (2), in pixels of half the resolution, how far the trend lasts, and how far
    the focus mask is trusted. */
-WIDE __kernel void choose_flow(const Frame frame, __global const float *judgement, __global const float *candidates,
+WIDE __kernel void choose_flow(__constant Frame *frame, __global const float *judgement, __global const float *candidates,
                                __global const float *differences, __global float *chosen) {
-    const int width = frame.network_width / 2, height = frame.network_height / 2, plane = width * height;
+    const int width = frame->network_width / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
     judgement += y * width + x;
@@ -53,7 +53,7 @@ WIDE __kernel void choose_flow(const Frame frame, __global const float *judgemen
     const Floats follow = sigmoid(load_floats(0, judgement + 2 * plane));
     for (int axis = 0; axis < 2; ++axis) {
         const Floats own = FLOW_UNIT * load_floats(0, judgement + axis * plane);
-        const Floats found = frame.alpha * (FOUND_UNIT * load_floats(0, candidates + (FOUND + axis) * plane));
+        const Floats found = frame->alpha * (FOUND_UNIT * load_floats(0, candidates + (FOUND + axis) * plane));
         store_floats(2.0f * (own + follow * (found - own)), 0, chosen + axis * plane);
     }
     const Floats lasts = load_floats(0, candidates + HELD * plane) + load_floats(0, judgement + 3 * plane);
@@ -88,10 +88,10 @@ INLINE Floats moved_light(__global const float *frame_now, __global const float 
 
 /* At half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in disocclusions, where a
    change of light is indistinguishable from another surface. */
-WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
+WIDE __kernel void judge(__constant Frame *frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
                          __global const int *changed, __global float *correction) {
-    const int width = frame.network_width, height = frame.network_height, plane = width * height, quarter = plane / 4;
+    const int width = frame->network_width, height = frame->network_height, plane = width * height, quarter = plane / 4;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
     Taps taps;
@@ -154,13 +154,13 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that within the focus
    mask, the extrapolated color's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is only
    stored on request; otherwise a run of pixels without mask is a copy. */
-WIDE __kernel void correct(const Frame frame, const int asked, __global const half *color,
+WIDE __kernel void correct(__constant Frame *frame, const int asked, __global const half *color,
                            __global const float *frames, __global const float *correction, __global half *refined,
                            __global half *focus_mask, __global half *out_color) {
     const bool within_mask = asked & WITHIN_MASK, with_refined = asked & WITH_REFINED;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int network_width = frame.network_width, network_height = frame.network_height;
-    const float4 law = frame.color_law;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int network_width = frame->network_width, network_height = frame->network_height;
+    const float4 law = frame->color_law;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;

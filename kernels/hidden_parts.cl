@@ -28,10 +28,10 @@ typedef struct {
     __global uchar *filled_by;
 } Images;
 
-INLINE int reach_of(const Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
+INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
 /* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-INLINE float2 moves_along(const int x, const int y, const int2 offset, const Frame *frame, const Images f) {
+INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
@@ -50,7 +50,7 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
 }
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here; 0: none. */
-INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frame *frame, const Images f) {
+INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
     const int t = first_dynamic(dst, offset, steps_within(reach_of(frame), d, dst_x, dst_y, width, height), f.is_dynamic);
@@ -88,7 +88,7 @@ INLINE int owner(const int *t, const float *z, const int reach) {
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-INLINE void fill_hidden_part(const int dst_x, const int dst_y, const Frame *frame, const Images f) {
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     int t[DIRECTIONS];
     float z[DIRECTIONS];
@@ -130,12 +130,12 @@ INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y
 }
 
 /* RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_hidden_parts(const Frame frame, __global const float *source_depth, __global const uchar *block_class,
+SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const float *source_depth, __global const uchar *block_class,
                                      __global const uchar *disoccluded, __global const uchar *is_dynamic,
                                      __global half *color, __global float *depth, __global float2 *motion,
                                      __global uchar *filled_by) {
     const Images images = {source_depth, disoccluded, is_dynamic, color, depth, motion, filled_by};
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
     if (first_x >= target_width || (int)get_global_id(1) * LANES >= target_height) return;
     bool looked = false;
@@ -143,10 +143,10 @@ SCAN __kernel void fill_hidden_parts(const Frame frame, __global const float *so
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         const int first = dst_y * target_width + first_x;
         if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;
-        if (!looked && nothing_moves(first_x, dst_y, end_y - 1, reach_of(&frame), target_width, target_height, is_dynamic)) return;
+        if (!looked && nothing_moves(first_x, dst_y, end_y - 1, reach_of(frame), target_width, target_height, is_dynamic)) return;
         looked = true;
         for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
             if (disoccluded[dst_y * target_width + dst_x])
-                fill_hidden_part(dst_x, dst_y, &frame, images);
+                fill_hidden_part(dst_x, dst_y, frame, images);
     }
 }

@@ -35,7 +35,7 @@ INLINE float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
-INLINE Ints static_residual(const Ints src_x, const int src_y, const Frame *frame, __global const float *depth,
+INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *frame, __global const float *depth,
                             __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x, Floats *mv_y) {
     const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
     const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
@@ -154,38 +154,37 @@ INLINE Floats beyond(const Floats residual, const Floats mv, const float times, 
     return excess < 0.0f ? (Floats)(0.0f) : excess;
 }
 
-/* Adds a work-group's counts to `pending`. Of the last group that does, counts become those of all groups, `pending` is zero
-   again, and every work-item returns true. */
-INLINE bool is_last_to_add(__local int *counts, const int count, __global int *pending, __local int *groups_before) {
-    const int item = get_local_id(0);
+/* Adds a work-group's counts to those of all groups. The next launch takes them: no group of one launch sees what others add. */
+INLINE void add_counts(__local const int *counts, const int count, __global int *pending) {
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int b = item; b < count; b += GROUP)
+    for (int b = get_local_id(0); b < count; b += GROUP)
         if (counts[b]) atomic_add(pending + b, counts[b]);
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    if (item == 0) *groups_before = atomic_inc(pending + HISTOGRAMS * RESIDUAL_BINS);
+}
+
+/* Takes the counts of all groups into local memory, and leaves zeros for the next launch that counts. */
+INLINE void take_counts(__local int *counts, const int count, __global int *pending) {
+    for (int b = get_local_id(0); b < count; b += GROUP) {
+        counts[b] = pending[b];
+        pending[b] = 0;
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (*groups_before + 1 < (int)(get_num_groups(0) * get_num_groups(1))) return false;
-    for (int b = item; b < count; b += GROUP) counts[b] = atomic_xchg(pending + b, 0);
-    if (item == 0) atomic_xchg(pending + HISTOGRAMS * RESIDUAL_BINS, 0);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    return true;
 }
 
 /* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a short
-   distance, and, of every fourth of these pixels, of the steps of motion over that distance. The threshold follows, and the
-   steps of quantized motion. Every work-group counts by itself; the last one adds up. */
+   distance, and, of every fourth of these pixels, of the steps of motion over that distance. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void find_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
-                    __global int *histogram, __global float *threshold_squared, __global float *motion_steps) {
+void count_histograms(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
+                         __global int *pending) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
-    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
-    __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before[1];
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
+    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
+    __local int counts[HISTOGRAMS * RESIDUAL_BINS];
+    for (int b = get_local_id(0); b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame.source_height); src_y += RESIDUAL_STRIDE) {
+    for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, near_x, near_y, mv_x, mv_y, near_mv_x, near_mv_y;
-        const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y, &mv_x, &mv_y);
-        const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, &frame, depth, motion,
+        const Ints use = static_residual(src_x, src_y, frame, depth, motion, &x, &y, &mv_x, &mv_y);
+        const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, frame, depth, motion,
                                               &near_x, &near_y, &near_mv_x, &near_mv_y);
         count_residuals(counts, use, x, y);
         count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
@@ -193,11 +192,25 @@ void find_threshold(const Frame frame, __global const float *depth, __global con
         count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, mv_x + x, near_mv_x, near_mv_x + near_x);
         count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, mv_y + y, near_mv_y, near_mv_y + near_y);
     }
-    if (!is_last_to_add(counts, HISTOGRAMS * RESIDUAL_BINS, pending, groups_before)) return;
+    add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, pending);
+}
+
+/* The threshold from these histograms, and the steps of quantized motion. A single work-group. */
+SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void find_threshold(__global int *pending, __global int *histogram, __global float *threshold_squared,
+                    __global float *motion_steps) {
+    __local int counts[HISTOGRAMS * RESIDUAL_BINS];
+    take_counts(counts, HISTOGRAMS * RESIDUAL_BINS, pending);
+    const int item = get_local_id(0);
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
     if (item) return;
-    *threshold_squared = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
-    find_steps(counts + 2 * RESIDUAL_BINS, *threshold_squared, motion_steps);
+    const float found = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
+    *threshold_squared = found;
+    find_steps(counts + 2 * RESIDUAL_BINS, found, motion_steps);
+}
+
+INLINE bool is_quantized(__global const float *motion_steps) {
+    return motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] != 0.0f;
 }
 
 /* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of these errors few are
@@ -211,36 +224,44 @@ INLINE float excess_threshold_squared(__local const int *histogram) {
     return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
 }
 
-/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that brings more
-   than a fortieth of the pixels within the errors. */
+/* Histograms of the squared excess of residuals over errors of quantization, of one and of two vectors. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void refine_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
-                      __global const float *motion_steps, __global float *threshold_squared,
-                      __global float *quantization_error) {
+void count_excess(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
+                  __global const float *motion_steps, __global int *pending) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
-    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
-    __local int counts[LOOKUPS * RESIDUAL_BINS], groups_before[1];
-    if (motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] == 0.0f) {
-        if (get_global_id(0) + get_global_id(1) == 0)
-            for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.0f;
-        return;
-    }
-    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
+    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
+    __local int counts[LOOKUPS * RESIDUAL_BINS];
+    if (!is_quantized(motion_steps)) return;
+    for (int b = get_local_id(0); b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame.source_height); src_y += RESIDUAL_STRIDE) {
+    for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, mv_x, mv_y;
-        const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y, &mv_x, &mv_y);
+        const Ints use = static_residual(src_x, src_y, frame, depth, motion, &x, &y, &mv_x, &mv_y);
         for (int k = 1; k <= LOOKUPS; ++k)
             count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, 0.5f * (float)k, motion_steps),
                             beyond(y, mv_y, 0.5f * (float)k, motion_steps + 2));
     }
-    if (!is_last_to_add(counts, LOOKUPS * RESIDUAL_BINS, pending, groups_before) || item) return;
-    int low = 0, lookups = 1;
-    while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
-    while (lookups < LOOKUPS && 40 * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low)
-                                      - sum_of(counts + lookups * RESIDUAL_BINS, low)) > sum_of(counts, 0))
-        ++lookups;
-    *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
+    add_counts(counts, LOOKUPS * RESIDUAL_BINS, pending);
+}
+
+/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that brings more
+   than a fortieth of the pixels within the errors. A single work-group. */
+SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void refine_threshold(__global int *pending, __global const float *motion_steps, __global float *threshold_squared,
+                      __global float *quantization_error) {
+    __local int counts[LOOKUPS * RESIDUAL_BINS];
+    const bool quantized = is_quantized(motion_steps);
+    if (quantized) take_counts(counts, LOOKUPS * RESIDUAL_BINS, pending);
+    if (get_local_id(0)) return;
+    int low = 0, lookups = quantized ? 1 : 0;
+    if (quantized) {
+        while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
+        while (lookups < LOOKUPS && 40 * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low)
+                                          - sum_of(counts + lookups * RESIDUAL_BINS, low)) > sum_of(counts, 0))
+            ++lookups;
+        *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
+    }
     for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * motion_steps[c];
 }
 
@@ -313,8 +334,8 @@ typedef struct {
     __global float4 *history;
 } Frames;
 
-/* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame. */
-INLINE void find_history(const int src_x, const int src_y, const Frame *frame, const Frames f) {
+/* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame-> */
+INLINE void find_history(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
     const int source_width = frame->source_width, plane = source_width * frame->source_height;
     const int src = src_y * source_width + src_x, positions = frame->positions;
     const Reprojection to_previous = frame->to_previous, from_previous = frame->from_previous;
@@ -358,7 +379,7 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
 /* Which of LANES fragments may be fixed to the camera: by their motion, and because static ones would have moved in the image
    (`moves`), or changed their depth. */
 INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x, const Floats mv_y, const Floats z,
-                         const Floats z_static, const Ints moves, const Frame *frame) {
+                         const Floats z_static, const Ints moves, __constant Frame *frame) {
     const Pinhole inverse = frame->to_previous.source_inverse, before = frame->to_previous.target;
     const Floats ex = before.x * ((px_x - inverse.z) * inverse.x) + before.z - (px_x + mv_x);
     const Floats ey = before.y * ((px_y - inverse.w) * inverse.y) + before.w - (px_y + mv_y);
@@ -367,7 +388,7 @@ INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x,
 }
 
 /* Whether such a fragment is: the frame before shows its surface there, no nearer and no farther. */
-INLINE bool is_fixed(const int src_x, const int src_y, const Frame *frame, const Frames f) {
+INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
     const int src = src_y * frame->source_width + src_x;
     const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     const int x = clamp((int)floor(px_prev.x), 0, frame->source_width - 1);
@@ -377,15 +398,15 @@ INLINE bool is_fixed(const int src_x, const int src_y, const Frame *frame, const
 
 /* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where P_i
    is unknown. Static fragments only take the test. */
-WIDE __kernel void track_history(const Frame frame, __global const float *depth, __global const float2 *motion,
+WIDE __kernel void track_history(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
                                  __global const float4 *history_prev, __global const float *threshold_squared,
                                  __global const float *quantization_error, __global uchar *dynamic_mask,
                                  __global float *met_depth, __global float4 *history) {
     const Frames frames = {depth, motion, depth_prev, dynamic_prev, history_prev, met_depth, history};
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int has_previous = frame.has_previous && frame.motion;
-    const Reprojection to_previous = frame.to_previous;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int has_previous = frame->has_previous && frame->motion;
+    const Reprojection to_previous = frame->to_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
@@ -404,7 +425,7 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
             dy = beyond(dy, mv_y, 1.0f, quantization_error + 2);
             moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared);
         }
-        if (frame.camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, &frame);
+        if (frame->camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, frame);
     }
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));
     store_some_bytes(mask, count, dynamic_mask + src);
@@ -414,8 +435,8 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
     store_bytes(mask, 0, label);
     store_ints(may_stay, 0, lane_may_stay);
     for (int lane = 0; lane < count; ++lane) {
-        if (lane_may_stay[lane] && is_fixed(src_x + lane, src_y, &frame, frames))
+        if (lane_may_stay[lane] && is_fixed(src_x + lane, src_y, frame, frames))
             dynamic_mask[src + lane] = label[lane] = FIXED_TO_CAMERA;
-        if (label[lane] != STATIC) find_history(src_x + lane, src_y, &frame, frames);
+        if (label[lane] != STATIC) find_history(src_x + lane, src_y, frame, frames);
     }
 }

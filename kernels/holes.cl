@@ -102,7 +102,7 @@ INLINE float3 static_source(const int dst_x, const int dst_y, const float invers
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
-INLINE float3 border_code(const float2 px_source, const Frame *frame, __global const half *source_color) {
+INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
     const int x0 = (int)x, y0 = (int)y;
@@ -115,28 +115,28 @@ INLINE float3 border_code(const float2 px_source, const Frame *frame, __global c
 }
 
 /* Whether `px_source` lies outside of the rendered image. */
-INLINE bool is_out_of_screen(const float3 px_source, const Frame *frame) {
+INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
     return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
              && px_source.y < (float)frame->source_height);
 }
 
 /* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
-INLINE float3 continued(const float3 beside, const float3 px_source, const Frame *frame, __global const half *source_color) {
+INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame, __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
     const float3 border = border_code(px_source.xy, frame, source_color);
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
 /* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows there. */
-INLINE bool can_be_at(const float3 px_source, const Frame *frame, __global const float *source_depth) {
+INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
     const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
 
 /* Weights of the border of a disocclusion for the surface behind it. Candidates are static surfaces that, continued into the
-   disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances counts;
+   disocclusion, can be there in the rendered frame-> Of these, the surface with the largest sum of inverse distances counts;
    without candidates the far side. */
-INLINE void weigh_surface_behind(const Border a, const float3 *px_source, const Frame *frame, const Images f, float *weight) {
+INLINE void weigh_surface_behind(const Border a, const float3 *px_source, __constant Frame *frame, const Images f, float *weight) {
     bool behind[DIRECTIONS];
     for (int k = 0; k < a.count; ++k)
         behind[k] = !f.is_dynamic[a.px[k]] && f.filled_by[a.px[k]] != BY_HIDDEN_PART && can_be_at(px_source[k], frame, f.source_depth);
@@ -160,7 +160,7 @@ INLINE void weigh_surface_behind(const Border a, const float3 *px_source, const 
    of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
    disocclusion, and shows the surface behind it.
    Gives (color, inverse depth); false where no direction meets a valid pixel. */
-INLINE bool continue_surface(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
+INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     const Border a = find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth);
     if (a.count == 0) return false;
@@ -200,9 +200,9 @@ INLINE float weight_of_far_side(const Border a, const float3 mean, __global cons
 
 /* Mixes the background's fills with the far side. A surface's remembered color may be out of date, so the weighted mean with the
    present color beside it is shown. RUN pixels per work-item. */
-SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccluded, __global const uchar *filled_by,
+SCAN __kernel void mix_far_side(__constant Frame *frame, __global const uchar *disoccluded, __global const uchar *filled_by,
                                 __global const float *depth, __global half *color) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int first = dst_y * target_width + first_x;
@@ -214,20 +214,20 @@ SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccl
         if (a.count == 0) continue;
         float weight[DIRECTIONS];
         for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
-        const float3 mean = weighted_mean(a.count, a.px, a.inverse, weight, frame.code_offset, color).xyz;
+        const float3 mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, color).xyz;
         const float counts = weight_of_far_side(a, mean, color);
-        const float3 sum = load_code(color, dst, frame.code_offset) + counts * encode_color(mean, frame.code_offset);
-        store_code(mean_of(sum, 1.0f + counts), color, dst, frame.code_offset);
+        const float3 sum = load_code(color, dst, frame->code_offset) + counts * encode_color(mean, frame->code_offset);
+        store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
     }
 }
 
 /* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */
 
 /* Mean (color, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
-__kernel void push_image(const Frame frame, __global const uchar *filled_by, __global const half *color,
+__kernel void push_image(__constant Frame *frame, __global const uchar *filled_by, __global const half *color,
                          __global const float *depth, __global float4 *mean, __global float *weight) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int level_width = level_side(frame.target_width, 1), level_height = level_side(frame.target_height, 1);
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int level_width = level_side(frame->target_width, 1), level_height = level_side(frame->target_height, 1);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     float4 sum = (float4)(0.0f);
@@ -245,11 +245,11 @@ __kernel void push_image(const Frame frame, __global const uchar *filled_by, __g
 }
 
 /* The same from one level to the next; weights add up to at most 1. */
-__kernel void push_level(const Frame frame, const int level, __global const float4 *fine_mean,
+__kernel void push_level(__constant Frame *frame, const int level, __global const float4 *fine_mean,
                          __global const float *fine_weight, __global float4 *mean, __global float *weight) {
-    const int fine_width = level_side(frame.target_width, level - 1);
-    const int fine_height = level_side(frame.target_height, level - 1);
-    const int level_width = level_side(frame.target_width, level), level_height = level_side(frame.target_height, level);
+    const int fine_width = level_side(frame->target_width, level - 1);
+    const int fine_height = level_side(frame->target_height, level - 1);
+    const int level_width = level_side(frame->target_width, level), level_height = level_side(frame->target_height, level);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     float4 sum = (float4)(0.0f);
@@ -280,11 +280,11 @@ INLINE float4 upsampled(const int x, const int y, const int level_width, const i
 }
 
 /* Completes a level, in place, where it is not full, from the coarser one. */
-__kernel void pull_level(const Frame frame, const int level, __global const float4 *coarse_mean, __global float4 *mean,
+__kernel void pull_level(__constant Frame *frame, const int level, __global const float4 *coarse_mean, __global float4 *mean,
                          __global const float *weight) {
-    const int level_width = level_side(frame.target_width, level), level_height = level_side(frame.target_height, level);
-    const int coarse_width = level_side(frame.target_width, level + 1);
-    const int coarse_height = level_side(frame.target_height, level + 1);
+    const int level_width = level_side(frame->target_width, level), level_height = level_side(frame->target_height, level);
+    const int coarse_width = level_side(frame->target_width, level + 1);
+    const int coarse_height = level_side(frame->target_height, level + 1);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const int texel = texel_y * level_width + texel_x;
@@ -296,7 +296,7 @@ __kernel void pull_level(const Frame frame, const int level, __global const floa
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
 /* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
-INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, const Frame *frame, const Images f) {
+INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *frame, const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
     const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
     store_color(mean.xyz, f.color, dst);
@@ -307,12 +307,12 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, cons
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
 
 /* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
-SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_class,
+SCAN __kernel void fill_far_side(__constant Frame *frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color,
                                  __global const float *source_depth, __global const uchar *is_dynamic, __global half *color,
                                  __global float *depth, __global float2 *motion) {
     const Images images = {filled_by, source_color, source_depth, is_dynamic, color, depth, motion};
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
@@ -322,7 +322,7 @@ SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_
         const int dst = dst_y * target_width + dst_x;
         if (filled_by[dst] != BY_HOLE_FILLING) continue;
         float4 mean;
-        if (continue_surface(dst_x, dst_y, &frame, images, &mean)) fill_pixel(dst_x, dst_y, mean, &frame, images);
+        if (continue_surface(dst_x, dst_y, frame, images, &mean)) fill_pixel(dst_x, dst_y, mean, frame, images);
         else depth[dst] = BEYOND_REACH;
     }
 }
@@ -360,8 +360,8 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
 }
 
 /* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
-   frame. */
-INLINE float4 sum_strip(const int dst_x, const int first_y, const Frame *frame, const Images f, float *inverse_sum) {
+   frame-> */
+INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f, float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     float4 sum = (float4)(0.0f);
@@ -383,7 +383,7 @@ INLINE bool asks(const int dst, const Tile tile, const Images f) {
 }
 
 /* Fills a pixel from the four texels around it; out of screen, after the far side, with the image's border too. */
-INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, const Frame *frame, const Images f) {
+INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *frame, const Images f) {
     float2 between;
     const int2 first = first_texel(dst_x, dst_y, &between);
     float4 sum = (float4)(0.0f);
@@ -402,7 +402,7 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
 
 /* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they need as asked
    for. */
-INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, const Frame *frame,
+INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, __constant Frame *frame,
                         const Images f) {
     for (int run_x = first_x; run_x < end_x; run_x += RUN) {
         const int run = dst_y * frame->target_width + run_x;
@@ -423,7 +423,7 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
 
 /* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills the pixels under TILE x TILE texels: it sums
    up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
-SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_far_side, __global const uchar *filled_by,
+SPARSE __kernel void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
                                            __global const half *source_color, __global const float *source_depth,
                                            __global half *color, __global float *depth, __global float2 *motion,
                                            __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
@@ -432,11 +432,11 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
     __local uint asked[RING * RING], any_asks;
     const Tile tile = {get_group_id(0) * TILE - 1, get_group_id(1) * TILE - 1,
-                       (frame.target_width + DOWNSAMPLING - 1) / DOWNSAMPLING, (frame.target_height + DOWNSAMPLING - 1) / DOWNSAMPLING,
+                       (frame->target_width + DOWNSAMPLING - 1) / DOWNSAMPLING, (frame->target_height + DOWNSAMPLING - 1) / DOWNSAMPLING,
                        after_far_side, sums, inverse_sums, asked, &any_asks};
     const int lane = get_local_id(0);
     const int first_x = get_group_id(0) * TILE * DOWNSAMPLING, dst_y = get_group_id(1) * TILE * DOWNSAMPLING + lane;
-    const int end_x = dst_y < frame.target_height ? min(first_x + TILE * DOWNSAMPLING, frame.target_width) : first_x;
+    const int end_x = dst_y < frame->target_height ? min(first_x + TILE * DOWNSAMPLING, frame->target_width) : first_x;
     const int own_x = tile.ring_x + 1 + lane % TILE, own_y = tile.ring_y + 1 + lane / TILE, own = own_y * tile.width + own_x;
     const bool has_own = lane < TILE * TILE && own_x < tile.width && own_y < tile.height;
 
@@ -447,7 +447,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
         downsampled_inverse_depth[own] = 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    fill_or_ask(false, first_x, end_x, dst_y, tile, &frame, images);
+    fill_or_ask(false, first_x, end_x, dst_y, tile, frame, images);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     if (!any_asks) return;
@@ -456,7 +456,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
         if (!asked[k]) continue;
         float inverse_sum;
         strip_sums[lane] = sum_strip((tile.ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
-                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, &frame, images,
+                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, frame, images,
                                      &inverse_sum);
         strip_inverse_sums[lane] = inverse_sum;
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -475,16 +475,16 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
         downsampled_color[own] = sums[own_in_ring];
         downsampled_inverse_depth[own] = inverse_sums[own_in_ring];
     }
-    fill_or_ask(true, first_x, end_x, dst_y, tile, &frame, images);
+    fill_or_ask(true, first_x, end_x, dst_y, tile, frame, images);
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */
-__kernel void fill_from_pyramid(const Frame frame, __global const uchar *filled_by, __global const float4 *level_mean,
+__kernel void fill_from_pyramid(__constant Frame *frame, __global const uchar *filled_by, __global const float4 *level_mean,
                                 __global half *color, __global float *depth, __global float2 *motion) {
     const Images images = {filled_by, 0, 0, 0, color, depth, motion};
-    const int level_width = level_side(frame.target_width, 1), level_height = level_side(frame.target_height, 1);
+    const int level_width = level_side(frame->target_width, 1), level_height = level_side(frame->target_height, 1);
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= frame.target_width || dst_y >= frame.target_height) return;
-    if (filled_by[dst_y * frame.target_width + dst_x] != BY_HOLE_FILLING) return;
-    fill_pixel(dst_x, dst_y, upsampled(dst_x, dst_y, level_width, level_height, level_mean), &frame, images);
+    if (dst_x >= frame->target_width || dst_y >= frame->target_height) return;
+    if (filled_by[dst_y * frame->target_width + dst_x] != BY_HOLE_FILLING) return;
+    fill_pixel(dst_x, dst_y, upsampled(dst_x, dst_y, level_width, level_height, level_mean), frame, images);
 }

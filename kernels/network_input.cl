@@ -13,8 +13,8 @@
 #define MAX_INVERSE_DEPTH 8.0f
 
 /* How often each bin of finite depth occurs in some of the rows. */
-WIDE __kernel void depth_histogram(const Frame frame, __global const float *depth, __global uint *histogram) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
+WIDE __kernel void depth_histogram(__constant Frame *frame, __global const float *depth, __global uint *histogram) {
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
     if (count <= 0) return;
     int bin = -1;
@@ -88,16 +88,16 @@ INLINE void store_colors(const Strip a, const Strip b, const float4 law, const i
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-WIDE __kernel void network_input(const Frame frame, __global const half *color, __global const float *depth,
+WIDE __kernel void network_input(__constant Frame *frame, __global const half *color, __global const float *depth,
                                  __global const float2 *out_motion, __global const uchar *is_dynamic,
                                  __global const uchar *disoccluded, __global const float2 *motion,
                                  __global const half *color_prev, __global const float *depth_prev,
                                  __global const float *median_depth, __global float *planes) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int network_width = frame.network_width, network_height = frame.network_height;
-    const float4 law = frame.color_law;
-    const Reprojection to_previous = frame.target_to_previous;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int network_width = frame->network_width, network_height = frame->network_height;
+    const float4 law = frame->color_law;
+    const Reprojection to_previous = frame->target_to_previous;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
     const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,

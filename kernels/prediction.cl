@@ -21,12 +21,12 @@ typedef struct {
 } Tracked;
 
 /* Displacement of a fragment by acceleration after alpha intervals. */
-INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
+INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Tracked f) {
+INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
@@ -66,13 +66,13 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
 }
 
 /* target_position: planes of x, y and depth. */
-WIDE __kernel void predict_positions(const Frame frame, __global const float *depth, __global const float2 *motion,
+WIDE __kernel void predict_positions(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
                                      __global const uchar *dynamic_mask, __global const float *met_depth,
                                      __global const float4 *history, __global const float4 *velocity,
                                      __global const uint2 *bend, __global const uint2 *view_velocity,
                                      __global float *target_position) {
     const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend, view_velocity};
-    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
@@ -80,7 +80,7 @@ WIDE __kernel void predict_positions(const Frame frame, __global const float *de
     bool movers = false;
     if (whole) {
         const Floats z = load_floats(0, depth + src);
-        const Wide3 target = wide_reproject(row_centers(src_x), (Floats)((float)src_y + 0.5f), z, frame.to_target);
+        const Wide3 target = wide_reproject(row_centers(src_x), (Floats)((float)src_y + 0.5f), z, frame->to_target);
         const Ints valid = (z > 0.0f) & (target.z > 0.0f);
         store_floats(valid ? target.x : (Floats)(NOWHERE), 0, target_position + src);
         store_floats(valid ? target.y : (Floats)(NOWHERE), 0, target_position + plane + src);
@@ -90,7 +90,7 @@ WIDE __kernel void predict_positions(const Frame frame, __global const float *de
     if (whole && !movers) return;
     for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
         if (whole && !dynamic_mask[k]) continue;
-        const float3 place = predicted_position(src_x + k - src, src_y, &frame, fragments);
+        const float3 place = predicted_position(src_x + k - src, src_y, frame, fragments);
         target_position[k] = place.x;
         target_position[plane + k] = place.y;
         target_position[2 * plane + k] = place.z;

@@ -19,10 +19,10 @@ INLINE float2 mapped(const float2 px, const float4 mapping) { return px * mappin
 
 /* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between. Beyond the image its border is
    repeated. */
-__kernel void present_color(const Frame frame, __global const uint2 *color, __global half *out_color) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const float4 to_render = frame.to_render;
+__kernel void present_color(__constant Frame *frame, __global const uint2 *color, __global half *out_color) {
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const float4 to_render = frame->to_render;
     const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
     if (dst_x >= target_width) return;
     const float px_render = ((float)dst_x + 0.5f) * to_render.x + to_render.z;
@@ -53,13 +53,13 @@ __kernel void present_color(const Frame frame, __global const uint2 *color, __gl
 
 /* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface was on
    the previous display. */
-__kernel void present_geometry(const Frame frame, __global const float *depth, __global const float2 *motion,
+__kernel void present_geometry(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
                                __global float *out_depth, __global float2 *out_motion) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const float4 to_render = frame.to_render;
-    const float4 to_display = frame.to_display;
-    const float4 to_previous_display = frame.to_previous_display;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const float4 to_render = frame->to_render;
+    const float4 to_display = frame->to_display;
+    const float4 to_previous_display = frame->to_previous_display;
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const float2 px_render = mapped(pixel_center(dst_x, dst_y), to_render);

@@ -9,15 +9,15 @@
 #define SMAPE_EPSILON 0.01f  /* the paper's: keeps black pixels from counting fully */
 
 /* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from warped_previous.h. */
-WIDE __kernel void prepare_inputs(const Frame frame, __global const half *color, __global const float *depth,
+WIDE __kernel void prepare_inputs(__constant Frame *frame, __global const half *color, __global const float *depth,
                                   __global const float2 *out_motion, __global const uchar *is_dynamic,
                                   __global const uchar *disoccluded, __global const float2 *motion,
                                   __global const half *color_prev, __global const float *depth_prev,
                                   __global half *warped_previous, __global half *input_mask) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int has_previous = frame.has_previous;
-    const Reprojection to_previous = frame.target_to_previous;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int has_previous = frame->has_previous;
+    const Reprojection to_previous = frame->target_to_previous;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const Frames frames = {has_previous, target_width, source_width, source_height, color, color_prev, depth, depth_prev,

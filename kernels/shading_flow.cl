@@ -20,9 +20,9 @@
 #define CANDIDATES 16
 
 /* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2). */
-WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global float *colors,
+WIDE __kernel void halve_frames(__constant Frame *frame, __global const float *frames, __global float *colors,
                                 __global float *brightness) {
-    const int fine = frame.network_width, width = fine / 2, height = frame.network_height / 2, plane = width * height;
+    const int fine = frame->network_width, width = fine / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
     for (int which = 0; which < 2; ++which) {
@@ -37,8 +37,8 @@ WIDE __kernel void halve_frames(const Frame frame, __global const float *frames,
 }
 
 /* Both frames' brightness at `level`, from the level above. */
-WIDE __kernel void halve_brightness(const Frame frame, const int level, __global const float *fine, __global float *brightness) {
-    const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
+WIDE __kernel void halve_brightness(__constant Frame *frame, const int level, __global const float *fine, __global float *brightness) {
+    const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
     for (int which = 0; which < 2; ++which)
@@ -46,8 +46,8 @@ WIDE __kernel void halve_brightness(const Frame frame, const int level, __global
 }
 
 /* The flow at `level` to begin with, from that of the level below. */
-WIDE __kernel void double_flow(const Frame frame, const int level, __global const float *coarse, __global float *flow) {
-    const int width = frame.network_width >> (level + 1), height = frame.network_height >> (level + 1);
+WIDE __kernel void double_flow(__constant Frame *frame, const int level, __global const float *coarse, __global float *flow) {
+    const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1);
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, plane = width * height;
     if (count <= 0 || y >= height) return;
     Taps taps;
@@ -57,9 +57,9 @@ WIDE __kernel void double_flow(const Frame frame, const int level, __global cons
 }
 
 /* The previous frame's brightness at `level`, moved along the flow. */
-WIDE __kernel void warp_brightness(const Frame frame, const int level, __global const float *brightness,
+WIDE __kernel void warp_brightness(__constant Frame *frame, const int level, __global const float *brightness,
                                    __global const float *flow, __global float *warped) {
-    const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
+    const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
     Taps taps;
@@ -77,9 +77,9 @@ INLINE Floats both_at(__global const float *now, __global const float *warped, c
 }
 
 /* Of gradients and differences, means over 2x2 pixels of their products: xx, xy, yy, xr, yr. */
-WIDE __kernel void sum_products(const Frame frame, const int level, __global const float *brightness,
+WIDE __kernel void sum_products(__constant Frame *frame, const int level, __global const float *brightness,
                                 __global const float *warped, __global float *products) {
-    const int width = frame.network_width >> level, height = frame.network_height >> level;
+    const int width = frame->network_width >> level, height = frame->network_height >> level;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), cells_width = width / 2, count = cells_width - cell_x;
     if (count <= 0 || cell_y >= height / 2) return;
     Floats sums[PRODUCTS];
@@ -116,8 +116,8 @@ INLINE Floats mean_around(__global const float *plane, const int width, const in
 }
 
 /* One step of the flow at `level`, by least squares. */
-WIDE __kernel void step_flow(const Frame frame, const int level, __global const float *products, __global float *flow) {
-    const int width = frame.network_width >> (level + 1), height = frame.network_height >> (level + 1), plane = width * height;
+WIDE __kernel void step_flow(__constant Frame *frame, const int level, __global const float *products, __global float *flow) {
+    const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1), plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
     Floats mean[PRODUCTS];
@@ -132,10 +132,10 @@ WIDE __kernel void step_flow(const Frame frame, const int level, __global const 
 
 /* At level 2, squared differences: means over 2x2 pixels of level 1 of the brightness of both frames, in place and along the
    flow; and of its change from the previous interval's, in place and along the flow. */
-WIDE __kernel void sum_differences(const Frame frame, __global const float *brightness, __global const float *warped,
+WIDE __kernel void sum_differences(__constant Frame *frame, __global const float *brightness, __global const float *warped,
                                    __global const float *coarser, __global const float *flow, __global const float *trends,
                                    __global float *products) {
-    const int fine = frame.network_width / 2, width = fine / 2, height = frame.network_height / 4, plane = width * height;
+    const int fine = frame->network_width / 2, width = fine / 2, height = frame->network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
     Floats still = 0.0f, along = 0.0f;
@@ -159,8 +159,8 @@ WIDE __kernel void sum_differences(const Frame frame, __global const float *brig
 }
 
 /* Their means around. */
-WIDE __kernel void blur_differences(const Frame frame, __global const float *products, __global float *differences) {
-    const int width = frame.network_width / 4, height = frame.network_height / 4, plane = width * height;
+WIDE __kernel void blur_differences(__constant Frame *frame, __global const float *products, __global float *differences) {
+    const int width = frame->network_width / 4, height = frame->network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
     for (int k = 0; k < DIFFERENCES; ++k)
@@ -186,10 +186,10 @@ INLINE void know_trends(__global const float *trends, const int plane, Floats *k
 /* Planes of the network's input at a quarter of the resolution: the flow (2); the root of the mean squared difference in place
    and along the flow, and their ratio; change of color along the flow until t + alpha (3); trends (3) and the mean of the earlier
    one; difference of brightness; agreement of the trends; their share of valid samples; alpha. */
-WIDE __kernel void find_candidates(const Frame frame, __global const float *colors, __global const float *brightness,
+WIDE __kernel void find_candidates(__constant Frame *frame, __global const float *colors, __global const float *brightness,
                                    __global const float *flow, __global const float *differences,
                                    __global const float *trends, __global float *candidates) {
-    const int width = frame.network_width / 2, height = frame.network_height / 2, plane = width * height;
+    const int width = frame->network_width / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
     Taps taps;
@@ -197,7 +197,7 @@ WIDE __kernel void find_candidates(const Frame frame, __global const float *colo
     const Floats found_x = interpolate(flow, &taps), found_y = interpolate(flow + plane / 4, &taps);
     const Floats still = interpolate(differences, &taps) + LEAST, along = interpolate(differences + plane / 4, &taps) + LEAST;
     Sample there;
-    find_sample(row_indices(x) + frame.alpha * found_x, (float)y + frame.alpha * found_y, width, height, &there);
+    find_sample(row_indices(x) + frame->alpha * found_x, (float)y + frame->alpha * found_y, width, height, &there);
     Floats known[6];
     know_trends(trends + at, plane, known);
     __global float *out = candidates + at;
@@ -215,5 +215,5 @@ WIDE __kernel void find_candidates(const Frame frame, __global const float *colo
     store_floats(GAIN * (load_floats(0, brightness + at) - load_floats(0, brightness + plane + at)), 0, out + 12 * plane);
     store_floats(known[4], 0, out + HELD * plane);
     store_floats(known[5], 0, out + 14 * plane);
-    store_floats((Floats)(frame.alpha), 0, out + 15 * plane);
+    store_floats((Floats)(frame->alpha), 0, out + 15 * plane);
 }

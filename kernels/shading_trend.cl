@@ -38,7 +38,7 @@ INLINE Floats factor_of(const Floats now, const Floats before, const Ints known,
 }
 
 /* Of the pixels (x, y). */
-INLINE void change_at(const Ints x, const int y, const Frame *frame, const Frames f, Change *c) {
+INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
     const Ints in_image = (x < width) & ((Ints)(y) < height);
@@ -74,12 +74,12 @@ INLINE Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | 
 
 /* Planes of the summed change of encoded color of a cell's samples, and of the share that is known, over the number of samples;
    and how many samples move or change by more than noise. */
-WIDE __kernel void measure_changes(const Frame frame, __global const half *color, __global const float *depth,
+WIDE __kernel void measure_changes(__constant Frame *frame, __global const half *color, __global const float *depth,
                                    __global const uchar *dynamic_mask, __global const half *color_prev,
                                    __global const float *depth_prev, __global float *changes, __global uchar *changed_samples) {
     const Frames frames = {color, depth, dynamic_mask, color_prev, depth_prev};
-    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
-    const float4 law = frame.color_law;
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
+    const float4 law = frame->color_law;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
     const int count = min(LANES, cells_width - first_x), plane = cells_width * cells_height;
@@ -88,7 +88,7 @@ WIDE __kernel void measure_changes(const Frame frame, __global const half *color
     for (int y = 1; y < CELL; y += SAMPLE_STRIDE)
         for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
             Change c;
-            change_at((first_x + LANE_NUMBERS) * CELL + x, cell_y * CELL + y, &frame, frames, &c);
+            change_at((first_x + LANE_NUMBERS) * CELL + x, cell_y * CELL + y, frame, frames, &c);
             factor[0] *= c.factor.r;
             factor[1] *= c.factor.g;
             factor[2] *= c.factor.b;
@@ -105,8 +105,8 @@ WIDE __kernel void measure_changes(const Frame frame, __global const half *color
 
 /* Whether more than a FEW samples change in any tile of TILE x TILE cells. One work-group. */
 __kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
-void find_change(const Frame frame, __global const uchar *changed_samples, __global int *changed) {
-    const int part = get_local_id(0), cells_width = frame.cells_width, cells_height = frame.cells_height;
+void find_change(__constant Frame *frame, __global const uchar *changed_samples, __global int *changed) {
+    const int part = get_local_id(0), cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int columns = (cells_width + TILE - 1) / TILE, rows = (cells_height + TILE - 1) / TILE;
     __local int found[SCANNERS];
     found[part] = 0;
@@ -125,9 +125,9 @@ void find_change(const Frame frame, __global const uchar *changed_samples, __glo
 
 /* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond the image
    there is nothing. */
-__kernel void blur_rows(const Frame frame, __global const float *changes, __global float *blurred) {
-    const int reach = max(1, frame.source_height / REACH_SHARE);
-    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
+__kernel void blur_rows(__constant Frame *frame, __global const float *changes, __global float *blurred) {
+    const int reach = max(1, frame->source_height / REACH_SHARE);
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, row = cell_y * cells_width;
@@ -140,9 +140,9 @@ __kernel void blur_rows(const Frame frame, __global const float *changes, __glob
 }
 
 /* The same along columns, and the mean of known values. */
-__kernel void find_trend(const Frame frame, __global const float *blurred, __global float *trend) {
-    const int reach = max(1, frame.source_height / REACH_SHARE);
-    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
+__kernel void find_trend(__constant Frame *frame, __global const float *blurred, __global float *trend) {
+    const int reach = max(1, frame->source_height / REACH_SHARE);
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, cell = cell_y * cells_width + cell_x;
@@ -186,15 +186,15 @@ INLINE Floats trend_at(__global const float *plane, const Cells *c) {
 
 /* The trends of the last two intervals, continued to t + alpha, each looked up at the static surface's position then, and the
    valid share of the last one; and the change of brightness nearby in the interval before. */
-WIDE __kernel void carry_trends(const Frame frame, __global const float *depth, __global const float *trend,
+WIDE __kernel void carry_trends(__constant Frame *frame, __global const float *depth, __global const float *trend,
                                 __global const float *trend_prev, __global const float *changes_prev,
                                 __global float *trends) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int width = frame.network_width / 2, height = frame.network_height / 2;
-    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
-    const float alpha = frame.alpha;
-    const Reprojection to_source = frame.to_source;
-    const Reprojection to_previous = frame.target_to_previous;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int width = frame->network_width / 2, height = frame->network_height / 2;
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
+    const float alpha = frame->alpha;
+    const Reprojection to_source = frame->to_source;
+    const Reprojection to_previous = frame->target_to_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
     const Ints dst_x = min(4 * (x + LANE_NUMBERS) + 2, (Ints)(target_width - 1));

@@ -1,4 +1,4 @@
-/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame.
+/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame->
    A rendered frame is antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and of the surface behind.
    Where both move apart, that share is estimated and carried along with the nearer surface, over the new frame behind it.
    Colors are mixed by their codes (color_code.h).
@@ -156,12 +156,12 @@ INLINE void mark_around(const float2 px, const int width, const int height, __gl
 
 /* Which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's `share` of the pixel.
    Marks the target blocks where they go; they come unmarked. */
-WIDE __kernel void find_layers(const Frame frame, __global const float *depth, __global const uchar *links,
+WIDE __kernel void find_layers(__constant Frame *frame, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const float2 zoom = frame.zoom;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const float2 zoom = frame->zoom;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
@@ -407,20 +407,20 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
 
 /* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share. Unmarked blocks are
    skipped. */
-WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __global const float *target_position,
+WIDE __kernel void soften(__constant Frame *frame, __global const uchar *marked, __global const float *target_position,
                           __global const half *codes, __global const uchar *layer, __global const uint *behind,
                           __global const uchar *share, __global const half *color, __global const float *depth,
                           __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
                           __global uchar *coverage, __global uint *softened) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const float2 zoom = frame.zoom;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const float2 zoom = frame->zoom;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
     const Source s = {source_width, source_height, zoom, target_position, codes};
     const Layers l = {layer, behind, share};
-    const Shown f = {target_width, target_height, frame.code_offset, color, depth, motion, filled_by, mixed};
+    const Shown f = {target_width, target_height, frame->code_offset, color, depth, motion, filled_by, mixed};
     Span p = {dst_x, dst_y, target_width, target_height, false};
     Ints paired, soft;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
@@ -448,9 +448,9 @@ WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __glo
 }
 
 /* The new colors go to the frame, RUN pixels per work-item. */
-SCAN __kernel void apply_softened(const Frame frame, __global const uchar *marked, __global const uchar *coverage,
+SCAN __kernel void apply_softened(__constant Frame *frame, __global const uchar *marked, __global const uchar *coverage,
                                   __global const uint *softened, __global half *color) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int end_x = min(first_x + RUN, target_width);
@@ -458,7 +458,7 @@ SCAN __kernel void apply_softened(const Frame frame, __global const uchar *marke
         if (!marked[block_of(block_x, dst_y, target_width)]) continue;
         for (int dst_x = block_x; dst_x < min(block_x + BLOCK_WIDTH, end_x); ++dst_x) {
             const int dst = dst_y * target_width + dst_x;
-            if (coverage[dst]) store_code(unpack_color(softened[dst]), color, dst, frame.code_offset);
+            if (coverage[dst]) store_code(unpack_color(softened[dst]), color, dst, frame->code_offset);
         }
     }
 }

@@ -80,9 +80,9 @@ INLINE void load_given(__global const float *given, const bool halves, const int
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(const Frame frame, __global const float *given, const bool halves, const int channels, __global half *color,
+INLINE void take(__constant Frame *frame, __global const float *given, const bool halves, const int channels, __global half *color,
                  __global uchar *bad_pixels) {
-    const int width = frame.source_width, height = frame.source_height, y = get_global_id(1);
+    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     int infinite = 0, clamped = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
@@ -106,21 +106,21 @@ INLINE void take(const Frame frame, __global const float *given, const bool halv
     store_counts(width, height, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(const Frame frame, __global const float *given, const int start, const int channels,
+WIDE __kernel void take_floats(__constant Frame *frame, __global const float *given, const int start, const int channels,
                                __global half *color, __global uchar *bad_pixels) {
     take(frame, given + start, false, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(const Frame frame, __global const half *given, const int start, const int channels,
+WIDE __kernel void take_halves(__constant Frame *frame, __global const half *given, const int start, const int channels,
                                __global half *color, __global uchar *bad_pixels) {
     take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
 }
 
 /* Bad are depth that is NaN or not positive, and motion that is NaN or infinite. Input and output may be the same buffer. */
-WIDE __kernel void take_geometry(const Frame frame, __global const float *given_depth, const int depth_start,
+WIDE __kernel void take_geometry(__constant Frame *frame, __global const float *given_depth, const int depth_start,
                                  __global const float *given_motion, const int motion_start, __global float *depth,
                                  __global float2 *motion, __global uchar *bad_pixels) {
-    const int width = frame.source_width, height = frame.source_height, y = get_global_id(1);
+    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     int bad_depth = 0, bad_motion = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {

@@ -122,15 +122,15 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
 }
 
 /* Of each rendered pixel: where its surroundings were, and the distance of its color from the history there. */
-WIDE __kernel void compare(const Frame frame, __global const half *color, __global const float *depth,
+WIDE __kernel void compare(__constant Frame *frame, __global const half *color, __global const float *depth,
                            __global const float2 *motion, __global const float *previous_depth, __global const half *history,
                            __global half *out_compressed, __global float2 *out_dilated, __global half *out_surprise) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const Reprojection to_previous = frame.to_previous;
-    const float4 to_previous_display = frame.to_previous_display;
-    const float exposure = frame.exposure;
-    const int has_history = frame.has_previous;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const Reprojection to_previous = frame->to_previous;
+    const float4 to_previous_display = frame->to_previous_display;
+    const float exposure = frame->exposure;
+    const int has_history = frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (count <= 0 || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
@@ -194,9 +194,9 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
 
 /* Colors around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
    which is compensated; the rest is its error. */
-WIDE __kernel void survey(const Frame frame, __global const half *compressed, __global const half *surprise,
+WIDE __kernel void survey(__constant Frame *frame, __global const half *compressed, __global const half *surprise,
                           __global half *out_mean, __global half *out_deviation) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (count <= 0 || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
@@ -259,7 +259,7 @@ typedef struct {
 
 /* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around `src`, within
    their colors; less where it moved, from there to `px`. `seen`: by depth. */
-INLINE void recall(const Frame *frame, const Past past, const Floats *px, const Ints known, const Floats *px_previous,
+INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, const Ints known, const Floats *px_previous,
                    const Ints src, const Floats seen, Recalled *r) {
     const int width = frame->target_width, height = frame->target_height;
     const Floats at_x = known ? px_previous[0] : (Floats)(0.0f), at_y = known ? px_previous[1] : (Floats)(0.0f);
@@ -278,15 +278,15 @@ INLINE void recall(const Frame *frame, const Past past, const Floats *px, const 
 }
 
 /* The rendered frame into the history. */
-WIDE __kernel void accumulate(const Frame frame, __global const half *compressed, __global const float2 *dilated,
+WIDE __kernel void accumulate(__constant Frame *frame, __global const half *compressed, __global const float2 *dilated,
                               __global const half *mean, __global const half *deviation, __global const half *history,
                               __global const uchar *lock, __global half *out_history, __global uchar *out_lock,
                               __global uchar *rejected) {
     const Past past = {mean, deviation, history, lock};
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const float4 to_render = frame.to_render, to_previous_display = frame.to_previous_display;
-    const float2 pixel_size = frame.pixel_size;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const float4 to_render = frame->to_render, to_previous_display = frame->to_previous_display;
+    const float2 pixel_size = frame->pixel_size;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     const int dst = dst_y * target_width + dst_x, count = target_width - dst_x;
     if (count <= 0 || dst_y >= target_height) return;
@@ -314,9 +314,9 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     const Floats moved_x = gather_xy(dilated, src, &moved_y), none = 0.0f;
     px_previous[0] = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
     px_previous[1] = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
-    const Ints known = within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame.has_previous) != 0);
+    const Ints known = within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame->has_previous) != 0);
     Recalled r = {{none, none, none, none}, none, none, none};
-    if (ANY(known)) recall(&frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
+    if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
 
     /* Without confidence the interpolated frame replaces it; single samples would be dots in a grid. */
     const Floats kept = wide_lesser(r.held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
@@ -331,18 +331,18 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     sum.y = (counted * sum.y + held * r.color.y) * scale;
     sum.z = (counted * sum.z + held * r.color.z) * scale;
     sum.w = wide_lesser(total, (Floats)(MOST_WEIGHT));
-    store_channels(expanded(sum, frame.exposure), count, out_history + 4 * dst);
+    store_channels(expanded(sum, frame->exposure), count, out_history + 4 * dst);
     store_some_bytes(to_bytes(to_ints(r.locked)), count, out_lock + dst);
     store_some_bytes(to_bytes(to_ints(255.0f * (1.0f - r.believed) + 0.5f)), count, rejected + dst);
 }
 
 /* A generated frame: the history where its own fragments are seen, with the change by shading correction; else its own
    color. */
-WIDE __kernel void generate(const Frame frame, const int corrected, __global const float *depth,
+WIDE __kernel void generate(__constant Frame *frame, const int corrected, __global const float *depth,
                             __global const float2 *motion, __global const uchar *disoccluded, __global const half *gae,
                             __global const half *color, __global const half *history, __global half *out_color) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const float4 to_shown = frame.to_display;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const float4 to_shown = frame->to_display;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
     if (count <= 0 || y >= target_height) return;
     const Span p = {x, y, target_width, target_height,

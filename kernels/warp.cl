@@ -29,7 +29,7 @@ typedef struct {
     float code_offset;
 } Rendered;
 
-/* The new frame. */
+/* The new frame-> */
 typedef struct {
     __global half *color;
     __global float *depth;
@@ -111,25 +111,25 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
 }
 
 /* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. */
-WIDE __kernel void splat(const Frame frame, const int pass, __global const float *depth, __global const uchar *links,
+WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const float *depth, __global const uchar *links,
                          __global const float *target_position, __global const short4 *reach,
                          __global const uchar *block_class, __global Key *keys, __global uint *winners) {
-    const int width = frame.source_width, height = frame.source_height;
+    const int width = frame->source_width, height = frame->source_height;
     const Fragments from = {depth, target_position, links, width, height, width * height,
-                            frame.target_width, frame.target_height, frame.zoom};
+                            frame->target_width, frame->target_height, frame->zoom};
     const Winners to = {keys, winners};
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
     if (src_x >= width || src_y >= height) return;
-    if (frame.blocks && frame.crack_closing
-        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame.target_width, block_class)) return;
+    if (frame->blocks && frame->crack_closing
+        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame->target_width, block_class)) return;
     Ints done = (Ints)(0);
-    if (frame.crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < width && src_y + 1 < height)
+    if (frame->crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < width && src_y + 1 < height)
         done = splat_lanes(from, to, src, pass);
     if (ALL(done)) return;
     int lane_done[LANES];
     store_ints(done, 0, lane_done);
     for (int k = 0; k < min(LANES, width - src_x); ++k)
-        if (!lane_done[k]) splat_fragment(from, to, src + k, frame.crack_closing, pass);
+        if (!lane_done[k]) splat_fragment(from, to, src + k, frame->crack_closing, pass);
 }
 
 /* ---- resample ------------------------------------------------------------------------------------------------ */
@@ -470,17 +470,17 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
 }
 
 /* LANES pixels per work-item. */
-WIDE __kernel void resolve(const Frame frame, const int unfilled_label, __global const uchar *block_class,
+WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __global const uchar *block_class,
                            __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
                            __global uint *winners, __global const half *color, __global const half *codes,
                            __global const float *depth, __global const uchar *dynamic_mask, __global const uchar *links,
                            __global const float *target_position, __global half *out_color, __global float *out_depth,
                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
                            __global uchar *filled_by, __global uchar *mixed) {
-    const int width = frame.source_width, height = frame.source_height;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const Fragments from = {depth, target_position, links, width, height, width * height, target_width, target_height, frame.zoom};
-    const Rendered shown = {color, codes, dynamic_mask, frame.code_offset};
+    const int width = frame->source_width, height = frame->source_height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const Fragments from = {depth, target_position, links, width, height, width * height, target_width, target_height, frame->zoom};
+    const Rendered shown = {color, codes, dynamic_mask, frame->code_offset};
     const Winners winning = {keys, winners};
     const NewFrame to = {out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed};
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);

@@ -48,13 +48,15 @@ Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, 
 
 def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:
     """Return the launches of the pipeline during `work`."""
-    for stage in pipeline.stages.values():
+    blocks = pipeline.board.blocks
+    stages = {blocks.name: blocks} | pipeline.stages
+    for stage in stages.values():
         stage.launches = []
     try:
         work()
-        return {name: stage.launches for name, stage in pipeline.stages.items()}
+        return {name: stage.launches for name, stage in stages.items()}
     finally:
-        for stage in pipeline.stages.values():
+        for stage in stages.values():
             stage.launches = None
 
 

@@ -21,7 +21,7 @@ from gffe_cl.inference.network import default_model, load_network
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import stages_of
-from gffe_cl.stages.base import Board, Kernel, Stage, Step
+from gffe_cl.stages.base import Board, FrameBlocks, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
@@ -130,7 +130,7 @@ class _Rehearsal:
         }
         self.board.lend()
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
-        self.all = self.stages | others
+        self.all = self.stages | others | {FrameBlocks.name: self.board.blocks}
         for stage in self.all.values():
             stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):
@@ -141,6 +141,7 @@ class _Rehearsal:
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """Return the operations of each occasion, in one set of circumstances."""
         step, composition = self._step(number, first), self.all[Composition.name]
+        rendered = replace(step, camera=None)
         shown = self.board.device.buffer(1)
         self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
         self._learn_names()
@@ -150,13 +151,14 @@ class _Rehearsal:
         found = {"leave_out": self.tape.take()}
         composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
         for occasion, work in (
-            ("rendered", lambda: [stage.rendered(step) for stage in self.stages.values()]),
+            ("rendered", lambda: self._take_rendered(rendered)),
             ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
-            ("present", lambda: self._present(step)),
-            ("cut", lambda: self._look_for_cut(step)),
+            ("present", lambda: self._present(rendered)),
+            ("cut", lambda: self._count_samples(rendered)),
             ("compose", lambda: composition.compose(shown, step.alpha)),
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
         ):
+            self.board.blocks.forget()
             work()
             found[occasion] = self.tape.take()
         return found
@@ -170,9 +172,14 @@ class _Rehearsal:
     def _present(self, step: Step) -> None:
         self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
 
-    def _look_for_cut(self, step: Step) -> None:
+    def _take_rendered(self, step: Step) -> None:
+        for stage in self.stages.values():
+            if stage.name != SceneCuts.name:
+                stage.rendered(step)
+
+    def _count_samples(self, step: Step) -> None:
         if detection := self.stages.get(SceneCuts.name):
-            detection.is_cut(step.frame, step.previous)
+            detection.rendered(step)
 
     def _step(self, number: int, first: bool) -> Step:
         """Circumstances of which no two have a number in common."""

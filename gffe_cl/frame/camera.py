@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 
 import numpy as np
@@ -218,10 +219,20 @@ class Camera:
         """fx, fy, cx, cy in pixels."""
         return (self.fx, self.fy, self.cx, self.cy)
 
+    @cached_property
+    def rows(self) -> list[list[float]]:
+        """The rows of `world_to_view`."""
+        return self.world_to_view.tolist()
+
+    @cached_property
+    def inverse(self) -> tuple[list[list[float]], list[float]]:
+        """Rotation and translation, view → world space."""
+        return vectors.view_inverse(self.rows)
+
     @property
     def position(self) -> np.ndarray:
         """(3,) world position."""
-        return np.array(vectors.view_inverse(self.world_to_view.tolist())[1])
+        return np.array(self.inverse[1])
 
     @property
     def direction(self) -> np.ndarray:
@@ -308,16 +319,17 @@ class Camera:
     def to_view_of(self, other: Camera) -> np.ndarray:
         """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
         validation.require_kind(other, Camera, "camera: other")
-        if np.array_equal(self.world_to_view, other.world_to_view):
-            return np.eye(4)
-        rotation, translation = vectors.view_inverse(self.world_to_view.tolist())
-        rows = other.world_to_view.tolist()[:3]
+        return np.array([*self.rows_to_view_of(other), [0.0, 0.0, 0.0, 1.0]])
+
+    def rows_to_view_of(self, other: Camera) -> list[list[float]]:
+        """Return the first three rows of `to_view_of`, as lists."""
+        if self.rows == other.rows:
+            return [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+        rotation, translation = self.inverse
+        rows = other.rows[:3]
         other_rotation = [row[:3] for row in rows]
-        moved = vectors.times(other_rotation, translation)
-        matrix = np.eye(4)
-        matrix[:3, :3] = vectors.product(other_rotation, rotation)
-        matrix[:3, 3] = [x + row[3] for x, row in zip(moved, rows, strict=True)]
-        return matrix
+        turned, moved = vectors.product(other_rotation, rotation), vectors.times(other_rotation, translation)
+        return [[*of, place + row[3]] for of, place, row in zip(turned, moved, rows, strict=True)]
 
     def scaled(self, scale_x: float, scale_y: float) -> Camera:
         """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels. Raises GffeError

@@ -37,12 +37,22 @@ _SCALARS = {"int": np.int32, "uint": np.uint32, "float": np.float32}
 
 @dataclass(frozen=True)
 class Argument:
-    """Of a kernel: `type` as in OpenCL C without qualifiers; a `buffer` is a pointer, `read_only` if const."""
+    """Argument of a kernel: `type` as in OpenCL C without qualifiers; a `buffer` is a pointer, `read_only` if const."""
 
     name: str
     type: str
     buffer: bool
     read_only: bool
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it is a number, by value."""
+        return not self.buffer and self.type in _SCALARS
+
+    @property
+    def is_frame_block(self) -> bool:
+        """Whether it is the pointer to the frame block that a kernel reads."""
+        return self.buffer and self.read_only and self.type == "Frame"
 
     @property
     def numpy_type(self) -> Any:
@@ -55,8 +65,8 @@ class Argument:
 
 
 class Program:
-    """The kernels of one file. `kernels` are created once, `arguments` describe the parameters of each, `constants`
-    are the numbers defined by the file and its headers."""
+    """The kernels of one file. `kernels` are those of `launch`, `arguments` describe the parameters of each, and
+    `constants` are the numbers defined by the file and its headers."""
 
     def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
         self.name = name
@@ -69,16 +79,22 @@ class Program:
             raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = str(built.get_info(cl.program_info.KERNEL_NAMES)).split(";")
-        self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
-        self._launching = Lock()  # arguments are set one by one: pipelines on several threads share the kernels
+        self._built = built
         self.arguments = parse_kernels(source)
         self.constants = parse_constants(source) | variant
+        self._launching = Lock()  # arguments are set one by one: several threads share the kernels of `launch`
+        self.kernels = {kernel: self.kernel(kernel) for kernel in names}
         for kernel in self.kernels.values():
             told = _told_names(kernel)
             parsed = [argument.name for argument in self.arguments.get(kernel.function_name, ())]
             assert told in (None, parsed), f"kernels/{name}.cl, {kernel.function_name}: takes {told}, read as {parsed}"
-            # pyopencl takes some 20 µs to determine the type of a number.
-            kernel.set_arg_types([a.numpy_type for a in self.arguments.get(kernel.function_name, ())])
+
+    def kernel(self, name: str) -> cl.Kernel:
+        """Return a new kernel object, whose arguments nobody else sets."""
+        kernel = cl.Kernel(self._built, name)
+        # pyopencl takes some 20 µs to determine the type of a number.
+        kernel.set_arg_types([argument.numpy_type for argument in self.arguments.get(name, ())])
+        return kernel
 
     def launch(
         self,
@@ -188,7 +204,7 @@ def _layout(source: str, name: str) -> tuple[np.dtype, int]:
 def _argument(text: str) -> Argument:
     words = text.replace("*", " * ").split()
     kind = " ".join(word for word in words[:-1] if word not in _QUALIFIERS and word != "*")
-    return Argument(words[-1], kind, "*" in words, "const" in words)
+    return Argument(words[-1], kind, "*" in words, not {"const", "__constant"}.isdisjoint(words))
 
 
 def _told_names(kernel: cl.Kernel) -> list[str] | None:

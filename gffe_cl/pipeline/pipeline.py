@@ -124,7 +124,7 @@ class Pipeline:
         Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
     is_cut : bool
-        Whether the last submitted frame was detected as an unmarked cut: it was treated as a reset.
+        Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset.
 
     Raises
     ------
@@ -165,7 +165,6 @@ class Pipeline:
         self._exposure = 1.0
         self._bad_pixels = BadPixels()  # without those of the last upload
         self._copied_bytes = 0  # without the copies of the stage `upload`
-        self.is_cut = False
         self._int64_atomics = int64_atomics
         self.watcher: Watcher | None = None
         self._slots: list[DeviceFrame] = []
@@ -190,6 +189,7 @@ class Pipeline:
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # their cameras
+        self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
     @telling_device_faults
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
@@ -227,7 +227,7 @@ class Pipeline:
         self._finish()
         before, counted = self.board, (self.bad_pixels, self.copied_bytes)
         self._begin(options)
-        (self._bad_pixels, self._copied_bytes), self.is_cut = counted, False
+        self._bad_pixels, self._copied_bytes = counted
         before.let_go()
 
     def _footprint(self) -> str:
@@ -272,9 +272,12 @@ class Pipeline:
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
         another queue or from the host, before the event of the second `submit` is complete.
-        Returns at once, but with cut detection waits for the device: `is_cut` has the result. On CPUs it also waits
-        where it copies NumPy arrays. `packed`, the result of `pack_frame`, is deprecated: its arrays replace the
-        frame's.
+        Returns at once, but on CPUs waits where it copies NumPy arrays. `packed`, the result of `pack_frame`, is
+        deprecated: its arrays replace the frame's.
+
+        Whether the frame is an unmarked cut is decided when the next frame is made, or `is_cut` is read. The host then
+        waits for the first work on this frame, which counts samples, and not for the rest. A cut is worked on again, as
+        a reset.
 
         `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
         lie as device buffers do (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32; C-contiguous) and
@@ -300,6 +303,7 @@ class Pipeline:
             )
         if self.watcher:
             self.watcher.before(self, rendered=True)
+        self._decide_cut()
         self._wait(events)
         before = self._previous, self._current
         overlays = frame.overlays if self.options.overlays else None
@@ -311,21 +315,16 @@ class Pipeline:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
         self._current = on_device
-        self.board.rendered, self.board.previous = self._current, self._previous or self._current
-        detection = self.stages.get(SceneCuts.name)
-        self.is_cut = detection is not None and detection.is_cut(self._current, self._previous)
-        if frame.reset or self.is_cut:
+        if frame.reset:
             self._times.clear()
             self._path.clear()
-            self._previous, self.board.previous = None, self._current
         self._times = [frame.time, *self._times[: POSES - 1]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
         for stage in self.stages.values():
             stage.swap()
         self.board.lend()
-        for stage in self.stages.values():
-            stage.rendered(step)
+        self._take_rendered()
+        self._is_cut = None if SceneCuts.name in self.stages and self._previous else False
         if self.presentation is None and not self._shown_whole(on_device):
             self.presentation = Presentation(self.board)
         done = self._done()
@@ -336,12 +335,39 @@ class Pipeline:
             self.watcher.submitted(self, frame, self._shown)
         return done
 
+    def _take_rendered(self) -> None:
+        """Enqueue the stages' work on the current frame."""
+        self.board.rendered, self.board.previous = self._current, self._previous or self._current
+        assert self._current is not None
+        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
+        for stage in self.stages.values():
+            stage.rendered(step)
+
+    def _decide_cut(self) -> None:
+        """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
+        if self._is_cut is None:
+            self._is_cut = self.stages[SceneCuts.name].is_cut()
+            if self._is_cut:
+                self._leaving.append((self._done(), self._previous))
+                del self._times[1:], self._path[1:]
+                self._previous = None
+                self._take_rendered()
+
+    @property
+    @telling_device_faults
+    def is_cut(self) -> bool:
+        """Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset. Waits until the
+        device has compared it with the frame before."""
+        self._decide_cut()
+        return bool(self._is_cut)
+
     @telling_device_faults
     def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
         """Return the displayed last submitted frame; it is resampled where it was rendered through a window, or where
         the frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`,
         and for events that cannot be waited for."""
         self._need_frame()
+        self._decide_cut()
         self._wait(adopted_events(wait_for, self.device.context, "present: wait_for"))
         frame, picture = self._shown, self._picture("rendered")
         assert frame is not None  # as there is a current one
@@ -452,6 +478,7 @@ class Pipeline:
     @property
     def interval(self) -> float:
         """Seconds between the last two rendered frames; 1/fps after a reset."""
+        self._decide_cut()
         return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
 
     def predict_camera(self, alpha: float) -> Camera:
@@ -486,6 +513,7 @@ class Pipeline:
         """
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
         source = self._need_frame()
+        self._decide_cut()
         time = source.time + self.interval / 2 if time is None else require_number(time, "extrapolate: time")
         alpha = (time - source.time) / self.interval
         if alpha < 0:
@@ -575,6 +603,7 @@ class Pipeline:
         What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
         is among them once `keep` asked for it.
         """
+        self._decide_cut()
         self._finish()
         yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
         for stage in self.stages.values():

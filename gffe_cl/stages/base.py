@@ -7,6 +7,7 @@ of stages and memory, and the bytes per pixel that must move (`gffe bench`).
 from __future__ import annotations
 
 import math
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -20,10 +21,11 @@ from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, build
 from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes, aligned
-from gffe_cl.stages.frame_block import block_facts, frame_block
+from gffe_cl.stages.frame_block import FRAME, BlockWriter, block_facts
 
 _EXTRAPOLATE = 1000  # more than there are stages
-_EVENTS = 1024  # kept per stage for requests of timings
+_PREPARED = 256  # launches of a stage that are kept ready: those of uploads differ by where arrays begin
+_EVENTS = 256  # at most, kept per stage for requests of timings
 # Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
 _ROW, _ROW_OF_LANES = 64, 128
 
@@ -137,16 +139,11 @@ class Step:
     target_position: np.ndarray | None = None
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
     overlays: int = 0
-    _block: np.ndarray | None = None
 
     def block(self, board: Board) -> np.ndarray:
-        """The frame block of frame.h, as bytes, for the stages on `board`."""
-        if self._block is None:
-            about_target = self.camera, self.time, self.alpha, self.overlays
-            self._block = frame_block(
-                board.sizes, board.facts, self.frame, self.previous, self.times, self.exposure, *about_target
-            )
-        return self._block
+        """Return the frame block of frame.h, as bytes, for the stages on `board`."""
+        rendered = self.frame, self.previous, self.times, self.exposure
+        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays)
 
 
 class Board:
@@ -166,6 +163,9 @@ class Board:
         self.stages: dict[str, Any] = {}  # by name, each of its own class
         self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
         self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
+        self._regions: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and its parts
+        self.turn = 0  # a bit for each stage, which changes whenever its buffers and those of the frame before do
+        self.members = 0  # stages so far
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself if there is none before
 
@@ -173,6 +173,16 @@ class Board:
     def frame(self) -> ExtrapolatedBuffers:
         """The extrapolated frame."""
         return ExtrapolatedBuffers(self.device, self.sizes)
+
+    @cached_property
+    def writer(self) -> BlockWriter:
+        """The writer of frame blocks. No stage may add facts once it was used."""
+        return BlockWriter(self.sizes, self.facts)
+
+    @cached_property
+    def blocks(self) -> FrameBlocks:
+        """The frame blocks on the device."""
+        return FrameBlocks(self)
 
     def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
         """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
@@ -184,7 +194,11 @@ class Board:
         for stage, spec in self.transient:
             if place := self._places[stage.name, spec.name]:
                 (owner, name), start = place
-                stage.buffer[spec.name] = owner.own(name).get_sub_region(start, spec.nbytes(self.sizes))
+                memory = owner.own(name)
+                key = stage.name, spec.name, id(memory)
+                if key not in self._regions:
+                    self._regions[key] = memory, memory.get_sub_region(start, spec.nbytes(self.sizes))
+                stage.buffer[spec.name] = self._regions[key][1]
             elif spec.name not in stage.buffer:
                 stage.buffer |= stage.allocate([spec])
 
@@ -218,23 +232,25 @@ class Board:
     def let_go(self) -> None:
         """Drop the references to the stages. Stages and board refer to each other; with this cycle, memory of an
         unused pipeline would wait for Python's cyclic garbage collector."""
-        for known in (self.stages, self.transient, self.lent, self.__dict__.get("_places", {})):
+        for known in (self.stages, self.transient, self.lent, self._regions, self.__dict__.get("_places", {})):
             known.clear()
+        self.__dict__.pop("blocks", None)
 
-    def buffer(self, name: str) -> cl.Buffer:
-        """Of that name. KeyError if no stage has it."""
-        owner, _, rest = name.partition(".")
+    def buffer(self, owner: str, name: str) -> cl.Buffer:
+        """Return the buffer "<owner>.<name>". KeyError if there is none."""
         if owner in ("rendered", "previous"):
-            return getattr(getattr(self, owner), rest)
+            return getattr(getattr(self, owner), name)
         if owner == "frame":
-            return self.frame.buffer[rest]
-        return self.stages[owner].own(rest)
+            return self.frame.buffer[name]
+        return self.stages[owner].own(name)
 
     def spec(self, name: str) -> BufferSpec:
+        """Return the description of the buffer "<owner>.<name>"."""
         owner, _, rest = name.partition(".")
         if owner in ("rendered", "previous"):
             return next(spec for spec in RENDERED if spec.name == rest)
-        return (self.frame if owner == "frame" else self.stages[owner]).spec(rest.removesuffix("'"))
+        owners: dict[str, Owner] = {"frame": self.frame, FrameBlocks.name: self.blocks}
+        return (owners.get(owner) or self.stages[owner]).spec(rest.removesuffix("'"))
 
 
 def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
@@ -261,6 +277,19 @@ class Recorder(Protocol):
         """A whole buffer copied."""
 
 
+@dataclass
+class _Prepared:
+    """A launch whose arguments stay set: the `kernel` object is its own. `changing` are the arguments that may change
+    from frame to frame: index, name, and the owner ("rendered" or "previous") and name of a declared buffer; `held` are
+    their values that were set last, by index."""
+
+    kernel: cl.Kernel
+    changing: list[tuple[int, str, str, str]]
+    held: list[Any]
+    items: tuple[int, int]
+    group: tuple[int, int]
+
+
 class Stage(Owner):
     """Base of all stages.
 
@@ -278,6 +307,8 @@ class Stage(Owner):
     def __init__(self, board: Board, **variant: int):
         super().__init__(board.device, board.sizes)
         self.board = board
+        self._bit = 1 << board.members
+        board.members += 1
         self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
         self.launches: list[tuple[Kernel, dict]] | None = None  # with the arguments, while launches are counted
@@ -286,6 +317,11 @@ class Stage(Owner):
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
+        self._changing = {
+            name: {argument.name for argument in arguments if not argument.is_number}
+            for name, arguments in self.program.arguments.items()
+        }
+        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
         self._check()
         if self.registered:
             board.stages[self.name] = self
@@ -317,7 +353,10 @@ class Stage(Owner):
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
-        """Make the results those of the frame before; called for all stages before any works on a new frame."""
+        """Make the results those of the frame before; called for all stages before any works on a new frame. Events of
+        the frame before are dropped."""
+        self.events.clear()
+        self.board.turn ^= self._bit
         for name, buffer in self.before.items():
             self.before[name], self.buffer[name] = self.buffer[name], buffer
 
@@ -329,22 +368,56 @@ class Stage(Owner):
         The width is rounded up to whole groups: kernels guard against the padding.
         """
         kernel = self._kernels[name]
+        if step is not None:
+            given["frame"] = self.board.blocks.of(step)
         if self.launches is not None:
             self.launches.append((kernel, given))
-        declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in given}
-        values = given | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
-        if step is not None:
-            values["frame"] = step.block(self.board)
-        grid = kernel.grid.format(**given)
         if self.recorder:
-            self.recorder.launched(self, kernel, grid, values)
+            declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in given}
+            values = given | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
+            self.recorder.launched(self, kernel, kernel.grid.format(**given), values)
             return
-        size = self.sizes.of(grid)
+        changing = self._changing[name]
+        numbers = (value for argument, value in given.items() if argument not in changing)
+        key = self.board.turn, name, *given, *numbers
+        prepared = self._prepared.get(key)
+        if prepared is None:
+            prepared = self._prepare(kernel, given)
+            if len(self._prepared) == _PREPARED:
+                self._prepared.clear()
+            self._prepared[key] = prepared
+        held = prepared.held
+        for index, argument, owner, own in prepared.changing:
+            value = given.get(argument)
+            if value is None:
+                value = getattr(getattr(self.board, owner), own)
+            if value is not held[index]:
+                prepared.kernel.set_arg(index, value)
+                held[index] = value
+        queue = self.device.queue
+        self._record(name, cl.enqueue_nd_range_kernel(queue, prepared.kernel, prepared.items, prepared.group))
+
+    def _prepare(self, kernel: Kernel, given: Mapping[str, Any]) -> _Prepared:
+        """Set what does not change from one launch with the numbers in `given` to the next."""
+        size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
         group = self._number(kernel.group) if kernel.group else row
-        items = (-(-width // group) * group, height)
-        self._record(name, self.program.launch(self.device.queue, name, items, (group, 1), values))
+        made, arguments = self.program.kernel(kernel.name), self.program.arguments[kernel.name]
+        declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
+        changing = []
+        for index, argument in enumerate(arguments):
+            if argument.name not in given and argument.name not in declared:
+                raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
+            owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
+            if argument.is_number:
+                made.set_arg(index, argument.packed(given[argument.name]))
+            elif argument.name in given or owner in ("rendered", "previous"):
+                changing.append((index, argument.name, owner, own))
+            else:
+                made.set_arg(index, self._buffer(f"{owner}.{own}"))
+        items = -(-width // group) * group, height
+        return _Prepared(made, changing, [None] * len(arguments), items, (group, 1))
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""
@@ -362,7 +435,7 @@ class Stage(Owner):
 
     def copy(self, to: str, of: str) -> None:
         """Enqueue a copy between buffers of one size, by their names."""
-        target, source = self._buffer(to, {}), self._buffer(of, {})
+        target, source = self._buffer(to), self._buffer(of)
         if self.recorder:
             self.recorder.copied(self, target, source)
             return
@@ -388,10 +461,10 @@ class Stage(Owner):
         if self.device.profiles:
             self.events.append((name, event))
 
-    def _buffer(self, name: str, given: Mapping[str, Any]) -> cl.Buffer:
-        name = name.format(**given) if "{" in name else name
-        owner, _, rest = name.partition(".")
-        return self.own(rest) if owner == self.name else self.board.buffer(name)
+    def _buffer(self, name: str, given: Mapping[str, Any] = {}) -> cl.Buffer:
+        """Return the buffer `name` of this or another stage; {…} in it are `given`."""
+        owner, _, rest = name.format(**given).partition(".")
+        return self.own(rest) if owner == self.name else self.board.buffer(owner, rest)
 
     def _number(self, number: int | str) -> int:
         return self.program.constants[number] if isinstance(number, str) else number
@@ -401,13 +474,51 @@ class Stage(Owner):
         for kernel in self.kernels:
             where = f"kernels/{self.name}.cl, {kernel.name}"
             assert kernel.name in self.program.arguments, f"{where}: there is no such kernel"
-            buffers = {a.name: a for a in self.program.arguments[kernel.name] if a.buffer}
+            arguments = self.program.arguments[kernel.name]
+            buffers = {a.name: a for a in arguments if a.buffer and not a.is_frame_block}
             declared = set(kernel.reads) | set(kernel.writes)
             assert declared == set(buffers), f"{where}: declared {sorted(declared)}, takes {sorted(buffers)}"
             written = {name for name, argument in buffers.items() if not argument.read_only}
             assert written == set(kernel.writes), (
                 f"{where}: declared as written {sorted(kernel.writes)}, are {sorted(written)}"
             )
+
+
+class FrameBlocks(Stage):
+    """The frame blocks on the device, of the rendered frame and of the new one, which kernels read."""
+
+    name = "frame_block"
+    registered = False
+    buffers = tuple(
+        BufferSpec(slot, np.uint8, (), "once", f"frame block of the {slot} frame", planes=FRAME.itemsize, scratch=True)
+        for slot in ("rendered", "new")
+    )
+    kernels = (
+        Kernel(
+            "set_frame",
+            "once",
+            writes={"frame": "frame_block.{slot}"},
+            group=1,
+            choices={"slot": ("rendered", "new")},
+        ),
+    )
+
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self._steps: dict[str, weakref.ref[Step]] = {}  # whose block each buffer holds
+
+    def of(self, step: Step) -> cl.Buffer:
+        """Return the buffer with the block of `step`, which is written unless it is there already."""
+        slot = "rendered" if step.camera is None else "new"
+        held = self._steps.get(slot)
+        if held is None or held() is not step:
+            self.launch("set_frame", slot=slot, given=step.block(self.board))
+            self._steps[slot] = weakref.ref(step)
+        return self.buffer[slot]
+
+    def forget(self) -> None:
+        """Write the blocks again before they are used."""
+        self._steps.clear()
 
 
 class NearestStage(Stage):

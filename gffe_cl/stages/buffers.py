@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from itertools import accumulate
 from typing import Any
 
@@ -60,6 +61,7 @@ class Sizes:
     source: tuple[int, int]
     target: tuple[int, int]
 
+    @cache  # noqa: B019  # sizes are few, and small
     def of(self, grid: str) -> tuple[int, int]:
         """Width and height of a grid, see `BufferSpec`."""
         if grid == "once":

@@ -18,63 +18,68 @@ _SOURCE = expand("frame.h")
 FRAME = parse_struct(_SOURCE, "Frame")
 MAX_ORDER, MAX_LEVELS = (parse_constants(_SOURCE)[name] for name in ("MAX_ORDER", "MAX_LEVELS"))
 _GRIDS = ("source", "target", "network", "cells")
+# Where each member is, in words of 4 bytes.
+_WORDS = {
+    name: slice(offset // 4, (offset + kind.itemsize) // 4) for name, (kind, offset) in (FRAME.fields or {}).items()
+}
 
 
-def frame_block(
-    sizes: Sizes,
-    facts: Mapping[str, Any],
-    frame: DeviceFrame,
-    previous: DeviceFrame | None,
-    times: Sequence[float],
-    exposure: float,
-    camera: Camera | None,
-    time: float,
-    alpha: float,
-    overlays: int,
-) -> np.ndarray:
-    """The `Frame` of frame.h, as bytes, of a rendered frame or, with a `camera`, of a new one.
+class BlockWriter:
+    """Writer of frame blocks for images of `sizes`; `facts`: the members that do not change from frame to frame."""
 
-    Parameters
-    ----------
-    facts : mapping
-        The members that do not change from frame to frame, by name.
-    frame, previous, times, exposure, camera, time, alpha, overlays
-        As in `Step`.
-    """
-    before = previous or frame
-    intervals = -np.diff(times[:3])
-    values = dict(facts)
-    for grid in _GRIDS:
-        values[f"{grid}_width"], values[f"{grid}_height"] = sizes.of(grid)
-    values |= {
-        "to_previous": reprojection(frame.camera, before.camera),
-        "from_previous": reprojection(before.camera, frame.camera),
-        "to_render": mapping(frame.display_camera, frame.camera),
-        "to_display": mapping(frame.camera, frame.display_camera),
-        "to_previous_display": mapping(before.camera, before.display_camera),
-        "pixel_size": pixel_size(frame.display_camera, frame.camera),
-        "camera_step": length((frame.camera.position - before.camera.position).tolist()),
-        "has_previous": previous is not None,
-        "interval_ratio": intervals[0] / intervals[1] if len(intervals) > 1 else 1.0,
-        "exposure": exposure,
-        "alpha": alpha,
-        "has_overlays": overlays,
-        "color_law": color_law(exposure),
-        "code_offset": facts.get("code_offset", 0.0) / math.sqrt(exposure),
-        "order": min(facts.get("order", 0), len(times) - 1),
-    }
-    if camera is not None:
-        values |= {
-            "to_target": reprojection(frame.camera, camera),
-            "to_source": reprojection(camera, frame.camera),
-            "target_to_previous": reprojection(camera, before.camera),
-            "zoom": zoom(frame.camera, camera),
-            "polynomial": padded(polynomial_weights(times, time, MAX_ORDER)),
+    def __init__(self, sizes: Sizes, facts: Mapping[str, Any]):
+        fixed = np.zeros(1, FRAME)
+        for grid in _GRIDS:
+            fixed[f"{grid}_width"], fixed[f"{grid}_height"] = sizes.of(grid)
+        for name, value in facts.items():
+            fixed[name] = value
+        self._fixed, self._facts = fixed.view(np.uint32), facts
+
+    def write(
+        self,
+        frame: DeviceFrame,
+        previous: DeviceFrame | None,
+        times: Sequence[float],
+        exposure: float,
+        camera: Camera | None,
+        time: float,
+        alpha: float,
+        overlays: int,
+    ) -> np.ndarray:
+        """Return the `Frame` of frame.h, as bytes, of a rendered frame or, with a `camera`, of a new one. Parameters
+        are those of `Step`."""
+        before, facts = previous or frame, self._facts
+        order = min(facts.get("order", 0), len(times) - 1)
+        values: dict[str, Any] = {
+            "to_previous": reprojection(frame.camera, before.camera),
+            "from_previous": reprojection(before.camera, frame.camera),
+            "to_render": mapping(frame.display_camera, frame.camera),
+            "to_display": mapping(frame.camera, frame.display_camera),
+            "to_previous_display": mapping(before.camera, before.display_camera),
+            "pixel_size": pixel_size(frame.display_camera, frame.camera),
+            "camera_step": distance(frame.camera, before.camera),
+            "interval_ratio": (times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0,
+            "exposure": exposure,
+            "alpha": alpha,
+            "color_law": color_law(exposure),
+            "code_offset": facts.get("code_offset", 0.0) / math.sqrt(exposure),
         }
-    block = np.zeros(1, FRAME)
-    for name, value in values.items():
-        block[name] = value.ravel().view(FRAME[name]) if FRAME[name].names else value
-    return block.view(np.uint8)
+        if camera is not None:
+            values |= {
+                "to_target": reprojection(frame.camera, camera),
+                "to_source": reprojection(camera, frame.camera),
+                "target_to_previous": reprojection(camera, before.camera),
+                "zoom": (camera.fx / frame.camera.fx, camera.fy / frame.camera.fy),
+                "polynomial": padded(polynomial_weights(times[: order + 1], time, MAX_ORDER)),
+            }
+        block = self._fixed.copy()
+        floats, integers = block.view(np.float32), block.view(np.int32)
+        for name, value in values.items():
+            floats[_WORDS[name]] = value
+        integers[_WORDS["has_previous"]] = previous is not None
+        integers[_WORDS["has_overlays"]] = overlays
+        integers[_WORDS["order"]] = order
+        return block.view(np.uint8)
 
 
 def block_facts(options: Any, sizes: Sizes) -> dict[str, Any]:
@@ -86,31 +91,28 @@ def block_facts(options: Any, sizes: Sizes) -> dict[str, Any]:
     return facts
 
 
-def reprojection(source: Camera, target: Camera) -> np.ndarray:
-    """(24,) float32, the `Reprojection` of common.h, composed in float64: source view space → target view space."""
-    matrix = source.to_view_of(target)
-    packed = np.zeros((6, 4), np.float32)
-    packed[:3] = matrix[:3]
-    packed[3] = source.intrinsics
-    packed[4] = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
-    packed[5] = target.intrinsics
-    return packed
+def reprojection(source: Camera, target: Camera) -> list[float]:
+    """Return the 24 numbers of the `Reprojection` of common.h, composed in float64: source view space → target view
+    space."""
+    row0, row1, row2 = source.rows_to_view_of(target)
+    inverse = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
+    return [*row0, *row1, *row2, *source.intrinsics, *inverse, *target.intrinsics]
 
 
-def zoom(source: Camera, target: Camera) -> np.ndarray:
-    """Return (2,) float32: target pixels per source pixel for a surface at equal depth in both cameras."""
-    return np.array([target.fx / source.fx, target.fy / source.fy], np.float32)
-
-
-def mapping(a: Camera, b: Camera) -> np.ndarray:
-    """(4,) float32: scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one pose."""
-    scale = np.array([b.fx / a.fx, b.fy / a.fy])
-    return np.concatenate([scale, (b.cx, b.cy) - scale * (a.cx, a.cy)]).astype(np.float32)
+def mapping(a: Camera, b: Camera) -> tuple[float, float, float, float]:
+    """Return scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one pose."""
+    scale_x, scale_y = b.fx / a.fx, b.fy / a.fy
+    return scale_x, scale_y, b.cx - scale_x * a.cx, b.cy - scale_y * a.cy
 
 
 def pixel_size(display: Camera, render: Camera) -> np.ndarray:
-    """(2,) float32: width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
-    return 1 / mapping(display, render)[:2]
+    """Return (2,) float32: width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
+    return np.float32(1) / np.array(mapping(display, render)[:2], np.float32)
+
+
+def distance(a: Camera, b: Camera) -> float:
+    """Return the distance between the positions of two cameras, world units."""
+    return length([x - y for x, y in zip(a.inverse[1], b.inverse[1], strict=True)])
 
 
 def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> np.ndarray:
@@ -131,5 +133,7 @@ def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> n
 
 
 def padded(weights: np.ndarray) -> np.ndarray:
-    """Rows of 8: float8 in the kernel."""
-    return np.pad(weights, ((0, 0), (0, 8 - weights.shape[1])))
+    """Return the weights in rows of 8, float8 in the kernel, one after another."""
+    rows = np.zeros((len(weights), 8), np.float32)
+    rows[:, : weights.shape[1]] = weights
+    return rows.ravel()

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
-from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
-from gffe_cl.stages.buffers import CUT_SAMPLES, BufferSpec, DeviceFrame
+from gffe_cl.stages.buffers import CUT_SAMPLES, BufferSpec
+from gffe_cl.stages.frame_block import distance
 
 _CONSTANTS = constants("scene_cuts.cl")
 COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
@@ -54,26 +55,41 @@ class SceneCuts(Stage):
 
     def __init__(self, board: Board):
         super().__init__(board)
-        self._step: float | None = None  # world units that the camera moved to the last frame; None after a reset
+        self._camera_step: float | None = (
+            None  # world units that the camera moved to the last frame; None after a reset
+        )
+        self._counts = np.empty((CUT_SAMPLES[1], len(COUNTED)), np.int32)
+        self._counted: cl.Event | None = None  # complete when the counts are known; None: they do not count
+        self._jumped = False
 
     @classmethod
     def is_wanted(cls, options: Any) -> bool:
         return options.cut_detection
 
-    def is_cut(self, frame: DeviceFrame, previous: DeviceFrame | None) -> bool:
-        """Whether the rendered frame is to be treated as a reset; not known without a `previous` one. Waits for the
-        device."""
-        before, self._step = self._step, None
-        if previous is None:
+    def rendered(self, step: Step) -> None:
+        """Count samples, and copy the counts to the host, which does not wait. Without a previous frame there is
+        nothing to compare."""
+        before, self._camera_step, self._counted = self._camera_step, None, None
+        if step.previous is None:
+            return
+        self._camera_step = distance(step.frame.camera, step.previous.camera)
+        self._jumped = before is not None and self._camera_step > TELEPORT * before
+        self.launch("compare_samples", step)
+        if self.recorder is None:
+            queue, counts = self.device.queue, self.buffer["counts"]
+            self._counted = cl.enqueue_copy(queue, self._counts, counts, is_blocking=False)
+            queue.flush()
+
+    def is_cut(self) -> bool:
+        """Whether the last rendered frame is to be treated as a reset. Waits until its samples are counted: they are
+        the first work on the frame."""
+        if self._counted is None:
             return False
-        step = length((frame.camera.position - previous.camera.position).tolist())
-        self.launch("compare_samples", Step(frame, previous, []))
+        self._counted.wait()
+        self._counted = None
         _, rows = self.sizes.of("cut_samples")
-        counts = self.read("counts")[:rows].sum(0)
-        jumped = before is not None and step > TELEPORT * before
-        found = counts_say_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), jumped)
-        self._step = None if found else step
-        return found
+        counts = self._counts[:rows].sum(0)
+        return counts_say_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), self._jumped)
 
 
 def counts_say_cut(counts: dict[str, int], jumped: bool = False) -> bool:
