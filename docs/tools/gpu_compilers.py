@@ -147,18 +147,13 @@ def costs_table() -> str:
     """Return the table of what each kernel costs."""
     rows = []
     for name, costs in recorded()["kernels"].items():
-        nvidia, older, newer, intel = (costs.get(gpu, {}) for gpu in GPUS)
-        rows.append((
-            f"`{name}`", str(costs["arguments"]), f"{_cell(nvidia)}, {nvidia['occupancy']:.0%}", str(nvidia["instructions"]),
-            f"{_cell(older)}, {older['occupancy']:.0%}", f"{_cell(newer)}, {newer['occupancy']:.0%}",
-            f"{intel['simd']}{_memory(intel)}, {intel['instructions']}",
-        ))  # fmt: skip
-    heads = ("kernel", "arguments, B", "sm_86", "instructions", "gfx1030", "gfx1100", "DG2: SIMD, instructions")
+        *registers, intel = (costs[gpu] for gpu in GPUS)
+        cells = (f"{cost['registers']}{_memory(cost)}, {cost['occupancy']:.0%}" for cost in registers)
+        instructions = str(registers[0]["instructions"])
+        simd = f"{intel['simd']}{_memory(intel)}, {intel['instructions']}"
+        rows.append((f"`{name}`", str(costs["arguments"]), instructions, *cells, simd))
+    heads = ("kernel", "arguments, B", "instructions, sm_86", *GPUS[:3], "DG2: SIMD, instructions")
     return table(heads, rows)
-
-
-def _cell(cost: dict) -> str:
-    return f"{cost['registers']}{_memory(cost)}"
 
 
 def _memory(cost: dict) -> str:

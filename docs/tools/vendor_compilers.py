@@ -1,7 +1,7 @@
 """Compilers of the vendors of GPUs: they build every program of `kernels/` as a GPU gets it, on a machine without one.
 
-`gpu_compilers.py --setup FOLDER` fetches them. Tests and tools look for them in `GFFE_GPU_COMPILERS`. Nothing is installed:
-programs are started with the dynamic loader of the release that they are from.
+`gpu_compilers.py --setup FOLDER` fetches them. Tests and tools look for them in `GFFE_GPU_COMPILERS`. Nothing is
+installed: programs are started with the dynamic loader of the release that they are from.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class Amd(Compiler):
     @staticmethod
     def _costs(code: str) -> Iterator[tuple[str, Cost]]:
         for block in re.split(r"\n  - \.a", code.split("amdhsa.kernels:")[1])[1:]:
-            name = _first(rf"\.name:\s+(\w+)", block)
+            name = _first(r"\.name:\s+(\w+)", block)
             body = _first(rf"^{name}:.*?\n(.*?)^\.Lfunc_end", code)
             facts = {key: int(value) for key, value in re.findall(r"\.(\w+):\s+(\d+)$", block, re.M)}
             waves = int(_first(r"; Occupancy: (\d+)", code[code.index(f"\n{name}:") :]))
@@ -223,8 +223,8 @@ class Nvidia(Compiler):
 
     def _costs(self, report: str, counted: dict[str, int]) -> Iterator[tuple[str, Cost]]:
         about = re.compile(
-            r"Function properties for (\w+)\n\s*(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes spill loads\n"
-            r".*?Used (\d+) registers(.*)"
+            r"Function properties for (\w+)\n\s*(\d+) bytes stack frame, (\d+) bytes spill stores, "
+            r"(\d+) bytes spill loads\n.*?Used (\d+) registers(.*)"
         )
         for name, stack, stores, loads, registers, rest in about.findall(report):
             of_warp = 32 * -(-int(registers) // 8) * 8
@@ -272,13 +272,13 @@ class Intel(Compiler):
             private = sum(int(size) for kind, usage, size in memory if usage == "private_space")
             simd = facts["simd_size"]
             yield name, Cost(
-                facts["grf_count"], facts.get("spill_size", 0), facts.get("private_size", private),
+                facts["grf_count"], facts.get("spill_size", 0), private,
                 facts.get("slm_size", 0), intel_instructions(sections[f".text.{name}"]), simd, 128 / facts["grf_count"],
             )  # fmt: skip
 
 
 class Rocm(Compiler):
-    """AMD's own OpenCL runtime, with its compiler, for GPUs that are not there. Needs root, to change into its folder."""
+    """AMD's own OpenCL runtime, for GPUs that are not there. Needs root, to change into its folder."""
 
     vendor, gpus = "AMD's runtime", ("gfx1030", "gfx1100")
 
@@ -382,7 +382,8 @@ def intel_instructions(code: bytes) -> int:
 
 
 def _instructions(disassembled: str) -> dict[str, int]:
-    """Return the instructions of each kernel in the output of nvdisasm, without the jump to itself and the padding at the end."""
+    """Return the instructions of each kernel in the output of nvdisasm, without the jump to itself and the padding that
+    end it."""
     counts: dict[str, int] = {}
     for kernel, body in re.findall(r"^\s*\.text\.(\w+):(.*?)(?=^\s*\.text\.|\Z)", disassembled, re.M | re.S):
         counts[kernel] = sum("NOP" not in line for line in re.findall(r"^\s+/\*[0-9a-f]+\*/\s+(.*?);", body, re.M)) - 1
