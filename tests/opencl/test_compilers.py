@@ -267,8 +267,8 @@ def test_every_form_of_every_program_builds(kind):
 _DIRECTIONS = "arrays of eight directions, indexed by a variable"
 _SCENES = "one large function; only test scenes use it"
 
-# Kernels that cost more than the budget: (kernel, GPU, what is exceeded): the reason, and the compiler that needs it if it
-# is one alone.
+# Kernels that exceed the budget, by kernel, GPU and what is exceeded: the reason, and the only compiler that needs the
+# exception, if it is one alone.
 EXCESSES = {
     ("holes.mix_far_side", "gfx1030", "memory"): (_DIRECTIONS, ""),
     ("holes.fill_far_side", "gfx1030", "memory"): (_DIRECTIONS, ""),
