@@ -24,9 +24,9 @@ from dataclasses import asdict
 from datetime import date
 from pathlib import Path
 
-from pages import MEASURED, table, write_tables
+from pages import DOCS, MEASURED, recorded, table, with_all
 
-RECORD = MEASURED / "gpu_compilers.json"
+PAGE, RECORD = DOCS / "portability.md", MEASURED / "gpu_compilers.json"
 MIRROR, KEYRING = "http://deb.debian.org/debian", "/usr/share/keyrings/debian-archive-keyring.gpg"
 RELEASE = (
     "clang-19", "lld-19", "libclc-19", "rocm-device-libs", "intel-opencl-icd",
@@ -105,12 +105,12 @@ def record(with_rocm: bool) -> list[str]:
 
     from gffe_cl.opencl.program import expand
 
-    arguments = {
-        f"{name}.{kernel}": size for name in FILES for kernel, size in argument_bytes(expand(f"{name}.cl")).items()
+    kernels: dict[str, dict] = {
+        f"{name}.{kernel}": {"arguments": size}
+        for name in FILES
+        for kernel, size in argument_bytes(expand(f"{name}.cl")).items()
     }
-    old = json.loads(RECORD.read_text()) if RECORD.exists() else {"builds": {}}
-    kernels: dict[str, dict] = {name: {"arguments": size} for name, size in sorted(arguments.items())}
-    builds, failed = {name: build for name, build in old["builds"].items() if name == Rocm.vendor}, []
+    builds, failed = recorded("gpu_compilers")["builds"] if RECORD.exists() else {}, []
     for kind in (*COMPILERS, *([Rocm] if with_rocm else [])):
         compiler = kind(compilers_folder())
         built = build_all(compiler)
@@ -120,13 +120,13 @@ def record(with_rocm: bool) -> list[str]:
             "date": date.today().isoformat(), "compiler": compiler.version, "gpus": list(compiler.gpus),
             "programs": len(built), "built": len(built) - len(failures),
         }  # fmt: skip
-        firsts: set[tuple[str, str]] = set()
-        for one in built:
-            if (one.program, one.gpu) not in firsts:
-                firsts.add((one.program, one.gpu))
-                for kernel, cost in one.costs.items():
-                    kernels[f"{one.program}.{kernel}"][one.gpu] = asdict(cost) | {"occupancy": round(cost.occupancy, 3)}
+        for one in reversed(built):  # of several forms, the first one stays
+            for kernel, cost in one.costs.items():
+                kernels[f"{one.program}.{kernel}"][one.gpu] = asdict(cost) | {"occupancy": round(cost.occupancy, 3)}
         print(f"{kind.vendor}: {len(built) - len(failures)} of {len(built)} build; {compiler.version}")
+    if missing := set(GPUS).difference(*(costs for costs in kernels.values())):
+        print(f"not recorded: these compilers do not know {', '.join(sorted(missing))} (--setup FOLDER --rocm)")
+        return failed
     RECORD.write_text(json.dumps({"builds": builds, "kernels": kernels}, indent=1) + "\n")
     return failed
 
@@ -138,7 +138,7 @@ def builds_table() -> str:
     """Return the table of what builds with which compiler."""
     rows = [
         (vendor, ", ".join(one["gpus"]), one["compiler"], one["date"], f"{one['built']} of {one['programs']}")
-        for vendor, one in recorded()["builds"].items()
+        for vendor, one in recorded("gpu_compilers")["builds"].items()
     ]
     return table(("compiler of", "for", "versions", "on", "programs that build, in all forms"), rows)
 
@@ -146,7 +146,7 @@ def builds_table() -> str:
 def costs_table() -> str:
     """Return the table of what each kernel costs."""
     rows = []
-    for name, costs in recorded()["kernels"].items():
+    for name, costs in recorded("gpu_compilers")["kernels"].items():
         *registers, intel = (costs[gpu] for gpu in GPUS)
         cells = (f"{cost['registers']}{_memory(cost)}, {cost['occupancy']:.0%}" for cost in registers)
         instructions = str(registers[0]["instructions"])
@@ -164,8 +164,9 @@ def _memory(cost: dict) -> str:
 TABLES = {"gpu_builds": builds_table, "gpu_costs": costs_table}
 
 
-def recorded() -> dict:
-    return json.loads(RECORD.read_text())
+def with_tables(text: str) -> str:
+    """Return a page with the tables as the record has them."""
+    return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
 def main() -> None:
@@ -178,7 +179,7 @@ def main() -> None:
         set_up(asked.setup, asked.rocm)
         return
     failed = [] if asked.tables else record(asked.rocm)
-    write_tables("portability.md", {name: make() for name, make in TABLES.items()})
+    PAGE.write_text(with_tables(PAGE.read_text("utf-8")), "utf-8")
     print(*(f"does not build: {line}" for line in failed), sep="\n", end="\n" if failed else "")
     sys.exit(bool(failed))
 
