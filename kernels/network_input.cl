@@ -16,7 +16,7 @@
 WIDE __kernel void depth_histogram(__constant Frame *frame, __global const float *depth, __global uint *histogram) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
-    if (count <= 0) return;
+    if (dst_x >= target_width) return;
     int bin = -1;
     uint run = 0;
     for (int dst_y = first; dst_y < min(first + STRIP, target_height); dst_y += COUNTED_ROWS) {

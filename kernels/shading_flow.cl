@@ -24,7 +24,7 @@ WIDE __kernel void halve_frames(__constant Frame *frame, __global const float *f
                                 __global float *brightness) {
     const int fine = frame->network_width, width = fine / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     for (int which = 0; which < 2; ++which) {
         Floats sum = 0.0f;
         for (int c = 0; c < 3; ++c) {
@@ -40,7 +40,7 @@ WIDE __kernel void halve_frames(__constant Frame *frame, __global const float *f
 WIDE __kernel void halve_brightness(__constant Frame *frame, const int level, __global const float *fine, __global float *brightness) {
     const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     for (int which = 0; which < 2; ++which)
         store_some_floats(halved(fine + 4 * which * plane, 2 * width, x, y, count), count, brightness + which * plane + y * width + x);
 }
@@ -49,7 +49,7 @@ WIDE __kernel void halve_brightness(__constant Frame *frame, const int level, __
 WIDE __kernel void double_flow(__constant Frame *frame, const int level, __global const float *coarse, __global float *flow) {
     const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1);
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, plane = width * height;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     Taps taps;
     taps_around(x, y, width / 2, height / 2, &taps);
     for (int axis = 0; axis < 2; ++axis)
@@ -61,7 +61,7 @@ WIDE __kernel void warp_brightness(__constant Frame *frame, const int level, __g
                                    __global const float *flow, __global float *warped) {
     const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     Taps taps;
     taps_around(x, y, width / 2, height / 2, &taps);
     const Floats flow_x = interpolate(flow, &taps), flow_y = interpolate(flow + plane / 4, &taps);
@@ -81,7 +81,7 @@ WIDE __kernel void sum_products(__constant Frame *frame, const int level, __glob
                                 __global const float *warped, __global float *products) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), cells_width = width / 2, count = cells_width - cell_x;
-    if (count <= 0 || cell_y >= height / 2) return;
+    if (cell_x >= cells_width || cell_y >= height / 2) return;
     Floats sums[PRODUCTS];
     for (int k = 0; k < PRODUCTS; ++k) sums[k] = 0.0f;
     for (int part = 0; part < 4; ++part) {
@@ -119,7 +119,7 @@ INLINE Floats mean_around(__global const float *plane, const int width, const in
 WIDE __kernel void step_flow(__constant Frame *frame, const int level, __global const float *products, __global float *flow) {
     const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1), plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     Floats mean[PRODUCTS];
     for (int k = 0; k < PRODUCTS; ++k) mean[k] = mean_around(products + k * plane, width, height, x, y);
     const Floats xx = mean[0] + FLAT, xy = mean[1], yy = mean[2] + FLAT, xr = mean[3], yr = mean[4];
@@ -137,7 +137,7 @@ WIDE __kernel void sum_differences(__constant Frame *frame, __global const float
                                    __global float *products) {
     const int fine = frame->network_width / 2, width = fine / 2, height = frame->network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     Floats still = 0.0f, along = 0.0f;
     for (int part = 0; part < 4; ++part) {
         const Ints i = (2 * y + (part >> 1)) * fine + min(2 * (x + LANE_NUMBERS) + (part & 1), (Ints)(fine - 1));
@@ -162,7 +162,7 @@ WIDE __kernel void sum_differences(__constant Frame *frame, __global const float
 WIDE __kernel void blur_differences(__constant Frame *frame, __global const float *products, __global float *differences) {
     const int width = frame->network_width / 4, height = frame->network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
-    if (count <= 0 || y >= height) return;
+    if (x >= width || y >= height) return;
     for (int k = 0; k < DIFFERENCES; ++k)
         store_some_floats(mean_around(products + k * plane, width, height, x, y), count, differences + k * plane + y * width + x);
 }

@@ -22,7 +22,7 @@ WIDE __kernel void sharpen(__constant Frame *frame, __global const half *color, 
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float upscale_sharpening = frame->upscale_sharpening;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
-    if (count <= 0 || y >= target_height) return;
+    if (x >= target_width || y >= target_height) return;
     const Span p = {x, y, target_width, target_height,
                     x >= 1 && y >= 1 && x + LANES < target_width && y + 1 < target_height};
     Strip own, sum;

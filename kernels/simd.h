@@ -119,28 +119,32 @@ INLINE bool run_is_zero(__global const uchar *p) { return *p == 0; }
 INLINE bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
 #endif
 
+/* Whether all lanes are among the `count` pixels that are left of a row, which are at least one. With one lane it is a constant:
+   GPUs need no other path. */
+#define IS_WHOLE(count) (LANES == 1 || (count) >= LANES)
+
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */
 INLINE Floats load_some_floats(const int count, __global const float *p) {
-    if (count >= LANES) return load_floats(0, p);
+    if (IS_WHOLE(count)) return load_floats(0, p);
     const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_floats(p, i);
 }
 
 INLINE Bytes load_some_bytes(const int count, __global const uchar *p) {
-    if (count >= LANES) return load_bytes(0, p);
+    if (IS_WHOLE(count)) return load_bytes(0, p);
     const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_bytes(p, i);
 }
 
 INLINE Floats load_some_xy(const int count, __global const float2 *p, Floats *y) {
-    if (count >= LANES) return load_xy(p, y);
+    if (IS_WHOLE(count)) return load_xy(p, y);
     const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     *y = gather_floats((__global const float *)p, i + 1);
     return gather_floats((__global const float *)p, i);
 }
 
 INLINE void store_some_bytes(const Bytes v, const int count, __global uchar *p) {
-    if (count >= LANES) {
+    if (IS_WHOLE(count)) {
         store_bytes(v, 0, p);
         return;
     }
@@ -150,7 +154,7 @@ INLINE void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
 }
 
 INLINE void store_some_xy(const Floats x, const Floats y, const int count, __global float2 *p) {
-    if (count >= LANES) {
+    if (IS_WHOLE(count)) {
         store_xy(x, y, p);
         return;
     }
@@ -161,7 +165,7 @@ INLINE void store_some_xy(const Floats x, const Floats y, const int count, __glo
 }
 
 INLINE void store_some_floats(const Floats v, const int count, __global float *p) {
-    if (count >= LANES) {
+    if (IS_WHOLE(count)) {
         store_floats(v, 0, p);
         return;
     }
@@ -171,7 +175,7 @@ INLINE void store_some_floats(const Floats v, const int count, __global float *p
 }
 
 INLINE void store_some_halfs(const Floats v, const int count, __global half *p) {
-    if (count >= LANES) {
+    if (IS_WHOLE(count)) {
         store_halfs(v, 0, p);
         return;
     }

@@ -121,7 +121,7 @@ INLINE void channels_of(const Strip *s, Floats *channels) {
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */
 INLINE Strip load_strip(const int count, __global const half *color) {
     Strip s;
-    if (count >= LANES) {
+    if (IS_WHOLE(count)) {
         for (int part = 0; part < PARTS; ++part) s.part[part] = load_texels(part, color);
         return s;
     }
@@ -132,7 +132,7 @@ INLINE Strip load_strip(const int count, __global const half *color) {
 }
 
 INLINE void store_strip(const Strip s, const int count, __global half *color) {
-    if (count >= LANES) {
+    if (IS_WHOLE(count)) {
         for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, color);
         return;
     }

@@ -132,7 +132,7 @@ WIDE __kernel void compare(__constant Frame *frame, __global const half *color, 
     const float exposure = frame->exposure;
     const int has_history = frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
-    if (count <= 0 || y >= source_height) return;
+    if (x >= source_width || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
                     x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
     Ints near_x, near_y;
@@ -198,7 +198,7 @@ WIDE __kernel void survey(__constant Frame *frame, __global const half *compress
                           __global half *out_mean, __global half *out_deviation) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
-    if (count <= 0 || y >= source_height) return;
+    if (x >= source_width || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
                     x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
     const float ninth = 1.0f / 9.0f;
@@ -289,7 +289,7 @@ WIDE __kernel void accumulate(__constant Frame *frame, __global const half *comp
     const float2 pixel_size = frame->pixel_size;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     const int dst = dst_y * target_width + dst_x, count = target_width - dst_x;
-    if (count <= 0 || dst_y >= target_height) return;
+    if (dst_x >= target_width || dst_y >= target_height) return;
     const Floats px_x = row_centers(dst_x) * to_render.x + to_render.z;
     const float px_y = ((float)dst_y + 0.5f) * to_render.y + to_render.w;
     const Ints x = clamp(to_ints(floor(px_x)), (Ints)(0), (Ints)(source_width - 1));
@@ -344,7 +344,7 @@ WIDE __kernel void generate(__constant Frame *frame, const int corrected, __glob
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float4 to_shown = frame->to_display;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
-    if (count <= 0 || y >= target_height) return;
+    if (x >= target_width || y >= target_height) return;
     const Span p = {x, y, target_width, target_height,
                     x >= 1 && y >= 1 && x + LANES < target_width && y + 1 < target_height};
     Ints near_x, near_y;

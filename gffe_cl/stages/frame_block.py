@@ -51,11 +51,11 @@ class BlockWriter:
         before, facts = previous or frame, self._facts
         order = min(facts.get("order", 0), len(times) - 1)
         values: dict[str, Any] = {
-            "to_previous": reprojection(frame.camera, before.camera),
-            "from_previous": reprojection(before.camera, frame.camera),
-            "to_render": mapping(frame.display_camera, frame.camera),
-            "to_display": mapping(frame.camera, frame.display_camera),
-            "to_previous_display": mapping(before.camera, before.display_camera),
+            "to_previous": _reprojection(frame.camera, before.camera),
+            "from_previous": _reprojection(before.camera, frame.camera),
+            "to_render": _mapping(frame.display_camera, frame.camera),
+            "to_display": _mapping(frame.camera, frame.display_camera),
+            "to_previous_display": _mapping(before.camera, before.display_camera),
             "pixel_size": pixel_size(frame.display_camera, frame.camera),
             "camera_step": distance(frame.camera, before.camera),
             "interval_ratio": (times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0,
@@ -66,9 +66,9 @@ class BlockWriter:
         }
         if camera is not None:
             values |= {
-                "to_target": reprojection(frame.camera, camera),
-                "to_source": reprojection(camera, frame.camera),
-                "target_to_previous": reprojection(camera, before.camera),
+                "to_target": _reprojection(frame.camera, camera),
+                "to_source": _reprojection(camera, frame.camera),
+                "target_to_previous": _reprojection(camera, before.camera),
                 "zoom": (camera.fx / frame.camera.fx, camera.fy / frame.camera.fy),
                 "polynomial": padded(polynomial_weights(times[: order + 1], time, MAX_ORDER)),
             }
@@ -91,23 +91,32 @@ def block_facts(options: Any, sizes: Sizes) -> dict[str, Any]:
     return facts
 
 
-def reprojection(source: Camera, target: Camera) -> list[float]:
-    """Return the 24 numbers of the `Reprojection` of common.h, composed in float64: source view space → target view
+def reprojection(source: Camera, target: Camera) -> np.ndarray:
+    """Return (6, 4) float32, the `Reprojection` of common.h, composed in float64: source view space → target view
     space."""
+    return np.array(_reprojection(source, target), np.float32).reshape(6, 4)
+
+
+def _reprojection(source: Camera, target: Camera) -> list[float]:
     row0, row1, row2 = source.rows_to_view_of(target)
     inverse = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
     return [*row0, *row1, *row2, *source.intrinsics, *inverse, *target.intrinsics]
 
 
-def mapping(a: Camera, b: Camera) -> tuple[float, float, float, float]:
-    """Return scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one pose."""
+def mapping(a: Camera, b: Camera) -> np.ndarray:
+    """Return (4,) float32: scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one
+    pose."""
+    return np.array(_mapping(a, b), np.float32)
+
+
+def _mapping(a: Camera, b: Camera) -> tuple[float, float, float, float]:
     scale_x, scale_y = b.fx / a.fx, b.fy / a.fy
     return scale_x, scale_y, b.cx - scale_x * a.cx, b.cy - scale_y * a.cy
 
 
 def pixel_size(display: Camera, render: Camera) -> np.ndarray:
     """Return (2,) float32: width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
-    return np.float32(1) / np.array(mapping(display, render)[:2], np.float32)
+    return 1 / mapping(display, render)[:2]
 
 
 def distance(a: Camera, b: Camera) -> float:
