@@ -37,7 +37,7 @@ GPUS = (
 class Assumptions:
     """What no data sheet says."""
 
-    machine: float  # instructions of the reference GPU for one of LLVM
+    machine: float  # instructions of the reference GPU for one of LLVM, which may compute a vector of four
     active: float  # share of active work-items among those that run in step
     issued: float  # share of the instructions per second that kernels reach, at half of the hardware's threads or more
     caches: float  # bytes that move for each that must
@@ -47,8 +47,8 @@ class Assumptions:
     host: float  # microseconds of the host's processor for each command
 
 
-KIND = Assumptions(1.0, 0.9, 0.8, 1.0, 0.9, 2, 0.8, 15)
-HARSH = Assumptions(1.5, 0.7, 0.6, 1.2, 0.7, 6, 0.5, 80)
+KIND = Assumptions(1.5, 0.9, 0.8, 1.0, 0.9, 2, 0.8, 30)
+HARSH = Assumptions(2.5, 0.7, 0.6, 1.2, 0.7, 6, 0.5, 80)
 
 
 @dataclass(frozen=True)

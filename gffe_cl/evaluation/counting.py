@@ -94,13 +94,13 @@ def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTra
 
 def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
     """Return (kernel, bytes loaded, bytes stored, instructions) of each launch from the output of
-    `oclgrind --inst-counts`, in order."""
+    `oclgrind --inst-counts`, in order. Frame blocks, which are written once a frame, do not count."""
     kernel, loaded, stored, executed = None, 0, 0, 0
     for line in text.splitlines():
         if head := _KERNEL.match(line):
             if kernel is not None:
                 yield kernel, loaded, stored, executed
-            kernel, loaded, stored, executed = head[1], 0, 0, 0
+            kernel, loaded, stored, executed = (None if head[1] == "set_frame" else head[1]), 0, 0, 0
         elif kernel is not None and (entry := _COUNT.match(line)):
             times, instruction = int(entry[1]), entry[2]
             moved = _moved(times, instruction)

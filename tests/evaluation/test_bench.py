@@ -305,6 +305,9 @@ Instructions executed for kernel 'splat':
                1 - call _Z6vload4mPU3AS3Kf()
                1 - call _Z10atomic_incPU3AS1Vj()
 
+Instructions executed for kernel 'set_frame':
+               1 - call llvm.memcpy.p1i8.p0i8.i64()
+
 Instructions executed for kernel 'clear':
              512 - store global (2048 bytes)
 """
