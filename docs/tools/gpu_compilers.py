@@ -158,7 +158,7 @@ def costs_table() -> str:
 
 def _memory(cost: dict) -> str:
     nbytes = cost["spilled"] + cost["private"]
-    return f" **+ {nbytes} B**" if nbytes else ""
+    return f" + {nbytes} B" if nbytes else ""
 
 
 TABLES = {"gpu_builds": builds_table, "gpu_costs": costs_table}

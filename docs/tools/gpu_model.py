@@ -17,19 +17,20 @@ REFERENCE = "sm_86"  # the GPU for which `Assumptions.machine` holds
 
 @dataclass(frozen=True)
 class Gpu:
-    """A GPU by its data sheet. `compiled`: the GPU of the record that stands for it; `pcie`: None where it shares the
-    host's memory."""
+    """A GPU by its data sheet. `compiled`: the GPU of the record that stands for it; `widest`: work-items of one
+    instruction, of which wider programs have several; `pcie`: None where it shares the host's memory."""
 
     name: str
     compiled: str
+    widest: int
     instructions: float  # 10⁹ per second, of all work-items that run at once
     bandwidth: float  # GB/s
     pcie: float | None  # GB/s, each way
 
 
 GPUS = (
-    Gpu("RTX 4070 Ti Super", "sm_86", 66 * 128 * 2.61, 672, 31.5),
-    Gpu("Intel Xe, 96 EU", "dg2-g10", 96 * 8 * 1.35, 100, None),
+    Gpu("RTX 4070 Ti Super", "sm_86", 32, 66 * 128 * 2.61, 672, 31.5),
+    Gpu("Intel Xe, 96 EU", "dg2-g10", 16, 96 * 8 * 1.35, 100, None),
 )
 
 
@@ -93,7 +94,8 @@ def _nanoseconds(gpu: Gpu, assumed: Assumptions, kernel: str, counted: dict[str,
     if costs is None:  # fills
         return 0.0
     own, reference = costs[gpu.compiled], costs[REFERENCE]
-    executed = counted["executed"] * assumed.machine * own["instructions"] / reference["instructions"]
+    made = own["instructions"] * min(1.0, gpu.widest / own["simd"]) / reference["instructions"]
+    executed = counted["executed"] * assumed.machine * made
     reached = assumed.issued * min(1.0, 2 * own["occupancy"])
     return executed / (assumed.active * reached * gpu.instructions)
 
