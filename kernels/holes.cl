@@ -423,10 +423,11 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
 
 /* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills the pixels under TILE x TILE texels: it sums
    up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
-SPARSE __kernel void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
-                                           __global const half *source_color, __global const float *source_depth,
-                                           __global half *color, __global float *depth, __global float2 *motion,
-                                           __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
+SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
+                           __global const half *source_color, __global const float *source_depth,
+                           __global half *color, __global float *depth, __global float2 *motion,
+                           __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
     const Images images = {filled_by, source_color, source_depth, 0, color, depth, motion};
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];

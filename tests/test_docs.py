@@ -81,6 +81,7 @@ def test_commands_that_prose_names_exist():
 def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
     others |= {"--cases", "--minutes", "--arguments", "--measure", "--tables", "--scenes"}  # of scripts in docs
+    others |= {"--setup", "--rocm"}  # of docs/tools/gpu_compilers.py
     others |= {"--offscreen", "--rate", "--shown"}  # of the live examples
     others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
     others |= {"--nthreads"}  # of Dask's workers
@@ -140,6 +141,14 @@ def test_tables_of_performance_are_those_of_the_records():
     page = TEXTS["docs/performance.md"]
     assert with_tables(page) == page, "run python docs/tools/make_performance.py"
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
+
+
+def test_tables_of_gpu_compilers_are_those_of_the_record():
+    from gpu_compilers import TABLES, with_tables
+
+    page = TEXTS["docs/portability.md"]
+    assert with_tables(page) == page, "run python docs/tools/gpu_compilers.py --tables"
+    assert all(f"<!-- {table}:begin -->\n|" in page for table in TABLES)
 
 
 def test_tables_of_the_doctor_are_those_of_its_record():

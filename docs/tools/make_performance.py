@@ -16,34 +16,16 @@ import json
 import math
 import textwrap
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from pages import DOCS, MEASURED, PICTURES, table, with_all
+import gpu_model
+from pages import DOCS, MEASURED, PICTURES, recorded, table, with_all
 from scatter import Point, scatter
 
 PAGE = DOCS / "performance.md"
 LINE = 120  # characters of a line of text
 REMAP = "remap-bilinear"  # the simplest method that uses motion vectors
 SIZE, SCENES = (1920, 1080), ("plaza", "forest")
-
-
-@dataclass(frozen=True)
-class Gpu:
-    name: str
-    bandwidth: float  # GB/s, by the data sheet
-
-
-GPUS = (Gpu("GeForce RTX 4070 Ti Super", 672), Gpu("Radeon RX 7800 XT", 624), Gpu("Arc A770, 16 GB", 560))
-SHARE_OF_PEAK = 0.8  # of the data sheet's bandwidth that a good copy reaches
-PER_COMMAND = 5.0  # microseconds from the end of one command to the start of the next
-PIXELS = {"1080p": 1920 * 1080, "4K": 3840 * 2160}
-
-
-def milliseconds(gpu: Gpu, bytes_per_pixel: float, commands: int, pixels: int) -> float:
-    """The model: traffic by bandwidth, and a fixed cost for each command."""
-    return bytes_per_pixel * pixels / (SHARE_OF_PEAK * gpu.bandwidth * 1e6) + commands * PER_COMMAND * 1e-3
 
 
 def must_move_table() -> str:
@@ -76,20 +58,6 @@ def size_of_traffic() -> str:
     width, height = found["part"]
     whole = "×".join(map(str, found["size"]))
     return f"In {width}×{height} pixels of `{found['of']}`, {whole}, which are much like the rest."
-
-
-def model_table() -> str:
-    found = recorded("must_move")
-    heads = [f"`{name}`, {size}" for name in found for size in PIXELS]
-    rows = []
-    for gpu in GPUS:
-        times = (
-            milliseconds(gpu, one["must_move"]["GAE"], one["commands"]["GAE"], pixels)
-            for one in found.values()
-            for pixels in PIXELS.values()
-        )
-        rows.append((gpu.name, str(gpu.bandwidth), *(f"{ms:.2f}" for ms in times)))
-    return table(("model, ms", "GB/s", *heads), rows)
 
 
 def io_table() -> str:
@@ -169,6 +137,10 @@ def methods_text() -> str:
     return "\n".join(textwrap.wrap(text, LINE, break_on_hyphens=False))
 
 
+def convolutions_text() -> str:
+    return "\n".join(textwrap.wrap(gpu_model.convolutions_text(), LINE, break_on_hyphens=False))
+
+
 def methods_plot() -> str:
     points = [
         Point(row["milliseconds"], row["psnr"], _label(row), "#2f6fde" if row["device"] else "#d98b1f")
@@ -181,17 +153,15 @@ TABLES: dict[str, Callable[[], str]] = {
     "must_move": must_move_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
-    "model": model_table,
+    "model": gpu_model.model_table,
+    "model_text": convolutions_text,
+    "model_assumptions": gpu_model.assumptions_table,
     "io": io_table,
     "methods_text": methods_text,
     "methods": methods_table,
     "methods_regions": regions_table,
     "speed": speed_table,
 }
-
-
-def recorded(name: str) -> dict[str, Any]:
-    return json.loads((MEASURED / f"{name}.json").read_text())
 
 
 def with_tables(text: str) -> str:

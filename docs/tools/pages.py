@@ -5,12 +5,19 @@ In Markdown, `<!-- NAME:begin -->` and `<!-- NAME:end -->` mark where the table 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
 MEASURED, PICTURES = DOCS / "measured", DOCS / "pictures"
+
+
+def recorded(name: str) -> dict[str, Any]:
+    """Return the record of that name in docs/measured/."""
+    return json.loads((MEASURED / f"{name}.json").read_text("utf-8"))
 
 
 def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:

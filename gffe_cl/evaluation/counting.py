@@ -1,4 +1,5 @@
-"""Bytes per pixel that kernels load and store, counted by Oclgrind, which nothing disturbs (`gffe bench --traffic`).
+"""Bytes per pixel that kernels load and store, and instructions that they execute, counted by Oclgrind, which nothing
+disturbs (`gffe bench --traffic`).
 
 A process under Oclgrind makes a few frames of a small part of the images; the kernels of the last pair are counted.
 Caches count for nothing: a pixel that four work-items load is loaded four times. An atomic loads and stores.
@@ -44,17 +45,23 @@ _MEMORY = re.compile(r"(load|store) global \((\d+) bytes\)")
 _GLOBAL = r"PU3AS1V?K?(Dh|[a-z])"  # a pointer to global memory, and its type, in C++'s mangled names
 _VECTOR = re.compile(rf"call _Z\d+v(load|store)a?_?(?:half)?(\d*)(?:_rt[ezpn])?(?:Dv\d+_)?\w*{_GLOBAL}\w*\(\)")
 _ATOMIC = re.compile(rf"call _Z\d+atom(?:ic)?_\w+{_GLOBAL}\w*\(\)")
+# Instructions that leave nothing for a GPU to execute: addresses, moves between names, variables that are registers.
+_FREE = re.compile(
+    r"(getelementptr|phi|bitcast|extractelement|insertelement|shufflevector|alloca|(load|store) private)\b"
+)
 _BYTES = {"Dh": 2} | dict(zip("ahcstijflmd", (1, 1, 1, 2, 2, 4, 4, 4, 8, 8, 8), strict=True))
 
 
 @dataclass(frozen=True)
 class KernelTraffic:
     """Bytes per display pixel, for all launches of a rendered and an extrapolated frame: bytes that must move by the
-    declarations (`traffic`), and bytes loaded and stored. Fills count as declared."""
+    declarations (`traffic`), and bytes loaded and stored. Fills count as declared. `executed`: instructions of LLVM per
+    display pixel, those that compute or reach memory."""
 
     declared: float
     loaded: float
     stored: float
+    executed: float = 0.0
 
     @property
     def counted(self) -> float:
@@ -85,20 +92,22 @@ def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTra
     return _joined(made, blocks, math.prod((footage.width, footage.height)))
 
 
-def parse_counts(text: str) -> Iterator[tuple[str, int, int]]:
-    """Return (kernel, bytes loaded, bytes stored) of each launch from the output of `oclgrind --inst-counts`, in
-    order."""
-    kernel, loaded, stored = None, 0, 0
+def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
+    """Return (kernel, bytes loaded, bytes stored, instructions) of each launch from the output of
+    `oclgrind --inst-counts`, in order. Frame blocks, which are written once a frame, do not count."""
+    kernel, loaded, stored, executed = None, 0, 0, 0
     for line in text.splitlines():
         if head := _KERNEL.match(line):
             if kernel is not None:
-                yield kernel, loaded, stored
-            kernel, loaded, stored = head[1], 0, 0
+                yield kernel, loaded, stored, executed
+            kernel, loaded, stored, executed = (None if head[1] == "set_frame" else head[1]), 0, 0, 0
         elif kernel is not None and (entry := _COUNT.match(line)):
-            moved = _moved(int(entry[1]), entry[2])
+            times, instruction = int(entry[1]), entry[2]
+            moved = _moved(times, instruction)
             loaded, stored = loaded + moved[0], stored + moved[1]
+            executed += 0 if _FREE.match(instruction) else times
     if kernel is not None:
-        yield kernel, loaded, stored
+        yield kernel, loaded, stored, executed
 
 
 def _moved(times: int, instruction: str) -> tuple[int, int]:
@@ -117,17 +126,17 @@ def _moved(times: int, instruction: str) -> tuple[int, int]:
     return 0, 0
 
 
-def _joined(made: dict, blocks: list[tuple[str, int, int]], pixels: int) -> dict[str, KernelTraffic]:
+def _joined(made: dict, blocks: list[tuple[str, int, int, int]], pixels: int) -> dict[str, KernelTraffic]:
     launched = made["launched"]  # of the last pair of frames, in order
     blocks = blocks[len(blocks) - len(launched) :]
     stages = {kernel: stage for stage, kernel in launched}
-    if sorted(kernel for _, kernel in launched) != sorted(kernel for kernel, _, _ in blocks):
+    if sorted(kernel for _, kernel in launched) != sorted(kernel for kernel, *_ in blocks):
         raise GffeError("oclgrind: the counted kernels are not the launched ones")
-    counted: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0])
-    for kernel, *moved in blocks:
+    counted: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
+    for kernel, *figures in blocks:
         of = counted[f"{stages[kernel]}.{kernel}"]
-        for k in range(2):
-            of[k] += moved[k] / pixels
+        for k, figure in enumerate(figures):
+            of[k] += figure / pixels
     return {
         name: KernelTraffic(declared, *counted.get(name, (0.0, declared)))
         for name, declared in made["declared"].items()

@@ -1,0 +1,163 @@
+"""Model of the time that a frame pair takes on GPUs: computed from what is recorded, never measured.
+
+Instructions are those that `gffe bench --traffic` counts, as LLVM has them, times what a GPU's compiler makes of them
+(docs/measured/gpu_compilers.json). Bytes are those that stages declare. The rest are the constants here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from pages import recorded, table
+
+SCENE, PIXELS = "plaza", 1920 * 1080
+REFERENCE = "sm_86"  # the GPU for which `Assumptions.machine` holds
+
+
+@dataclass(frozen=True)
+class Gpu:
+    """A GPU by its data sheet. `compiled`: the GPU of the record that stands for it; `widest`: work-items of one
+    instruction, of which wider programs have several; `pcie`: None where it shares the host's memory."""
+
+    name: str
+    compiled: str
+    widest: int
+    instructions: float  # 10⁹ per second, of all work-items that run at once
+    bandwidth: float  # GB/s
+    pcie: float | None  # GB/s, each way
+
+
+GPUS = (
+    Gpu("RTX 4070 Ti Super", "sm_86", 32, 66 * 128 * 2.61, 672, 31.5),
+    Gpu("Intel Xe, 96 EU", "dg2-g10", 16, 96 * 8 * 1.35, 100, None),
+)
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """What no data sheet says."""
+
+    machine: float  # instructions of the reference GPU for one of LLVM, which may compute a vector of four
+    active: float  # share of active work-items among those that run in step
+    issued: float  # share of the instructions per second that kernels reach, at half of the hardware's threads or more
+    caches: float  # bytes that move for each that must
+    bandwidth: float  # share of the data sheet's bandwidth that is reached
+    per_command: float  # microseconds from the end of a command to the start of the next
+    pcie: float  # share of the bus's bandwidth that is reached
+    host: float  # microseconds of the host's processor for each command
+
+
+KIND = Assumptions(1.5, 0.9, 0.8, 1.0, 0.9, 2, 0.8, 30)
+HARSH = Assumptions(2.5, 0.7, 0.6, 1.2, 0.7, 6, 0.5, 80)
+
+
+@dataclass(frozen=True)
+class Times:
+    """Milliseconds of a part of the work: instructions alone, memory alone, gaps between commands; `gpu`: those gaps,
+    and of each kernel the longer of instructions and memory; copies over PCIe; the host's processor."""
+
+    instructions: float
+    memory: float
+    commands: float
+    gpu: float
+    pcie: float
+    host: float
+
+    def __add__(self, other: Times) -> Times:
+        return Times(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+
+
+def model(gpu: Gpu, assumed: Assumptions, group: str) -> Times:
+    """Return the time of a frame pair's "GAE" or "SCN", the shading correction without its convolutions."""
+    from gffe_cl.evaluation.traffic import group as group_of
+
+    kernels = {
+        name: moved
+        for name, moved in recorded("traffic")["lanes"]["1"].items()
+        if group_of(name.partition(".")[0]) == group
+    }
+    instructions = {name: PIXELS * _nanoseconds(gpu, assumed, name, moved) * 1e-6 for name, moved in kernels.items()}
+    per_byte = assumed.caches / (assumed.bandwidth * gpu.bandwidth * 1e6)  # milliseconds
+    memory = {name: PIXELS * moved["declared"] * per_byte for name, moved in kernels.items()}
+    number = recorded("must_move")[SCENE]["commands"][group]
+    commands = number * assumed.per_command * 1e-3
+    longer = sum(max(instructions[name], memory[name]) for name in kernels)
+    copied = bytes_to_network() / (assumed.pcie * gpu.pcie * 1e6) if gpu.pcie and group == "SCN" else 0.0
+    host = number * assumed.host * 1e-3
+    return Times(sum(instructions.values()), sum(memory.values()), commands, longer + commands, copied, host)
+
+
+def _nanoseconds(gpu: Gpu, assumed: Assumptions, kernel: str, counted: dict[str, float]) -> float:
+    """Return the time of a kernel's instructions for one pixel of the display."""
+    costs = recorded("gpu_compilers")["kernels"].get(kernel)
+    if costs is None:  # fills
+        return 0.0
+    own, reference = costs[gpu.compiled], costs[REFERENCE]
+    made = own["instructions"] * min(1.0, gpu.widest / own["simd"]) / reference["instructions"]
+    executed = counted["executed"] * assumed.machine * made
+    reached = assumed.issued * min(1.0, 2 * own["occupancy"])
+    return executed / (assumed.active * reached * gpu.instructions)
+
+
+def bytes_to_network() -> int:
+    """Return the bytes that the network reads and writes, each copied once where host and device have memory of their
+    own."""
+    from make_tables import SHOWN
+
+    from gffe_cl.stages.buffers import Sizes
+
+    sizes = Sizes((1920, 1080), (1920, 1080))
+    return sum(spec.nbytes(sizes) for stage in SHOWN for spec in stage.buffers if spec.mapped)
+
+
+# ---- tables ------------------------------------------------------------------------------------------------------
+
+
+def model_table() -> str:
+    rows = []
+    for gpu in GPUS:
+        parts = {group: [model(gpu, assumed, group) for assumed in (KIND, HARSH)] for group in ("GAE", "SCN")}
+        together = [a + b for a, b in zip(*parts.values(), strict=True)]
+        for name, times in (("GAE", parts["GAE"]), ("network", parts["SCN"]), ("together", together)):
+            cells = (_range(getattr(one, part) for one in times) for part in Times.__annotations__)
+            rows.append((f"{gpu.name}, {name}", *cells))
+    heads = ("computed, ms", "instructions", "memory", "commands", "on the GPU", "over PCIe", "the host's commands")
+    return table(heads, rows)
+
+
+def convolutions_text() -> str:
+    """Return what the network's convolutions add."""
+    found = [
+        one["new"]["SCN, network"]
+        for one in recorded("speed")["of"]
+        if one["of"] == SCENE and "SCN, network" in one["new"]
+    ]
+    return (
+        "The network's convolutions run on the host and are not in the table:"
+        f" {_range((min(found), max(found)), 0)} ms, measured on two cores of an AMD EPYC."
+    )
+
+
+def assumptions_table() -> str:
+    said = {
+        "machine": "instructions of sm_86 for one of LLVM",
+        "active": "active work-items among those that run in step",
+        "issued": "instructions per second, share of the data sheet's",
+        "caches": "bytes that move for each that must",
+        "bandwidth": "memory bandwidth, share of the data sheet's",
+        "per_command": "between two commands, µs",
+        "pcie": "bandwidth of PCIe 4.0 ×16, share of 31.5 GB/s",
+        "host": "processor time of the host for each command, µs",
+    }
+    assert list(said) == list(Assumptions.__annotations__)
+    rows = [(text, f"{getattr(KIND, name):g}", f"{getattr(HARSH, name):g}") for name, text in said.items()]
+    return table(("assumed", "kindly", "harshly"), rows)
+
+
+def _range(values: Iterable[float], digits: int = 2) -> str:
+    low, high = values
+    if not high:
+        return ""
+    digits = digits if high < 10 else min(digits, 0 if low >= 10 else 1)
+    return f"{low:.{digits}f}–{high:.{digits}f}"
