@@ -308,13 +308,19 @@ __kernel void pull_level(__constant Frame *frame, const int level, __global cons
 
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
+/* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image (static_source). */
+INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame, const Images f) {
+    const int dst = dst_y * frame->target_width + dst_x;
+    const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
+    f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
+    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
+    return px_source;
+}
+
 /* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
 INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *frame, const Images f) {
-    const int dst = dst_y * frame->target_width + dst_x;
-    const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
-    store_color(mean.xyz, f.color, dst);
-    f.depth[dst] = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
-    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
+    fill_geometry(dst_x, dst_y, mean.w, frame, f);
+    store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
@@ -408,9 +414,9 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
         inverse_sum += weight * tile.inverse_sums[k];
     }
     float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
-    const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
+    const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
     if (tile.after_far_side && is_out_of_screen(px_source, frame)) mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
-    fill_pixel(dst_x, dst_y, mean, frame, f);
+    store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
 /* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they need as asked
