@@ -541,27 +541,25 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
 
 /* The frame before: of its pixels those that are SHOWN hold their own surface's color only. */
 typedef struct {
-    int width, height;
     __global const half *color;
     __global const float *depth;
     __global const uchar *state;
-    Reprojection to_previous;
-    float code_offset;
 } Before;
 
 /* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 center, const float z, const Before before, float3 *code) {
-    const float3 px_prev = reproject(center, z, before.to_previous);
-    if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)before.width - 0.5f
-          && px_prev.y < (float)before.height - 0.5f)
-        || !(before.state[(int)px_prev.y * before.width + (int)px_prev.x] & SHOWN)) return false;
+INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before, float3 *code) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float3 px_prev = reproject(center, z, frame->target_to_previous);
+    if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)width - 0.5f
+          && px_prev.y < (float)height - 0.5f)
+        || !(before.state[(int)px_prev.y * width + (int)px_prev.x] & SHOWN)) return false;
     const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
     const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
-        const int i = (y0 + (tap >> 1)) * before.width + x0 + (tap & 1);
+        const int i = (y0 + (tap >> 1)) * width + x0 + (tap & 1);
         if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_SURFACE * px_prev.z)) return false;
-        sum += bilinear_weight(tap, u, v) * load_code(before.color, i, before.code_offset);
+        sum += bilinear_weight(tap, u, v) * load_code(before.color, i, frame->code_offset);
     }
     *code = sum;
     return true;
@@ -578,39 +576,33 @@ SCAN __kernel void fill_from_levels(__constant Frame *frame, __global const half
                                     __global const uchar *disoccluded, __global const uchar *mixed, __global const Key *keys,
                                     __global const uint *winners, __global half *color, __global float *depth,
                                     __global float2 *motion, __global uchar *filled_by) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const int4 starts = frame->level_starts;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const float2 zoom = frame->zoom;
-    const Reprojection to_target = frame->to_target;
-    const Reprojection to_source = frame->to_source;
-    const int has_previous = frame->has_previous;
-    const Reprojection to_previous = frame->target_to_previous;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
-    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous, frame->code_offset};
+    const Before before = {color_prev, depth_prev, state_prev};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
         if (disoccluded[dst] && filled_by[dst] == BY_HIDDEN_PART) continue;
-        const int level = level_of(winner, starts), start = start_of(level, starts), width = level_side(source_width, level);
+        const int4 starts = frame->level_starts;
+        const int level = level_of(winner, starts), start = start_of(level, starts), width = level_side(frame->source_width, level);
         const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
         const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, level, width};
         const float z_winner = levels_depth[winner];
         const float2 center = pixel_center(dst_x, dst_y);
-        const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, to_target).z;
-        const float3 px_source = reproject(center, nearest_z, to_source);
-        if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
+        const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, frame->to_target).z;
+        const float3 px_source = reproject(center, nearest_z, frame->to_source);
+        if (!lands(px_source, frame->source_width, frame->source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
-        const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
+        const float2 side = (float2)((float)(1 << level) * nearer * frame->zoom.x, (float)(1 << level) * nearer * frame->zoom.y);
         float3 remembered;
-        if (!has_previous || !shown_before(center, nearest_z, before, &remembered))
-            remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, center,
+        if (!frame->has_previous || !shown_before(center, nearest_z, frame, before, &remembered))
+            remembered = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner, side, center,
                                       frame, texels);
         if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
         store_code(remembered, color, dst, frame->code_offset);

@@ -90,12 +90,13 @@ INLINE Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
 INLINE bool is_one_surface(const Fragments f, const int x0, const int y0) {
     if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > f.width || y0 + BLOCK_HEIGHT + 2 > f.height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
-#pragma unroll
+#pragma unroll 1
     for (int k = -2; k < BLOCK_HEIGHT + 2; ++k) {
         __global const uchar *row = f.links + (y0 + k) * f.width + x0;
         common &= vload8(0, row - 2) & vload8(0, row + 2);
+        if (as_ulong(common) != as_ulong((uchar8)(ALL_LINKS))) return false;
     }
-    return as_ulong(common) == as_ulong((uchar8)(ALL_LINKS));
+    return true;
 }
 
 /* Whether positions are linear over the block, within BEND_MOST; then *box is its reach. */

@@ -15,11 +15,11 @@
 #define NEARER 0.9f
 
 #define REACH 2                  /* px around a pixel that are looked at: GROW, and 2 for links */
+#define GROUP 128                /* work-items of a work-group */
+
 #if LANES == 8
-#define MORE 4                   /* ... and that are loaded in a row */
-#else
-#define MORE REACH
-#endif
+
+#define MORE 4                   /* px that are loaded before and after those of a row */
 
 /* A rendered frame and a place in it: pixels from (x, y) on. `inner`: all that is looked at lies inside. */
 typedef struct {
@@ -39,25 +39,24 @@ INLINE Floats depth_beside(const Place p, const int dx, const int dy) {
 }
 
 /* Whether they are dynamic, 0 outside. */
-INLINE Bytes dynamic_beside(const Place p, const int dx, const int dy) {
-    if (p.inner) return load_bytes(0, p.dynamic_mask + (p.y + dy) * p.width + p.x + dx);
-    if (p.y + dy < 0 || p.y + dy >= p.height) return (Bytes)(0);
+INLINE Ints dynamic_beside(const Place p, const int dx, const int dy) {
+    if (p.inner) return to_ints(load_bytes(0, p.dynamic_mask + (p.y + dy) * p.width + p.x + dx));
+    if (p.y + dy < 0 || p.y + dy >= p.height) return (Ints)(0);
     const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
     const Bytes dynamic = gather_bytes(p.dynamic_mask + (p.y + dy) * p.width, there);
-    return to_bytes(x == there ? to_ints(dynamic) : (Ints)(0));
+    return x == there ? to_ints(dynamic) : (Ints)(0);
 }
 
 /* Which of them have nothing dynamic within GROW. */
 INLINE Ints nothing_moves(const Place p) {
-    Bytes moving = 0;
+    Ints moving = 0;
     for (int dy = -GROW; dy <= GROW; ++dy)
         for (int dx = -GROW; dx <= GROW; ++dx) moving |= dynamic_beside(p, dx, dy);
-    return to_ints(moving) == 0;
+    return moving == 0;
 }
 
 /* The least depth within GROW of each. Gives whether nothing near any of them is dynamic. */
 INLINE bool look_around(const Place p, Floats *nearest) {
-#if LANES == 8
     if (p.inner) {  /* 4 pixels more to each side: columns first, which pixels share */
         const int first = (p.y - GROW) * p.width + p.x - MORE;
         float16 column = INFINITY;
@@ -74,7 +73,6 @@ INLINE bool look_around(const Place p, Floats *nearest) {
         const ulong2 bits = as_ulong2(moving);
         return (bits.x | bits.y) == 0;
     }
-#endif
     Floats least = INFINITY;
     for (int dy = -GROW; dy <= GROW; ++dy)
         for (int dx = -GROW; dx <= GROW; ++dx) {
@@ -84,6 +82,62 @@ INLINE bool look_around(const Place p, Floats *nearest) {
     *nearest = least;
     return ALL(nothing_moves(p));
 }
+
+#else
+
+#define ROWS (2 * REACH + 1)
+#define COLUMNS (GROUP + 2 * REACH)
+#define MASK_BITS 2              /* of a value of dynamic_mask */
+
+/* The neighborhood of a work-group's pixels, which its work-items load together: columns of ROWS pixels. */
+typedef struct {
+    float depth[ROWS][COLUMNS], nearest[COLUMNS];  /* NaN outside of the image; the least of a column */
+    int dynamic[COLUMNS];                          /* values of dynamic_mask, MASK_BITS each; 0 outside */
+} Tile;
+
+/* A pixel, and the first column of `tile` that it looks at. */
+typedef struct {
+    int width, height, x, y, column;
+    __local const Tile *tile;
+} Place;
+
+INLINE void load_column(const int column, const int x, const int y, const int width, const int height, __global const float *depth,
+                        __global const uchar *dynamic_mask, __local Tile *tile) {
+    float nearest = INFINITY;
+    int dynamic = 0;
+    for (int row = 0; row < ROWS; ++row) {
+        const bool is_inside = inside(x, y + row, width, height);
+        const int i = (y + row) * width + x;
+        const float z = is_inside ? depth[i] : NAN;
+        tile->depth[row][column] = z;
+        nearest = fmin(nearest, z);
+        if (is_inside) dynamic |= dynamic_mask[i] << row * MASK_BITS;
+    }
+    tile->nearest[column] = nearest;
+    tile->dynamic[column] = dynamic;
+}
+
+INLINE float depth_beside(const Place p, const int dx, const int dy) {
+    return p.tile->depth[REACH + dy][p.column + REACH + dx];
+}
+
+INLINE int dynamic_beside(const Place p, const int dx, const int dy) {
+    return p.tile->dynamic[p.column + REACH + dx] >> (REACH + dy) * MASK_BITS & ((1 << MASK_BITS) - 1);
+}
+
+INLINE int nothing_moves(const Place p) {
+    int moving = 0;
+    for (int dx = -GROW; dx <= GROW; ++dx) moving |= p.tile->dynamic[p.column + REACH + dx];
+    return moving == 0;
+}
+
+INLINE bool look_around(const Place p, float *nearest) {
+    *nearest = INFINITY;
+    for (int dx = -GROW; dx <= GROW; ++dx) *nearest = fmin(*nearest, p.tile->nearest[p.column + REACH + dx]);
+    return nothing_moves(p);
+}
+
+#endif
 
 /* 0 sky, -1 none. */
 INLINE Floats inverse_depth_beside(const Place p, const int dx, const int dy) {
@@ -140,9 +194,9 @@ INLINE Ints links_by_depth(const Place p, Ints *clear) {
 
 /* Links to neighbors that are equally static or dynamic. */
 INLINE Ints links_by_motion(const Place p) {
-    const Ints own = to_ints(dynamic_beside(p, 0, 0));
-    const Ints right = to_ints(dynamic_beside(p, 1, 0)) == own, down = to_ints(dynamic_beside(p, 0, 1)) == own;
-    const Ints left = to_ints(dynamic_beside(p, -1, 0)) == own, up = to_ints(dynamic_beside(p, 0, -1)) == own;
+    const Ints own = dynamic_beside(p, 0, 0);
+    const Ints right = dynamic_beside(p, 1, 0) == own, down = dynamic_beside(p, 0, 1) == own;
+    const Ints left = dynamic_beside(p, -1, 0) == own, up = dynamic_beside(p, 0, -1) == own;
     return (right ? (Ints)(LINK_RIGHT) : (Ints)(0)) | (down ? (Ints)(LINK_DOWN) : (Ints)(0))
            | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
@@ -169,28 +223,30 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     Ints linked = links_by_depth(p, &clear);
     if (!ALL(clear)) linked = links_by_inverse_depth(p);
     if (!still) linked &= links_by_motion(p);
-    const int i = p.y * p.width + p.x, count = p.width - p.x;
+    const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
     store_some_bytes(to_bytes(linked), count, links + i);
     if (!collect) return;
     store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : (Ints)(EMPTY)), count, to.state + i);
     if (!single && !((p.x | p.y) & 1)) {
         const int level_width = (p.width + 1) / 2, first = p.y / 2 * level_width + p.x / 2;
-        for (int k = 0; k < (min(count, LANES) + 1) / 2; ++k) forget(to.push_keys, to.push_winners, first + k);
+        for (int k = 0; k < (count + 1) / 2; ++k) forget(to.push_keys, to.push_winners, first + k);
     }
     if (!single && ALL(clean)) return;
-    for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
+    for (int k = 0; k < count; ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel void find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
-                              __global uchar *links, __global uchar *state, __global Key *fill_keys,
-                              __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask, __global uchar *links,
+                __global uchar *state, __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
+                __global uint *push_winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int collect = frame->collects && frame->has_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
+#if LANES == 8
     if (src_x >= source_width || src_y >= source_height) return;
     const bool inner = src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
-    const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
     if (inner) {
         p.inner = true;
         find(p, collect, frame->levels == 1, links, to);
@@ -198,4 +254,14 @@ WIDE __kernel void find_links(__constant Frame *frame, __global const float *dep
         p.inner = false;
         find(p, collect, frame->levels == 1, links, to);
     }
+#else
+    __local Tile tile;
+    const int lane = get_local_id(0), first_x = src_x - lane - REACH;
+    for (int column = lane; column < COLUMNS; column += GROUP)
+        load_column(column, first_x + column, src_y - REACH, source_width, source_height, depth, dynamic_mask, &tile);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (src_x >= source_width) return;
+    const Place p = {source_width, source_height, src_x, src_y, lane, &tile};
+    find(p, collect, frame->levels == 1, links, to);
+#endif
 }

@@ -22,3 +22,25 @@ INLINE int steps_within(const int reach, const int2 d, const int x, const int y,
     while (steps > 0 && (float)steps * step > (float)reach) --steps;
     return steps;
 }
+
+/* A value for each direction. On GPUs, which index no registers, it is a vector: AT and SET select among its components. */
+#if LANES == 8
+typedef int DirectionInts[DIRECTIONS];
+typedef float DirectionFloats[DIRECTIONS];
+#define AT(values, k) ((values)[k])
+#define SET(values, k, value) ((values)[k] = (value))
+#else
+typedef int8 DirectionInts;
+typedef float8 DirectionFloats;
+#define AT(values, k)                                                                                                  \
+    ((k) < 4 ? ((k) < 2 ? ((k) == 0 ? (values).s0 : (values).s1) : ((k) == 2 ? (values).s2 : (values).s3))             \
+             : ((k) < 6 ? ((k) == 4 ? (values).s4 : (values).s5) : ((k) == 6 ? (values).s6 : (values).s7)))
+#define SET(values, k, value)                                                                                          \
+    ((values).s0 = (k) == 0 ? (value) : (values).s0, (values).s1 = (k) == 1 ? (value) : (values).s1,                   \
+     (values).s2 = (k) == 2 ? (value) : (values).s2, (values).s3 = (k) == 3 ? (value) : (values).s3,                   \
+     (values).s4 = (k) == 4 ? (value) : (values).s4, (values).s5 = (k) == 5 ? (value) : (values).s5,                   \
+     (values).s6 = (k) == 6 ? (value) : (values).s6, (values).s7 = (k) == 7 ? (value) : (values).s7)
+#endif
+
+/* Whether direction k is among those of a set, which has a bit for each. */
+INLINE bool has(const int directions, const int k) { return (directions >> k) & 1; }

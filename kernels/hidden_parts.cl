@@ -70,16 +70,17 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
 
 /* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the
    nearest that is on both sides; -1: none. */
-INLINE int owner(const int *t, const float *z, const int reach) {
+INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach) {
     int nearest = -1, between = -1;
     float least = INFINITY, least_between = INFINITY;
+#pragma unroll
     for (int k = 0; k < DIRECTIONS; ++k) {
-        const float step = step_length(direction(k)), distance = (float)t[k] * step;
+        const float step = step_length(direction(k)), distance = (float)AT(t, k) * step;
         const int other = (k + 4) & 7;
-        if (t[k] == 0) continue;
+        if (AT(t, k) == 0) continue;
         if (distance < least) { least = distance; nearest = k; }
-        if (t[other] && (float)(t[k] + t[other]) * step <= (float)reach && distance < least_between
-            && fabs(z[k] - z[other]) <= ONE_OBJECT * fmin(z[k], z[other])) {
+        if (AT(t, other) && (float)(AT(t, k) + AT(t, other)) * step <= (float)reach && distance < least_between
+            && fabs(AT(z, k) - AT(z, other)) <= ONE_OBJECT * fmin(AT(z, k), AT(z, other))) {
             least_between = distance;
             between = k;
         }
@@ -90,26 +91,31 @@ INLINE int owner(const int *t, const float *z, const int reach) {
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
 INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
-    int t[DIRECTIONS];
-    float z[DIRECTIONS];
+    DirectionInts t;
+    DirectionFloats z;
     for (int k = 0; k < DIRECTIONS; ++k) {
         const int2 d = direction(k);
-        t[k] = steps_to_mover(dst_x, dst_y, d, frame, f);
-        z[k] = t[k] ? f.depth[dst + t[k] * (d.y * width + d.x)] : 0.0f;
+        const int steps = steps_to_mover(dst_x, dst_y, d, frame, f);
+        const float z_mover = steps ? f.depth[dst + steps * (d.y * width + d.x)] : 0.0f;
+        SET(t, k, steps);
+        SET(z, k, z_mover);
     }
     const int of = owner(t, z, reach_of(frame));
     if (of < 0) return;
+    const float z_owner = AT(z, of);
     float3 sum = (float3)(0.0f);
     float2 px_sum = (float2)(0.0f);
     float z_sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < DIRECTIONS; ++k) {
-        if (t[k] == 0 || !(fabs(z[k] - z[of]) <= ONE_OBJECT * z[of])) continue;
+        const int steps = AT(t, k);
+        const float z_mover = AT(z, k);
+        if (steps == 0 || !(fabs(z_mover - z_owner) <= ONE_OBJECT * z_owner)) continue;
         const int2 d = direction(k);
-        const int x = dst_x + t[k] * d.x, y = dst_y + t[k] * d.y;
-        const float weight = divide(1.0f, (float)t[k] * step_length(d));
+        const int x = dst_x + steps * d.x, y = dst_y + steps * d.y;
+        const float weight = divide(1.0f, (float)steps * step_length(d));
         sum += weight * load_code(f.color, y * width + x, frame->code_offset);
-        px_sum += weight * moves_along(x, y, -t[k] * d, frame, f);
-        z_sum += weight * z[k];
+        px_sum += weight * moves_along(x, y, -steps * d, frame, f);
+        z_sum += weight * z_mover;
         weight_sum += weight;
     }
     store_code(mean_of(sum, weight_sum), f.color, dst, frame->code_offset);

@@ -49,49 +49,57 @@ INLINE int first_beside(const int dst, const int offset, const int steps, __glob
     return 0;
 }
 
-/* The first pixels beside a hole, in eight directions: their indices, 1 / distance (1/px), and their inverse depths. */
+/* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their inverse depths. */
 typedef struct {
-    int count, px[DIRECTIONS];
-    float closeness[DIRECTIONS], inverse[DIRECTIONS], least_inverse;
+    int met;
+    DirectionInts px;
+    DirectionFloats closeness, inverse;
+    float least_inverse;
 } Border;
 
-INLINE Border find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
-                          __global const uchar *mask, const uchar hole, __global const float *depth) {
+INLINE void find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
+                        __global const uchar *mask, const uchar hole, __global const float *depth, Border *found) {
     const int dst = dst_y * width + dst_x;
-    Border found;
-    found.count = 0;
-    found.least_inverse = INFINITY;
+    found->met = 0;
+    found->least_inverse = INFINITY;
     for (int k = 0; k < DIRECTIONS; ++k) {
         const int2 d = direction(k);
         const int offset = d.y * width + d.x;
         const int t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
         if (t == 0) continue;
-        const int met = dst + t * offset;
-        const float inverse = isinf(depth[met]) ? 0.0f : divide(1.0f, depth[met]);
-        found.px[found.count] = met;
-        found.inverse[found.count] = inverse;
-        found.closeness[found.count] = divide(1.0f, (float)t * step_length(d));
-        found.least_inverse = fmin(found.least_inverse, inverse);
-        ++found.count;
+        const int px = dst + t * offset;
+        const float inverse = isinf(depth[px]) ? 0.0f : divide(1.0f, depth[px]), closeness = divide(1.0f, (float)t * step_length(d));
+        SET(found->px, k, px);
+        SET(found->inverse, k, inverse);
+        SET(found->closeness, k, closeness);
+        found->least_inverse = fmin(found->least_inverse, inverse);
+        found->met |= 1 << k;
     }
-    return found;
 }
-
-INLINE bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
 
 INLINE bool is_as_far(const float inverse, const float other) {
     return !(inverse > other * FAR_SIDE) && !(other > inverse * FAR_SIDE);
 }
 
-/* Mean (color, inverse depth) of pixels with weights. */
-INLINE float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
-                            const float code_offset, __global const half *color) {
+/* The directions that meet the far side. */
+INLINE int far_side(const Border *a) {
+    int far = 0;
+#pragma unroll
+    for (int k = 0; k < DIRECTIONS; ++k)
+        if (has(a->met, k) && !(AT(a->inverse, k) > a->least_inverse * FAR_SIDE)) far |= 1 << k;
+    return far;
+}
+
+/* Mean (color, inverse depth) of the pixels in some directions, weighted by their closeness, or by its `square`. */
+INLINE float4 weighted_mean(const Border *a, const int directions, const bool square, const float code_offset,
+                            __global const half *color) {
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
-    for (int k = 0; k < count; ++k) {
-        if (!(weight[k] > 0.0f)) continue;
-        sum += weight[k] * (float4)(load_code(color, px[k], code_offset), inverse[k]);
-        weight_sum += weight[k];
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (!has(directions, k)) continue;
+        const float closeness = AT(a->closeness, k), weight = square ? closeness * closeness : closeness;
+        sum += weight * (float4)(load_code(color, AT(a->px, k), code_offset), AT(a->inverse, k));
+        weight_sum += weight;
     }
     return (float4)(decode_color(mean_of(sum.xyz, weight_sum), code_offset), divide(sum.w, weight_sum));
 }
@@ -133,27 +141,29 @@ INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global 
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
 
-/* Weights of the border of a disocclusion for the surface behind it. Candidates are static surfaces that, continued into the
-   disocclusion, can be there in the rendered frame-> Of these, the surface with the largest sum of inverse distances counts;
+/* The directions that meet the surface behind a disocclusion. Candidates, `behind`, are static surfaces that, continued into the
+   disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances counts;
    without candidates the far side. */
-INLINE void weigh_surface_behind(const Border a, const float3 *px_source, __constant Frame *frame, const Images f, float *weight) {
-    bool behind[DIRECTIONS];
-    for (int k = 0; k < a.count; ++k)
-        behind[k] = !f.is_dynamic[a.px[k]] && f.filled_by[a.px[k]] != BY_HIDDEN_PART && can_be_at(px_source[k], frame, f.source_depth);
+INLINE int surface_behind(const Border *a, const int behind) {
     float most = 0.0f, inverse = 0.0f;
-    for (int j = 0; j < a.count; ++j) {
+    for (int j = 0; j < DIRECTIONS; ++j) {
+        if (!has(behind, j)) continue;
+        const float inverse_j = AT(a->inverse, j);
         float sum = 0.0f;
-        for (int k = 0; k < a.count; ++k)
-            if (behind[j] && behind[k] && is_as_far(a.inverse[j], a.inverse[k])) sum += a.closeness[k];
+#pragma unroll
+        for (int k = 0; k < DIRECTIONS; ++k)
+            if (has(behind, k) && is_as_far(inverse_j, AT(a->inverse, k))) sum += AT(a->closeness, k);
         if (sum > most) {
             most = sum;
-            inverse = a.inverse[j];
+            inverse = inverse_j;
         }
     }
-    for (int k = 0; k < a.count; ++k) {
-        const bool counts = most > 0.0f ? behind[k] && is_as_far(a.inverse[k], inverse) : is_far(a, k);
-        weight[k] = counts ? a.closeness[k] : 0.0f;
-    }
+    if (!(most > 0.0f)) return far_side(a);
+    int counts = 0;
+#pragma unroll
+    for (int k = 0; k < DIRECTIONS; ++k)
+        if (has(behind, k) && is_as_far(AT(a->inverse, k), inverse)) counts |= 1 << k;
+    return counts;
 }
 
 /* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
@@ -162,18 +172,21 @@ INLINE void weigh_surface_behind(const Border a, const float3 *px_source, __cons
    Gives (color, inverse depth); false where no direction meets a valid pixel. */
 INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
-    const Border a = find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth);
-    if (a.count == 0) return false;
-    float3 px_source[DIRECTIONS];
-    float weight[DIRECTIONS], all = 0.0f;
-    for (int k = 0; k < a.count; ++k) {
-        px_source[k] = static_source(dst_x, dst_y, a.inverse[k], frame->to_source);
-        weight[k] = is_out_of_screen(px_source[k], frame) ? a.closeness[k] * a.closeness[k] : 0.0f;
-        all += weight[k];
+    Border a;
+    find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth, &a);
+    if (!a.met) return false;
+    int out_of_screen = 0, behind = 0;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (!has(a.met, k)) continue;
+        const int px = AT(a.px, k);
+        const float3 px_source = static_source(dst_x, dst_y, AT(a.inverse, k), frame->to_source);
+        if (is_out_of_screen(px_source, frame)) out_of_screen |= 1 << k;
+        else if (!f.is_dynamic[px] && f.filled_by[px] != BY_HIDDEN_PART && can_be_at(px_source, frame, f.source_depth))
+            behind |= 1 << k;
     }
-    const bool is_disocclusion = !(all > 0.0f);
-    if (is_disocclusion) weigh_surface_behind(a, px_source, frame, f, weight);
-    *mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, f.color);
+    const bool is_disocclusion = !out_of_screen;
+    *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion, frame->code_offset,
+                          f.color);
     if (!is_disocclusion)
         mean->xyz = continued(mean->xyz, static_source(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
     return true;
@@ -184,15 +197,15 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame 
 
 INLINE float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
-/* Weight of a far side's `mean` relative to a remembered color. It grows if the far side is near and uniform. */
-INLINE float weight_of_far_side(const Border a, const float3 mean, __global const half *color) {
+/* Weight of the far side's `mean` relative to a remembered color. It grows if the far side is near and uniform. */
+INLINE float weight_of_far_side(const Border *a, const int far, const float3 mean, __global const half *color) {
     float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
-    for (int k = 0; k < a.count; ++k) {
-        if (!is_far(a, k)) continue;
-        const float off = brightness(load_color(color, a.px[k]) - mean);
-        closest = fmax(closest, a.closeness[k]);
-        sum += a.closeness[k] * off * off;
-        weight_sum += a.closeness[k];
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (!has(far, k)) continue;
+        const float off = brightness(load_color(color, AT(a->px, k)) - mean), closeness = AT(a->closeness, k);
+        closest = fmax(closest, closeness);
+        sum += closeness * off * off;
+        weight_sum += closeness;
     }
     const float typical = CONTRAST * brightness(mean), uniform = typical * typical, spread = divide(sum, weight_sum);
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
@@ -210,12 +223,12 @@ SCAN __kernel void mix_far_side(__constant Frame *frame, __global const uchar *d
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!disoccluded[dst] || filled_by[dst] == BY_HOLE_FILLING || filled_by[dst] == BY_HIDDEN_PART) continue;
-        const Border a = find_border(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth);
-        if (a.count == 0) continue;
-        float weight[DIRECTIONS];
-        for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
-        const float3 mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, color).xyz;
-        const float counts = weight_of_far_side(a, mean, color);
+        Border a;
+        find_border(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth, &a);
+        if (!a.met) continue;
+        const int far = far_side(&a);
+        const float3 mean = weighted_mean(&a, far, false, frame->code_offset, color).xyz;
+        const float counts = weight_of_far_side(&a, far, mean, color);
         const float3 sum = load_code(color, dst, frame->code_offset) + counts * encode_color(mean, frame->code_offset);
         store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
     }
@@ -295,13 +308,19 @@ __kernel void pull_level(__constant Frame *frame, const int level, __global cons
 
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
+/* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image (static_source). */
+INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame, const Images f) {
+    const int dst = dst_y * frame->target_width + dst_x;
+    const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
+    f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
+    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
+    return px_source;
+}
+
 /* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
 INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *frame, const Images f) {
-    const int dst = dst_y * frame->target_width + dst_x;
-    const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
-    store_color(mean.xyz, f.color, dst);
-    f.depth[dst] = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
-    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
+    fill_geometry(dst_x, dst_y, mean.w, frame, f);
+    store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
@@ -395,9 +414,9 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
         inverse_sum += weight * tile.inverse_sums[k];
     }
     float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
-    const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
+    const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
     if (tile.after_far_side && is_out_of_screen(px_source, frame)) mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
-    fill_pixel(dst_x, dst_y, mean, frame, f);
+    store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
 /* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they need as asked

@@ -60,13 +60,17 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
     *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
 }
 
-/* Of a strip of two rows: products of lifted colors, which stay below 1e28. */
-INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
-    Strip product;
+/* Products of lifted colors, which stay below 1e28: of the left and of the right strips of two rows. */
+typedef struct { Strip left, right; } Products;
+
+INLINE void begin(Products *products) {
 #pragma unroll
-    for (int part = 0; part < PARTS; ++part)
-        product.part[part] = LIFTED(Texels, top.part[part], law) * LIFTED(Texels, bottom.part[part], law);
-    return product;
+    for (int part = 0; part < PARTS; ++part) products->left.part[part] = products->right.part[part] = (Texels)(1.0f);
+}
+
+INLINE void multiply(const Strip colors, const float4 law, Strip *product) {
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) product->part[part] *= LIFTED(Texels, colors.part[part], law);
 }
 
 #if LANES == 8
@@ -78,9 +82,9 @@ INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
 #define RIGHT(a, b) {(b).part[0].x, (b).part[0].y, (b).part[0].z}
 #endif
 
-/* Means over 2x2 pixels, encoded, of the result of lifted_rows for two strips side by side: three planes of the network's input. */
-INLINE void store_colors(const Strip a, const Strip b, const float4 law, const int plane_size, __global float *planes) {
-    const WideRgb left = LEFT(a, b), right = RIGHT(a, b);
+/* Means over 2x2 pixels, encoded: three planes of the network's input. */
+INLINE void store_colors(const Products products, const float4 law, const int plane_size, __global float *planes) {
+    const WideRgb left = LEFT(products.left, products.right), right = RIGHT(products.left, products.right);
     const float scale = 0.25f * law.y;
     store_floats(scale * log_of_product(left.r, right.r), 0, planes);
     store_floats(scale * log_of_product(left.g, right.g), 0, planes + plane_size);
@@ -97,35 +101,47 @@ WIDE __kernel void network_input(__constant Frame *frame, __global const half *c
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int network_width = frame->network_width, network_height = frame->network_height;
     const float4 law = frame->color_law;
-    const Reprojection to_previous = frame->target_to_previous;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
     const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
-                           out_motion, motion, is_dynamic, disoccluded, to_previous};
-    StripOfFrame strips[4];  /* left, right; of two rows */
-    Strip colors[4], before[4];
+                           out_motion, motion, is_dynamic, disoccluded, &frame->target_to_previous};
+    const int plane_size = network_width * network_height;
+    __global float *out = planes + net_y * network_width + net_x;
+
+    /* The four strips, left and right of two rows, one after another: GPUs have no registers for more. */
+    Products products;
+    begin(&products);
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
         const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
-        strips[k] = strip_of_frame(&frames, x, y);
-        colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
-        previous_of(&frames, strips + k, colors + k, before + k);
-        before[k] = as_halfs(before[k]);
+        const Strip colors = load_strip(target_width - x, color + 4 * (y * target_width + x));
+        multiply(colors, law, k & 1 ? &products.right : &products.left);
     }
-    Floats inverse = 0.0f, mask = 0.0f;
-#pragma unroll
-    for (int row = 0; row < 2; ++row) {
-        const StripOfFrame *a = strips + 2 * row, *b = a + 1;
-        const Pairs near = *median_depth / (Pairs)(a->depth, b->depth);
-        const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
-        const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
-        inverse += nearness.even + nearness.odd;
-        mask += masks.even + masks.odd;
+    store_colors(products, law, plane_size, out);
+
+    begin(&products);
+    Floats inverse = 0.0f, mask = 0.0f, left_depth = 0.0f, left_mask = 0.0f;
+    for (int k = 0; k < 4; ++k) {
+        const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
+        const StripOfFrame strip = strip_of_frame(&frames, x, y);
+        const Strip colors = load_strip(strip.count, color + 4 * strip.first);
+        Strip previous;
+        previous_of(&frames, &strip, &colors, &previous);
+        previous = as_halfs(previous);
+        if (k & 1) {
+            multiply(previous, law, &products.right);
+            const Pairs near = *median_depth / (Pairs)(left_depth, strip.depth);
+            const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
+            const Pairs masks = (Pairs)(left_mask, input_mask_of(&strip));
+            inverse += nearness.even + nearness.odd;
+            mask += masks.even + masks.odd;
+        } else {
+            multiply(previous, law, &products.left);
+            left_depth = strip.depth;
+            left_mask = input_mask_of(&strip);
+        }
     }
-    const int plane_size = network_width * network_height;
-    __global float *out = planes + net_y * network_width + net_x;
-    store_colors(lifted_rows(colors[0], colors[2], law), lifted_rows(colors[1], colors[3], law), law, plane_size, out);
-    store_colors(lifted_rows(before[0], before[2], law), lifted_rows(before[1], before[3], law), law, plane_size, out + 3 * plane_size);
+    store_colors(products, law, plane_size, out + 3 * plane_size);
     store_floats(0.25f * inverse, 0, out + 6 * plane_size);
     store_floats(0.25f * mask, 0, out + 7 * plane_size);
 }

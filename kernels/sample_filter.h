@@ -46,9 +46,9 @@ INLINE float16 rows_of(const Weights *w, const int part, const int *first, const
 /* Of the 3x3 samples around each of LANES pixels of a row: their weighted sum, and one with other weights. */
 INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width, const int height,
                          __global const half *compressed, Wide4 *far_sum) {
+#if LANES == 8
     int column[LANES];
     store_ints(x, 0, column);
-#if LANES == 8
     const int first = column[0] - 1;
     if (column[7] - first <= 10) {  /* pixels are small, or of one size: they share columns */
         float near_columns[48], far_columns[48];
@@ -75,7 +75,6 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const We
         *far_sum = far_channels;
         return channels;
     }
-#endif
     float sums[4 * LANES], far_sums[4 * LANES], near_x[3][LANES], far_x[3][LANES];
     for (int k = 0; k < 3; ++k) {
         store_floats(near.x[k], 0, near_x[k]);
@@ -91,6 +90,27 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const We
     }
     *far_sum = channels_in(far_sums);
     return channels_in(sums);
+#else  /* a column at a time: all of them at once take 36 registers */
+    float4 near_all = (float4)(0.0f), far_all = (float4)(0.0f);
+    float3 near_x = (float3)(near.x[0], near.x[1], near.x[2]), far_x = (float3)(far.x[0], far.x[1], far.x[2]);
+#pragma unroll 1
+    for (int k = 0; k < 3; ++k) {  /* near_x.x and far_x.x are the weights of this column */
+        const int column = clamp(x + k - 1, 0, width - 1);
+        const float4 above = vload_half4(clamp(y - 1, 0, height - 1) * width + column, compressed);
+        const float4 here = vload_half4(y * width + column, compressed);
+        const float4 below = vload_half4(clamp(y + 1, 0, height - 1) * width + column, compressed);
+        const float4 a = near_x.x * (near.y.x * above + near.y.y * here + near.y.z * below);
+        const float4 b = far_x.x * (far.y.x * above + far.y.y * here + far.y.z * below);
+        near_all = k == 0 ? a : near_all + a;
+        far_all = k == 0 ? b : far_all + b;
+        near_x = near_x.yzz;
+        far_x = far_x.yzz;
+    }
+    const Wide4 channels = {near_all.x, near_all.y, near_all.z, near_all.w};
+    const Wide4 far_channels = {far_all.x, far_all.y, far_all.z, far_all.w};
+    *far_sum = far_channels;
+    return channels;
+#endif
 }
 
 INLINE Floats sum_of_weights(const Weights w) { return (w.x[0] + w.x[1] + w.x[2]) * (w.y.x + w.y.y + w.y.z); }

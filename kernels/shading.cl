@@ -17,11 +17,10 @@ WIDE __kernel void prepare_inputs(__constant Frame *frame, __global const half *
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous;
-    const Reprojection to_previous = frame->target_to_previous;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const Frames frames = {has_previous, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
-                           out_motion, motion, is_dynamic, disoccluded, to_previous};
+                           out_motion, motion, is_dynamic, disoccluded, &frame->target_to_previous};
     const StripOfFrame here = strip_of_frame(&frames, dst_x, dst_y);
     const Strip gae = load_strip(here.count, color + 4 * here.first);
     Strip previous;

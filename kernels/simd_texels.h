@@ -78,6 +78,7 @@ INLINE float8 two_texels(__global const half *image, const int x, const int y, c
 /* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
 INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
                                __global const half *image) {
+#if LANES == 8
     const float8 above = two_texels(image, x + 1, y, width, height), below = two_texels(image, x + 1, y + 3, width, height);
     const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
     const float16 columns = wy.y * b + wy.z * c;
@@ -87,6 +88,28 @@ INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const 
     const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
     const float4 raised = sum < low ? low : sum;
     return high < raised ? high : raised;
+#else  /* a column at a time: all of them at once take 48 registers */
+    const int row_b = clamp(y + 1, 0, height - 1) * width, row_c = clamp(y + 2, 0, height - 1) * width;
+    float4 sum = (float4)(0.0f), low = sum, high = sum;
+#pragma unroll
+    for (int tx = 0; tx < 4; ++tx) {
+        const int column_x = clamp(x + tx, 0, width - 1);
+        const float4 b = vload_half4(row_b + column_x, image), c = vload_half4(row_c + column_x, image);
+        float4 column = wy.y * b + wy.z * c;
+        if (tx == 1 || tx == 2) {
+            const float4 above = vload_half4(clamp(y, 0, height - 1) * width + column_x, image);
+            const float4 below = vload_half4(clamp(y + 3, 0, height - 1) * width + column_x, image);
+            column += wy.x * above + wy.w * below;
+            const float4 lower = b < c ? b : c, higher = b < c ? c : b;
+            low = tx == 1 ? lower : low < lower ? low : lower;
+            high = tx == 1 ? higher : high < higher ? higher : high;
+        }
+        const float weight = tx == 0 ? wx.x : tx == 1 ? wx.y : tx == 2 ? wx.z : wx.w;
+        sum = tx == 0 ? weight * column : sum + weight * column;
+    }
+    const float4 raised = sum < low ? low : sum;
+    return high < raised ? high : raised;
+#endif
 }
 
 #if LANES == 8

@@ -176,24 +176,37 @@ INLINE float3 of_those_alike(const int alike, const int tap, const float u, cons
     return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset) : load_color(shown.color, winner);
 }
 
-/* Color at (src_x, src_y) + d. Cubic where the neighborhood moves alike, judged by its four inner taps and its corners; else
-   bilinear over those of the four taps that move alike. */
-INLINE float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
-                       const Rendered shown) {
-    const int src = src_y * f.width + src_x;
-    if (d.x == 0.0f && d.y == 0.0f) return load_color(shown.color, src);
+/* Where a pixel is resampled: at (u, v) from the pixel `tap`, next to the winner `src`. */
+typedef struct {
+    int src, tap, alike;
+    float u, v;
+} Sample;
+
+/* At (src_x, src_y) + d. Whether the neighborhood moves alike is judged by its four inner taps and its corners, or known of
+   `smooth` blocks. */
+INLINE void sample_at(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
+                      const bool smooth, Sample *s) {
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
-    const float u = d.x - (float)ox, v = d.y - (float)oy;
-    int alike = 0;
+    s->src = src_y * f.width + src_x;
+    s->tap = s->src + oy * f.width + ox;
+    s->u = d.x - (float)ox;
+    s->v = d.y - (float)oy;
+    s->alike = ALL_ALIKE;
+    if (smooth || (d.x == 0.0f && d.y == 0.0f)) return;
     for (int k = 0; k < 8; ++k) {
         const int dx = ox + (k < 4 ? (k & 1) : 3 * (k & 1) - 1), dy = oy + (k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1);
         const bool tap_alike = inside(src_x + dx, src_y + dy, f.width, f.height)
-            && deviation(position_of(f.target_position, src + dy * f.width + dx, f.plane), dx, dy, here, flow) <= SAME_MOTION;
-        alike |= (int)tap_alike << k;
+            && deviation(position_of(f.target_position, s->src + dy * f.width + dx, f.plane), dx, dy, here, flow) <= SAME_MOTION;
+        if (!tap_alike) s->alike &= ~(1 << k);
     }
-    const int tap = src + oy * f.width + ox;
-    if (alike != ALL_ALIKE) return of_those_alike(alike, tap, u, v, f.width, src, shown);
-    return decode_color(cubic(tap - f.width - 1, cubic_weights(u), cubic_weights(v), f.width, shown.codes), shown.code_offset);
+}
+
+/* Cubic where the neighborhood moves alike; else bilinear over those of the four taps that move alike. */
+INLINE float3 resample(const Sample s, const int source_width, const Rendered shown) {
+    if (s.tap == s.src && s.u == 0.0f && s.v == 0.0f) return load_color(shown.color, s.src);
+    if (s.alike != ALL_ALIKE) return of_those_alike(s.alike, s.tap, s.u, s.v, source_width, s.src, shown);
+    const float3 code = cubic(s.tap - source_width - 1, cubic_weights(s.u), cubic_weights(s.v), source_width, shown.codes);
+    return decode_color(code, shown.code_offset);
 }
 
 /* Motion below STILL is rounding, and counts as none. */
@@ -201,11 +214,11 @@ INLINE float2 without_rounding(const float2 d) {
     return (float2)(fabs(d.x) < STILL ? 0.0f : d.x, fabs(d.y) < STILL ? 0.0f : d.y);
 }
 
-/* One pixel from the fragment that won it. Its key is emptied if the background may fill it. */
-INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
-                          const int dst_y, const int unfilled_label) {
+/* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block; false where there is
+   none: nothing is to be resampled. Its key is emptied if the background may fill it. */
+INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
+                          const int dst_y, const uint src, const bool smooth, const int unfilled_label, Sample *sample) {
     const int dst = dst_y * from.target_width + dst_x;
-    const uint src = winner_of(winners.keys, winners.winners, dst);
     if (src == NOBODY) {
         store_color((float3)(0.0f), to.color, dst);
         to.depth[dst] = INFINITY;
@@ -214,7 +227,7 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
         to.disoccluded[dst] = 1;
         to.mixed[dst] = 0;
         to.filled_by[dst] = unfilled_label;
-        return;
+        return false;
     }
     const int src_x = src % from.width, src_y = src / from.width;
     const float3 here = position_of(from.target_position, src, from.plane);
@@ -224,8 +237,8 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const float2 offset = source_offset(flow, center.x - here.x, center.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
     const float2 d = without_rounding(clamp(exact, -1.0f, 1.0f));
-    const int2 step = step_off_silhouette(from, src_x, src_y, here, flow);
-    store_color(resample(from, src_x, src_y, d + convert_float2(step), here, flow, shown), to.color, dst);
+    const int2 step = smooth ? (int2)(0, 0) : step_off_silhouette(from, src_x, src_y, here, flow);
+    sample_at(from, src_x, src_y, d + convert_float2(step), here, flow, smooth, sample);
     const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
     const bool is_mixed = step.x != 0 || step.y != 0;
     to.depth[dst] = z > 0.0f ? z : here.z;
@@ -235,8 +248,10 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     to.mixed[dst] = is_mixed;
     to.filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
     if (is_mixed) forget(winners.keys, winners.winners, dst);
+    return true;
 }
 
+#if LANES == 8
 /* Of fragments within one smooth surface: nothing to check. */
 INLINE void smooth_flow(const Positions at, WideFlow *flow) {
     const Cross x = at.x, y = at.y, z = at.z;
@@ -290,11 +305,14 @@ INLINE Ints taps_alike(const Fragments from, const Positions at, const Ints src,
     return alike;
 }
 
-/* Where LANES pixels are resampled: at (u, v) from the pixels `tap`, next to the winners `src`. */
+/* Sample of LANES pixels. */
 typedef struct {
     Ints src, tap, alike;
     Floats u, v;
 } Samples;
+#else
+typedef Sample Samples;
+#endif
 
 INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const int source_width, Samples *s) {
     const Floats ox = floor(dx), oy = floor(dy);
@@ -303,6 +321,13 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
     s->alike = (Ints)(ALL_ALIKE);
     s->u = dx - ox;
     s->v = dy - oy;
+}
+
+INLINE void store_labels(const NewFrame to, const int dst, const Bytes dynamic_mask, const Ints own) {
+    store_bytes(min(dynamic_mask, (Bytes)(DYNAMIC)), 0, to.dynamic_mask + dst);
+    store_bytes((Bytes)(0), 0, to.disoccluded + dst);
+    store_bytes((Bytes)(0), 0, to.mixed + dst);
+    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, to.filled_by + dst);
 }
 
 #if LANES == 8
@@ -322,7 +347,6 @@ INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, con
     vstore_half16_rte(WITHOUT_ALPHA(c), 0, out_color);
     return true;
 }
-#endif
 
 /* The samples of the lanes in `use`. */
 INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
@@ -336,7 +360,6 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     wide_cubic_weights(u, wx);
     wide_cubic_weights(v, wy);
     const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
-#if LANES == 8
     /* Halves whose taps lie in a row; elsewhere one lane after another. */
     const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
     const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
@@ -347,9 +370,6 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
         && resample_four(lane_tap[4], exact.hi, right_x, right_y, source_width, shown, out_color + 4 * (dst + 4));
     if (left && right) return;
     const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
-#else
-    const Ints rest = use;
-#endif
     store_ints(rest, 0, lane_use);
     store_ints(exact, 0, lane_exact);
     store_ints(alike, 0, lane_alike);
@@ -383,14 +403,7 @@ typedef struct {
     bool smooth;
 } WideWinners;
 
-INLINE void store_labels(const NewFrame to, const int dst, const Bytes dynamic_mask, const Ints own) {
-    store_bytes(min(dynamic_mask, (Bytes)(DYNAMIC)), 0, to.dynamic_mask + dst);
-    store_bytes((Bytes)(0), 0, to.disoccluded + dst);
-    store_bytes((Bytes)(0), 0, to.mixed + dst);
-    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, to.filled_by + dst);
-}
-
-/* LANES pixels from their winners. Gives the lanes that are done: those in use that stay where they are at silhouettes. */
+/* resolve_pixel of LANES pixels. Gives the lanes that are done: those in use that stay where they are at silhouettes. */
 INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won, const int dst_x,
                           const int dst_y) {
     const int dst = dst_y * from.target_width + dst_x;
@@ -430,6 +443,8 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     return done;
 }
 
+#endif
+
 /* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of backward_blocks.cl. */
 INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
     const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
@@ -438,9 +453,9 @@ INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_
     return source.s0 + source.s2 * from_x + source.s3 * from_y;
 }
 
-/* LANES pixels of a block in which that is exact. */
+/* LANES pixels, but for their color, of a block in which that is exact. */
 INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source, const int dst_x,
-                           const int dst_y) {
+                           const int dst_y, Samples *samples) {
     const int dst = dst_y * from.target_width + dst_x;
     Floats px_y;
     const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
@@ -464,9 +479,7 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     store_labels(to, dst, bytes_at(shown.dynamic_mask, places),
                  (fabs(source.s5 * dx - source.s3 * dy) * source.s6 <= 0.5f)
                      & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f));
-    Samples samples;
-    samples_at(src, dx, dy, from.width, &samples);
-    resample_lanes(samples, LANE_NUMBERS >= 0, from.width, shown, dst, to.color);
+    samples_at(src, dx, dy, from.width, samples);
 }
 
 /* LANES pixels per work-item. */
@@ -488,8 +501,29 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     const int block = block_of(dst_x, dst_y, target_width);
     const bool backward = block_class[block] == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
-    if (backward && source.s7 != 0.0f) {
-        resolve_affine(from, shown, to, source, dst_x, dst_y);
+    const bool affine = backward && source.s7 != 0.0f;
+#if LANES == 1
+    Sample sample;
+    if (affine) {
+        resolve_affine(from, shown, to, source, dst_x, dst_y, &sample);
+    } else {
+        uint src;
+        if (backward) {
+            float px_y;
+            const float px_x = px_from_block(source, dst_x, dst_y, &px_y);
+            src = (uint)((int)floor(px_y) * width + (int)floor(px_x));
+        } else {
+            src = winner_of(keys, winners, dst_y * target_width + dst_x);
+        }
+        const bool smooth = backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)]);
+        if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
+    }
+    store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
+#else
+    if (affine) {
+        Samples samples;
+        resolve_affine(from, shown, to, source, dst_x, dst_y, &samples);
+        resample_lanes(samples, LANE_NUMBERS >= 0, width, shown, dst_y * target_width + dst_x, out_color);
         return;
     }
     Ints done = (Ints)(0);
@@ -518,6 +552,12 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     if (ALL(done)) return;
     int lane_done[LANES];
     store_ints(done, 0, lane_done);
-    for (int k = 0; k < min(LANES, target_width - dst_x); ++k)
-        if (!lane_done[k]) resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, unfilled_label);
+    for (int k = 0; k < min(LANES, target_width - dst_x); ++k) {
+        if (lane_done[k]) continue;
+        const int dst = dst_y * target_width + dst_x + k;
+        Sample sample;
+        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, winner_of(keys, winners, dst), false, unfilled_label, &sample))
+            store_color(resample(sample, width, shown), out_color, dst);
+    }
+#endif
 }

@@ -19,7 +19,7 @@ typedef struct {
     __global const float *depth, *depth_prev;
     __global const float2 *out_motion, *motion;
     __global const uchar *is_dynamic, *disoccluded;
-    Reprojection to_previous;
+    __constant const Reprojection *to_previous;
 } Frames;
 
 /* Color of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
@@ -105,7 +105,7 @@ INLINE void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) 
     const Ints known = follows & isfinite(mv_before_x) & isfinite(mv_before_y);
     const Floats x_before = x + mv_before_x - 0.5f, y_before = y + mv_before_y - 0.5f;
     const Floats sideways = (fabs(x_before - t->before.x) + fabs(y_before - t->before.y))
-                            * (t->before.z / f->to_previous.target.x);
+                            * (t->before.z / f->to_previous->target.x);
     t->tolerance = known ? t->tolerance + DEPTH_PER_MOTION * sideways : t->tolerance;
     t->before.x = known ? x_before : t->before.x;
     t->before.y = known ? y_before : t->before.y;
@@ -223,7 +223,7 @@ INLINE void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripT
    strip's colors. */
 INLINE void previous_of(const Frames *f, const StripOfFrame *s, const Strip *gae, Strip *previous) {
     StripTaps taps;
-    taps.before = position_before(s->px_x, s->px_y, s->depth, f->to_previous);
+    taps.before = position_before(s->px_x, s->px_y, s->depth, *f->to_previous);
     taps.tolerance = SAME_SURFACE * taps.before.z;
     if (ANY(s->moves)) follow_motion(f, s, &taps);
     if (!f->known) taps.before.z = -1.0f;

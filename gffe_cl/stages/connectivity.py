@@ -36,6 +36,7 @@ class Connectivity(NearestStage):
             {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask"},
             {"links": "connectivity.links"} | _COLLECTING,
             step=("LANES", 1),
+            group="GROUP",
         ),
     )
 
