@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from gffe_cl.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
 from gffe_cl.doctor.format_keys import tell_keys
 from gffe_cl.doctor.hypotheses.edges import edge_agreement
@@ -70,6 +71,16 @@ class Diagnosis:
     def faults(self) -> list[Finding]:
         return self.of_kind(FAULT)
 
+    @property
+    def compared(self) -> bool:
+        """Whether motion vectors were compared with depth and cameras at all."""
+        return bool(self.residuals)
+
+    @property
+    def verdict(self) -> str:
+        """Return "faults", "fits", or "unknown" where nothing was compared."""
+        return "faults" if self.faults else "fits" if self.compared else "unknown"
+
 
 def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     """Examine the rendered frames of `clip`. Raises GffeError if it has none, or if a file cannot be read."""
@@ -80,6 +91,10 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found = Diagnosis([], Reading(), frames=len(looks))
     found.looks = [looks[k] for k in deep if looks[k].neighbors]
     _note_bad_pixels(found, looks)
+    found.findings += [*set_aside_unwritten(looks.values()), *too_few_usable(looks.values())]
+    if found.faults:
+        tell_keys(found.findings, getattr(clip, "settings", None))
+        return found
     if not any(PREVIOUS in look.neighbors for look in found.looks):
         found.findings.append(
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
@@ -224,6 +239,7 @@ def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
         total = total + look.bad
         for name, (x, y) in look.first_bad.items():
             where.setdefault(name, f"{look.file} at {x}, {y}")
+    total.long, _ = 0, where.pop("long", None)  # these have a note of their own
     if total:
         sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
         found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))

@@ -27,6 +27,7 @@ PACKINGS = {
 COLOR_ENCODINGS = ("linear", "srgb", "gamma")
 DEPTH_ENCODINGS = ("linear", "distance", "inverse", "device")
 TO_NEXT = "to_next"
+_EQUAL = 1e-6  # relative: of numbers in a file and in JSON
 _NUMBER = re.compile(r"%(0\d{1,2})?d")
 
 
@@ -42,6 +43,9 @@ class Buffer:
     bottom_up: bool
     offset: tuple[float, ...]
     scale: tuple[float, ...]
+    valid: str | None = None  # a channel that is 0 where nothing was written
+    unknown: tuple[float, ...] | None = None  # what stands in place of values that were never written
+    unknown_from: float | None = None  # values of that magnitude or more are none
 
     def file(self, number: int) -> str:
         return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
@@ -51,13 +55,43 @@ class Buffer:
 
     def check(self, folder: Path, number: int, size: Size) -> None:
         """Raise GffeError if the file cannot be read, judged by its headers."""
-        check_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
+        check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
+
+    @property
+    def _planes(self) -> tuple[str, ...]:
+        return self.channels if self.valid is None else (*self.channels, self.valid)
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
-        """(H, W, components): float64, or float16 and float32 where they are just that in the file."""
-        planes = read_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
+        """(H, W, components): float64, or float16 and float32 where they are just that in the file; NaN where nothing
+        was written."""
+        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
         if self.bottom_up:
             planes = planes[::-1]
+        unwritten = None
+        if self.valid is not None:
+            unwritten, planes = planes[..., -1] == 0, planes[..., :-1]
+        values = self._values(planes)
+        for wrong in (unwritten, self._is_unknown(values)):
+            if wrong is not None and wrong.any():
+                values = np.where(wrong[..., None], values.dtype.type(np.nan), values)
+        plain = not any(self.offset) and all(s == 1 for s in self.scale)
+        if plain and values.dtype in (np.float16, np.float32):
+            return values
+        return (values - np.array(self.offset)) * np.array(self.scale)
+
+    def _is_unknown(self, values: np.ndarray) -> np.ndarray | None:
+        """Return where `values` (H, W, components), before offset and scale, are what stands for unknown ones."""
+        found = None
+        if self.unknown is not None:
+            near = _EQUAL * np.abs(self.unknown)
+            found = (np.abs(values.astype(np.float64) - self.unknown) <= near).all(-1)
+        if self.unknown_from is not None:
+            large = (np.abs(values) >= self.unknown_from).any(-1)
+            found = large if found is None else found | large
+        return found
+
+    def _values(self, planes: np.ndarray) -> np.ndarray:
+        """Return the numbers in `planes`, before offset and scale: unpacked, integers from 0 to 1."""
         kind = planes.dtype
         if kind.kind in "iub" and self.normalized:
             planes = planes / (1.0 if kind.kind == "b" else float(np.iinfo(kind).max))
@@ -65,14 +99,12 @@ class Buffer:
             each = planes.shape[-1] // len(self.scale)
             weights = np.array(PACKINGS[self.packing](each))
             planes = planes.reshape(*planes.shape[:2], len(self.scale), each) @ weights
-        plain = not any(self.offset) and all(s == 1 for s in self.scale)
-        if plain and planes.dtype in (np.float16, np.float32):
-            return planes
-        return (planes - np.array(self.offset)) * np.array(self.scale)
+        return planes if planes.dtype.kind == "f" else planes.astype(np.float64)
 
 
-def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
-    """Common part of all buffers; `default` are the channels, one for each component."""
+def parse_buffer(keys: Keys, default: tuple[str, ...], unwritten: bool = False) -> Buffer:
+    """Common part of all buffers; `default` are the channels, one for each component. With `unwritten` keys may say
+    which values were never written."""
     count = len(default)
     pattern = keys.text("file")
     if pattern is None or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):
@@ -99,6 +131,7 @@ def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
         keys.choice("origin", ("top-left", "bottom-left"), "top-left") == "bottom-left",
         keys.numbers("offset", count, (0.0,) * count),
         keys.numbers("scale", count, (1.0,) * count),
+        *((keys.text("valid"), keys.numbers("unknown", count, None), keys.number("unknown_from")) if unwritten else ()),
     )
 
 
@@ -173,7 +206,7 @@ class DepthBuffer:
 
 def parse_depth(document: Any, convention: str) -> DepthBuffer:
     keys = Keys(document, "depth")
-    buffer = parse_buffer(keys, ("R",))
+    buffer = parse_buffer(keys, ("R",), unwritten=True)
     encoding = keys.choice("encoding", DEPTH_ENCODINGS, "linear")
     near, far = keys.number("near"), keys.take("far", "infinite")
     far = np.inf if far == "infinite" else far
@@ -211,15 +244,19 @@ class MotionBuffer:
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """(H, W, 2) float32, pixels, y down: (previous − here), or of `to_next` (next − here)."""
         motion = self.buffer.read(folder, number, size).astype(np.float64)
-        factor = UNITS[self.unit](size)
+        return (motion * self.factors(size)).astype(np.float32)
+
+    def factors(self, size: Size) -> tuple[float, float]:
+        """Return the factors from the buffer's x and y to pixels of an image of `size`."""
+        across, down = UNITS[self.unit](size)
         sign = DIRECTIONS.get(self.direction, 1.0)
-        return (motion * (sign * factor[0], sign * factor[1] * (-1 if self.y_up else 1))).astype(np.float32)
+        return sign * across, sign * down * (-1 if self.y_up else 1)
 
 
 def parse_motion(document: Any) -> MotionBuffer:
     keys = Keys(document, "motion")
     made = MotionBuffer(
-        parse_buffer(keys, ("R", "G")),
+        parse_buffer(keys, ("R", "G"), unwritten=True),
         keys.choice("unit", tuple(UNITS), "pixels"),
         keys.choice("direction", (*DIRECTIONS, TO_NEXT), "to_previous"),
         keys.choice("y", ("down", "up"), "down") == "up",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Container
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ import pyopencl as cl
 from gffe_cl.frame.rendered_frame import BadPixels, HostArrays
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RENDERED, RGBA, BufferSpec, DeviceFrame
+
+_KINDS = len(fields(BadPixels))
 
 
 class Upload(Stage):
@@ -29,7 +32,7 @@ class Upload(Stage):
         ),
         BufferSpec(
             "bad_pixels", np.uint8, (), "runs",
-            "bad pixels in runs of 31 or 248: colors that are not finite, clamped colors, depths, motion", planes=4,
+            "bad pixels in runs of 31 or 248, by the fields of `BadPixels`", planes=_KINDS,
             scratch=True,
         ),
     )  # fmt: skip
@@ -51,7 +54,7 @@ class Upload(Stage):
             {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
-                "bad_pixels": Access("upload.bad_pixels", planes=2),
+                "bad_pixels": Access("upload.bad_pixels", planes=4),
             },
             step=("LANES", 1),
         ),
@@ -118,7 +121,7 @@ class Upload(Stage):
     def bad_pixels(self) -> BadPixels:
         """Those of the last frame taken; waits for the device."""
         if self._counted is None:
-            self._counted = BadPixels(*self.read("bad_pixels").reshape(4, -1).sum(1, dtype=np.int64).tolist())
+            self._counted = BadPixels(*self.read("bad_pixels").reshape(_KINDS, -1).sum(1, dtype=np.int64).tolist())
         return self._counted
 
     def _given(self, array: np.ndarray, buffer: Any) -> tuple[cl.Buffer, int]:

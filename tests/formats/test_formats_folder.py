@@ -432,6 +432,71 @@ def test_examples_of_the_documentation(tmp_path, number):
         assert sequence.read_color(entry).shape == (9, 16, 3)
 
 
+UNWRITTEN = np.random.default_rng(4).random((H, W)) < 0.3
+
+
+def without_unwritten(sequence, of="motion"):
+    """The first frame with motion, and where its buffer is NaN; everywhere else it is as rendered."""
+    frame, shot = sequence.read(sequence.rendered[1]), rendered()[1]
+    values = np.atleast_3d(getattr(frame, of))
+    unknown = np.isnan(values).any(-1)
+    assert np.isnan(values).all(-1)[unknown].all()
+    np.testing.assert_allclose(values[~unknown], np.atleast_3d(getattr(shot, of))[~unknown], atol=1 / 64, rtol=1e-6)
+    return unknown
+
+
+def kitti(folder, number, shot):
+    """(v − 32768) / 64 in 16 bits; the third channel is 1 where a vector was written, else all are 0."""
+    coded = np.where(UNWRITTEN[..., None], 0, np.round(np.nan_to_num(shot.motion) * 64 + 32768))
+    image = png(np.dstack([coded, ~UNWRITTEN]).astype(np.uint16), 16, 2)
+    (folder / f"motion_{number}.png").write_bytes(image)
+
+
+@pytest.mark.parametrize("key", [{"valid": "B"}, {"unknown": 0}, {"unknown": [0, 0]}])
+def test_vectors_that_were_never_written_are_nan(tmp_path, key):
+    """By a channel, or by the value that stands in their place, before offset and scale."""
+    said = {"file": "motion_%d.png", "values": "raw", "offset": 32768, "scale": 1 / 64, **key}
+    assert (without_unwritten(write(tmp_path, also=kitti, motion=said)) == UNWRITTEN).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "key"), [(-1, {"unknown": -1}), (2, {"unknown_from": 1}), (65504, {"unknown_from": 6e4})]
+)
+def test_values_of_engines_for_none(tmp_path, value, key):
+    """Godot 4 with FSR 2 clears to -1 in UV, Unity's HDRP writes more than 1 in x, others the largest half float."""
+
+    def coded(shot):
+        made = (shot.motion / (W, H)).astype(np.float32)
+        made[UNWRITTEN] = (value, 0) if value == 2 else value
+        return made
+
+    said = {"file": "motion.%03d.npy", "unit": "uv", **key}
+    assert (without_unwritten(write(tmp_path, motion_as=coded, motion=said)) == UNWRITTEN).all()
+
+
+def test_one_component_alone_is_not_unknown(tmp_path):
+    def coded(shot):
+        made = np.array(shot.motion)
+        made[UNWRITTEN, 0] = -1
+        return made
+
+    sequence = write(tmp_path, motion_as=coded, motion={"file": "motion.%03d.npy", "unknown": -1})
+    assert np.isfinite(sequence.read(sequence.rendered[1]).motion).all()
+
+
+def test_depth_that_was_never_written_is_nan(tmp_path):
+    said = {"file": "depth_%d.npy", "unknown": -7}
+    sequence = write(tmp_path, depth_as=lambda shot: np.where(UNWRITTEN, np.float32(-7), shot.depth), depth=said)
+    assert (without_unwritten(sequence, "depth") == UNWRITTEN).all()
+
+
+def test_a_channel_of_validity_must_be_there(tmp_path):
+    with pytest.raises(GffeError, match=r"motion_4.png: no channel 'A' \(the file holds R, G, B\)"):
+        write(tmp_path, also=kitti, motion={"file": "motion_%d.png", "values": "raw", "valid": "A"})
+    with pytest.raises(GffeError, match='color: unknown key "valid"'):
+        write(tmp_path, color={"file": "color_%04d.exr", "valid": "A"})
+
+
 def test_every_key_is_documented():
     from gffe_cl.formats import buffers, cameras, folder
 

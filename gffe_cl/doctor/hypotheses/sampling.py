@@ -10,7 +10,7 @@ import numpy as np
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame
+from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, wrong_geometry
 from gffe_cl.sequence import FrameEntry
 from gffe_cl.sequence.read_ahead import read_ahead
 
@@ -78,6 +78,11 @@ class Look:
     def textured(self) -> np.ndarray:
         """(N,) bool: the color distinguishes this place from others nearby."""
         return self.contrast > _TEXTURED
+
+    def is_long(self, motion: np.ndarray) -> np.ndarray:
+        """(N,) bool: vectors (N, 2) as long as the diagonal of the image, which were never written."""
+        with np.errstate(invalid="ignore"):
+            return np.square(motion).sum(-1) >= np.square(self.size).sum()
 
     def camera_of(self, step: int) -> Camera:
         return self.neighbors[step].camera
@@ -190,10 +195,10 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
 
 def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, int]]]:
     """Return counts of invalid values, and the position of the first one of each kind."""
-    kinds: dict[str, Any] = {"depth": ~(np.asarray(frame.depth) > 0)}
-    for name, values in (("color", frame.color), ("motion", frame.motion)):
-        finite = np.ones(1, bool) if values is None else np.isfinite(values)
-        kinds[name] = np.zeros(1, bool) if finite.all() else ~finite.all(-1)  # all of them at once is quicker
+    motion = None if frame.motion is None else np.asarray(frame.motion)
+    kinds: dict[str, Any] = wrong_geometry(np.asarray(frame.depth), motion)
+    finite = np.isfinite(frame.color)
+    kinds["color"] = np.zeros(1, bool) if finite.all() else ~finite.all(-1)  # all of them at once is quicker
     first = {}
     for name, wrong in kinds.items():
         if wrong.any():
