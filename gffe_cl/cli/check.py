@@ -61,8 +61,9 @@ def check(
 
     Exit code 0: nothing, or notes only; 1: faults, which break results.
     """
-    from gffe_cl.doctor import examine, open_for_check, require_findings, selected
+    from gffe_cl.doctor import Finding, examine, open_for_check, require_findings, selected
     from gffe_cl.doctor.choosing import fixed_by
+    from gffe_cl.doctor.findings import NOTE
     from gffe_cl.doctor.report import as_json, html_report, summary
 
     require_findings(only or (), "--only")
@@ -71,7 +72,7 @@ def check(
         raise GffeError("--only and --except select findings for --fix (expected --fix FOLDER)")
     opened, repaired = open_for_check(sequence)
     diagnosis = examine(opened, opened.exposure)
-    diagnosis.findings[:0] = repaired
+    diagnosis.findings[:0] = repaired + [Finding(NOTE, "frames", "of the reader", text) for text in opened.notes]
     title = f"{sequence}: {len(opened.rendered)} rendered frames, {opened.width}×{opened.height}"
     looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
     out.print(plain(title + looked))

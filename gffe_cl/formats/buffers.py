@@ -46,6 +46,7 @@ class Buffer:
     valid: str | None = None  # a channel that is 0 where nothing was written
     unknown: tuple[float, ...] | None = None  # what stands in place of values that were never written
     unknown_from: float | None = None  # values of that magnitude or more are none
+    view: str | None = None  # of EXR files with several; None: the one with most channels
 
     def file(self, number: int) -> str:
         return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
@@ -55,7 +56,7 @@ class Buffer:
 
     def check(self, folder: Path, number: int, size: Size) -> None:
         """Raise GffeError if the file cannot be read, judged by its headers."""
-        check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
+        check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
 
     @property
     def _planes(self) -> tuple[str, ...]:
@@ -64,7 +65,7 @@ class Buffer:
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """(H, W, components): float64, or float16 and float32 where they are just that in the file; NaN where nothing
         was written."""
-        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
+        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
         if self.bottom_up:
             planes = planes[::-1]
         unwritten = None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,10 @@ from gffe_cl.formats.buffers import (
 )
 from gffe_cl.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.formats.capture import MOST_FRAMES, described, read_json, whole_number
-from gffe_cl.formats.images import Size
+from gffe_cl.formats.images import Size, views_of
 from gffe_cl.formats.json_schema import Keys
 from gffe_cl.formats.motion_conversion import inverted_flow
+from gffe_cl.formats.numbering import mark_gaps
 from gffe_cl.sequence.description import FILE_NAME, Description, FrameEntry
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
@@ -38,6 +39,7 @@ from gffe_cl.sequence.reader import Sequence
 FORMAT, VERSION = "gffe-folder", 1
 _MOST_NUMBER = 10**9
 _FIRST_BYTES = 1 << 16
+_BUFFERS = ("color", "depth", "motion")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,8 @@ class FolderSettings:
     motion: MotionBuffer
     cameras: CameraRules
     frames: dict[str, _Frame]  # by the entry's name
+    view: str | None = None  # of files with several
+    gaps: str | None = None  # a sentence about numbers that are missing
 
     @property
     def has_projections(self) -> bool:
@@ -79,6 +83,7 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
     need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
+    notes = _settle_view(folder, made)
     for frame in made.frames.values():
         if frame.entry.kind == "ground_truth":
             made.truth.buffer.check(folder, frame.number, made.size)
@@ -88,7 +93,35 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
         if frame.before:
             source = frame.before if made.motion.to_next else frame
             made.motion.buffer.check(folder, source.number, made.size)
-    return Sequence(folder, description, FolderPixels(folder, made))
+    pixels = FolderPixels(folder, made)
+    pixels.notes += notes
+    return Sequence(folder, description, pixels)
+
+
+def _settle_view(folder: Path, made: FolderSettings) -> list[str]:
+    """Take all buffers from one view of a stereo camera, "view" of the JSON or that of the files with fewest of them.
+    Return a sentence that names it. Raises GffeError if the files have none in common."""
+    frame = next((one for one in made.frames.values() if one.before), None) or next(iter(made.frames.values()))
+    held = {}
+    for name in _BUFFERS:
+        buffer = getattr(made, name).buffer
+        if views := views_of(buffer.path(folder, frame.number), buffer.file(frame.number)):
+            held[name] = views
+    if not held:
+        if made.view:
+            raise GffeError(f"{FILE_NAME}, view: the files hold no views, got {shown(made.view)}")
+        return []
+    common = [view for view in min(held.values(), key=len) if all(view in views for views in held.values())]
+    if made.view in common or (common and not made.view):
+        chosen = made.view or common[0]
+    else:
+        listed = "; ".join(f"{name} of {', '.join(views)}" for name, views in held.items())
+        raise GffeError(f"{FILE_NAME}: no view {made.view or 'is that'} of all buffers (the files hold {listed})")
+    for name in (*_BUFFERS, "truth"):
+        one = getattr(made, name)
+        setattr(made, name, replace(one, buffer=replace(one.buffer, view=chosen)))
+    several = sorted({view for views in held.values() for view in views})
+    return [f"{folder}: the files hold the views {', '.join(several)}; {chosen} is used"] if len(several) > 1 else []
 
 
 class FolderPixels(ForeignPixels):
@@ -97,6 +130,7 @@ class FolderPixels(ForeignPixels):
     def __init__(self, folder: Path, made: FolderSettings):
         super().__init__()
         self._folder, self.settings = folder, made
+        self.notes += [f"{folder}: {made.gaps}"] if made.gaps else []
 
     def rendered(self, entry, size):
         frame = self.settings.frames[entry.file]
@@ -152,12 +186,14 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSe
         parse_motion(keys.take("motion")),
         rules,
         {},
+        keys.text("view"),
     )
     frames = list(_frames(keys.take("frames"), fps))
     keys.done()
     if listed is not None and (not isinstance(listed, list) or len(listed) != len(frames)):
         raise GffeError(f"camera, list must have a camera for each of the {len(frames)} frames")
     previous = None
+    made.gaps = mark_gaps([(number, entry) for number, entry, _ in frames])
     for index, (number, entry, camera) in enumerate(frames):
         label = f"{FILE_NAME}, frame {number}, camera"
         if camera is None and listed is not None:
@@ -233,6 +269,6 @@ def _frame(given: Any, index: int) -> tuple[int, FrameEntry, Any]:
 
 
 def _number(value: Any, what: str) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST_NUMBER:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MOST_NUMBER:
         return value
-    raise GffeError(f"{what} must be a whole number from 0 to {_MOST_NUMBER}, got {shown(value)}")
+    raise GffeError(f"{what} must be a whole number from {-_MOST_NUMBER} to {_MOST_NUMBER}, got {shown(value)}")

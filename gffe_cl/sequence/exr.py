@@ -73,11 +73,31 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
 
 
+def place_of(header: ExrHeader, name: str, label: str, view: str | None = None) -> tuple[int, str] | None:
+    """Return (part, channel) of the channel `name` in one view of a file, None if there is none. Raises GffeError if
+    several parts have one."""
+    places = header.candidates(name, view)
+    if len(places) > 1:
+        parts = [header.parts[index].name or f"number {index}" for index, _ in places]
+        raise GffeError(
+            f"{label}: channel '{name}' is in the parts {_one_line(', '.join(parts[:6]))}"
+            f" (expected part.channel, as in {_one_line(parts[-1])}.{name})"
+        )
+    return places[0] if places else None
+
+
+def view_note(header: ExrHeader, label: str, view: str | None = None) -> list[str]:
+    """Return a sentence about the view that is used of a file with several; nothing of others."""
+    if len(header.views) < 2:
+        return []
+    return [f"{label}: holds the views {_one_line(', '.join(sorted(header.views)))}; {view or header.views[0]} is used"]
+
+
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
-    """(part, channel) for each of `names`; GffeError for the first that is not there."""
+    """(part, channel) for each of `names`; GffeError for the first that is not there, or in several parts."""
     places = []
     for name in names:
-        place = header.find(name)
+        place = place_of(header, name, label)
         if place is None:
             held = _one_line(", ".join(header.channels[:12])) + (", …" if len(header.channels) > 12 else "")
             raise GffeError(f"{label}: no channel '{name}' (expected {', '.join(names)}; the file holds {held})")

@@ -131,6 +131,11 @@ class Sequence:
         """Return the buffers' part of the capture's description, for formats with an editable one; or None."""
         return self._pixels.settings
 
+    @property
+    def notes(self) -> list[str]:
+        """Return what the reader of the capture's form remarked when it was opened."""
+        return [printable(text) for text in self._pixels.notes]
+
     def rendered_before(self, time: float) -> int | None:
         """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
         return self._timeline.rendered_before(require_number(time, "sequence: time"))
@@ -258,9 +263,10 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
     description = parse_description(text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
-    reader, passed = HeaderReader(), set()
+    reader, passed, notes = HeaderReader(), set(), []
     for index, entry in enumerate(description.frames):
         header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
+        notes = notes or exr.view_note(header, entry.file)
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
@@ -272,7 +278,9 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
                 require_whole_overlays(header, entry.file, size == (description.width, description.height))
         if header.layout:
             passed.add(alike)
-    return Sequence(folder, description, OwnPixels(folder))
+    pixels = OwnPixels(folder)
+    pixels.notes += notes
+    return Sequence(folder, description, pixels)
 
 
 def _check_channels(entry, header):
@@ -282,7 +290,7 @@ def _check_channels(entry, header):
     # Half a motion vector is a fault even where none is allowed.
     names = RENDERED if not entry.reset or any(header.find(n) for n in MOTION) else RENDERED[:4]
     for name in names:
-        if header.find(name) is None:
+        if exr.place_of(header, name, entry.file) is None:
             needed = f"rendered frames need {', '.join(RENDERED)}"
             raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
 

@@ -432,6 +432,40 @@ def test_examples_of_the_documentation(tmp_path, number):
         assert sequence.read_color(entry).shape == (9, 16, 3)
 
 
+def with_last_number(folder, number, **parts):
+    """The frames 3, 4 and 5, the last of them with another number."""
+    write(folder)
+    for path in (*folder.glob("*_0005.exr"), *folder.glob("*_5.npy"), *folder.glob("*.005.npy")):
+        digits = path.name.split(".")[-2].rpartition("_")[2]
+        path.rename(path.with_name(path.name.replace(digits, f"{number:0{len(digits)}d}")))
+    (folder / "sequence.json").write_text(json.dumps(described(**parts)))
+    return open_capture(folder)
+
+
+def test_a_missing_number_is_a_reset(tmp_path):
+    """... where the time is missing as well: numbers alone may be the program's own."""
+    times = ((3, 0.0), (4, 1 / FPS), (6, 3 / FPS))
+    sequence = with_last_number(tmp_path, 6, frames=[{"number": n, "time": t} for n, t in times])
+    assert [entry.reset for entry in sequence.rendered] == [True, False, True]
+    assert sequence.notes == [f"{tmp_path}: frame 5 is missing: the next frame is a reset"]
+    edit_json(tmp_path / "sequence.json", lambda said: said["frames"][2].update(time=2 / FPS))
+    sequence = open_capture(tmp_path)
+    assert [entry.reset for entry in sequence.rendered] == [True, False, False] and not sequence.notes
+
+
+def test_negative_numbers(tmp_path):
+    write(tmp_path)
+    for number in (3, 4, 5):
+        for before, after in (
+            (f"color_{number:04d}.exr", f"color_{number - 4:04d}.exr"),
+            (f"depth_{number}.npy", f"depth_{number - 4}.npy"),
+            (f"motion.{number:03d}.npy", f"motion.{number - 4:03d}.npy"),
+        ):
+            (tmp_path / before).rename(tmp_path / after)
+    (tmp_path / "sequence.json").write_text(json.dumps(described(frames={"first": -1, "count": 3})))
+    same(open_capture(tmp_path))
+
+
 UNWRITTEN = np.random.default_rng(4).random((H, W)) < 0.3
 
 
