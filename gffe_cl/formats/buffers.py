@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import shown
+from gffe_cl.core.validation import require_bool, shown
 from gffe_cl.formats.cameras import UNITS, FoundCamera
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.json_schema import Keys
-from gffe_cl.frame.conventions import DIRECTIONS, depth_from_device, depth_from_distance
+from gffe_cl.frame.conventions import DIRECTIONS, decides_depth_range, depth_from_device, depth_from_distance
 from gffe_cl.sequence.description import reference
 
 # How several 8-bit channels hold one number from 0 to 1: the weight of each, the first one first.
@@ -171,9 +171,10 @@ class DepthBuffer:
     near: float | None
     far: float
     reversed: bool
-    opengl_buffer: bool
+    opengl_buffer: bool | None  # None: as the convention has it
     sky: float | None
     sky_from: float | None
+    convention: str
 
     def read(self, folder: Path, number: int, size: Size, found: FoundCamera) -> np.ndarray:
         """Planar depth (H, W) float32 in world units, +inf for sky; `found` is the camera of that frame."""
@@ -194,9 +195,22 @@ class DepthBuffer:
             nothing |= depth >= self.sky_from
         return np.where(nothing, np.inf, depth).astype(np.float32)
 
+    def range_note(self, found: FoundCamera) -> str | None:
+        """Return a sentence where neither the description nor the projection tells the range of a depth buffer of
+        OpenGL."""
+        if self.encoding != "device" or self.near is not None or found.projection is None:
+            return None
+        if self.convention != "opengl" or self.opengl_buffer is not None or decides_depth_range(found.projection):
+            return None
+        return (
+            "depth: the matrix does not tell whether 0 … 1 in the buffer is −1 … 1 in device coordinates: it is taken"
+            ' for that, as without glClipControl (expected "opengl_buffer": true or false)'
+        )
+
     def _from_device(self, values: np.ndarray, found: FoundCamera) -> np.ndarray:
         if self.near is None:
-            depth = depth_from_device(values, found.projection, layout="row-major", opengl_buffer=self.opengl_buffer)
+            opengl = self.convention == "opengl" if self.opengl_buffer is None else self.opengl_buffer
+            depth = depth_from_device(values, found.projection, layout="row-major", opengl_buffer=opengl)
             return depth * np.float32(found.scale)
         values = np.asarray(values, np.float64)
         beyond = values if self.reversed else 1 - values  # 0 at the far plane
@@ -219,9 +233,10 @@ def parse_depth(document: Any, convention: str) -> DepthBuffer:
         near,
         float(far),
         keys.flag("reversed"),
-        keys.flag("opengl_buffer", convention == "opengl"),
+        None if (opengl := keys.take("opengl_buffer")) is None else require_bool(opengl, "depth, opengl_buffer"),
         keys.number("sky"),
         keys.number("sky_from"),
+        convention,
     )
     keys.done()
     return made

@@ -131,6 +131,8 @@ class FolderPixels(ForeignPixels):
         super().__init__()
         self._folder, self.settings = folder, made
         self.notes += [f"{folder}: {made.gaps}"] if made.gaps else []
+        ranges = (made.depth.range_note(one.camera) for one in made.frames.values() if one.camera)
+        self.notes += [note for note in ranges if note][:1]
 
     def rendered(self, entry, size):
         frame = self.settings.frames[entry.file]

@@ -466,6 +466,35 @@ def test_negative_numbers(tmp_path):
     same(open_capture(tmp_path))
 
 
+@pytest.mark.parametrize("far", [FAR, np.inf])
+@pytest.mark.parametrize("key", [{}, {"opengl_buffer": True}, {"opengl_buffer": False}], ids=str)
+def test_matrices_of_opengl_with_reversed_depth_tell_the_range(tmp_path, far, key):
+    cameras = []
+    for shot in rendered():
+        p = shot.camera.projection_matrix("opengl", W, H, NEAR)
+        p[2, 2:] = (0, NEAR) if np.isinf(far) else (NEAR / (far - NEAR), NEAR * far / (far - NEAR))
+        cameras.append({"view": shot.camera.view_matrix("opengl").tolist(), "projection": p.tolist()})
+    said = {"file": "depth_%d.npy", "encoding": "device", **key}
+    rules = {"convention": "opengl", "list": cameras}
+    sequence = write(tmp_path, lambda shot: device(shot, far=far, reverse=True), depth=said, camera=rules)
+    for entry, shot in zip(sequence.rendered, rendered(), strict=True):
+        np.testing.assert_allclose(sequence.read(entry).depth, shot.depth, rtol=1e-3)
+    assert not sequence.notes
+
+
+def test_the_range_that_a_matrix_of_opengl_leaves_open_is_named(tmp_path):
+    cameras = []
+    for shot in rendered():
+        p = shot.camera.projection_matrix("opengl", W, H, NEAR, FAR)
+        cameras.append({"view": shot.camera.view_matrix("opengl").tolist(), "projection": p.tolist()})
+    said = {"file": "depth_%d.npy", "encoding": "device"}
+    rules = {"convention": "opengl", "list": cameras}
+    (note,) = write(tmp_path, lambda shot: device(shot), depth=said, camera=rules).notes
+    assert "the matrix does not tell" in note and '"opengl_buffer": true or false' in note
+    edit_json(tmp_path / "sequence.json", lambda described: described["depth"].update(opengl_buffer=True))
+    assert not open_capture(tmp_path).notes
+
+
 UNWRITTEN = np.random.default_rng(4).random((H, W)) < 0.3
 
 
