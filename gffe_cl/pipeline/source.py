@@ -74,8 +74,7 @@ class Recorded:
     from rendered to displayed size. Without a display camera, a principal point within a pixel of the center is then
     taken for jitter.
 
-    Raises GffeError for other windows than that, for a sequence without rendered frames, and for one whose rendered
-    frames have several sizes.
+    Raises GffeError for other windows than that, and for a sequence without rendered frames.
     """
 
     def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
@@ -87,7 +86,7 @@ class Recorded:
         self.sequence, self._device = sequence, device
         self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
         self.exposure, self.count = sequence.exposure, len(sequence.rendered)
-        stored = _common_render_size(sequence)
+        stored = _render_size(sequence)
         size = (self.width, self.height)
         whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
         self._cut = window == "off" and not whole
@@ -233,14 +232,11 @@ def jittered_renderer(
     return smaller_renderer(device, scene, size, upscale, samples or 1), Jitter(JITTER_LENGTH)
 
 
-def _common_render_size(sequence: Sequence) -> tuple[int, int]:
-    sizes = {sequence.size_of(entry): entry for entry in sequence.rendered}
-    if not sizes:
+def _render_size(sequence: Sequence) -> tuple[int, int]:
+    """Return the size of the rendered frames, which have one."""
+    if not sequence.rendered:
         raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
-    if len(sizes) > 1:
-        entries = [f"{e.file} is {w}×{h}" for (w, h), e in sizes.items()]
-        raise GffeError(f"{sequence.path}: rendered frames must have one size ({', '.join(entries[:2])})")
-    return next(iter(sizes))
+    return sequence.size_of(sequence.rendered[0])
 
 
 def _numbers(entries: list[FrameEntry]) -> list[str]:

@@ -32,6 +32,7 @@ from gffe_cl.sequence.description import (
     frame_label,
     parse_description,
     read_text,
+    require_one_size,
     without_collections,
 )
 from gffe_cl.sequence.exr_layout import HeaderReader
@@ -67,11 +68,12 @@ class Sequence:
     Raises
     ------
     GffeError
-        By methods: for arguments of other types, for files that changed for the worse since opening, and for frames
-        of another kind than expected.
+        If rendered frames have several sizes. By methods: for arguments of other types, for files that changed for the
+        worse since opening, and for frames of another kind than expected.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):
+        require_one_size(description.frames, (description.width, description.height), str(path))
         self.path, self._pixels = path, pixels
         self.width, self.height = description.width, description.height
         self.fps, self.exposure = description.fps, description.exposure

@@ -36,6 +36,7 @@ from gffe_cl.sequence.description import (
     checked_entry,
     describe,
     parse_description,
+    require_one_size,
 )
 from gffe_cl.sequence.header_camera import camera_attributes
 from gffe_cl.sequence.output_folder import GENERATOR, OutputFolder
@@ -103,6 +104,7 @@ class SequenceWriter:
         )
         self._pool: ThreadPoolExecutor | None = None
         self._kept: str | None = None
+        self._size, self._first = size, None  # of the display; the first rendered frame
 
     def __enter__(self) -> SequenceWriter:
         self._folder.open()
@@ -124,6 +126,9 @@ class SequenceWriter:
         if entry.kind == "rendered" and entry.render_camera is None:
             raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
         width, height = self._size_of(entry)
+        if entry.kind == "rendered":
+            self._first = self._first or entry
+            require_one_size((self._first, entry), self._size, str(self.path))
         for name, array in channels.items():
             require_array(array, f"{entry.file}: channel '{name}'", height, width, kinds="biuf")
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
