@@ -225,7 +225,8 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
     refuse_same_folder(output, sequence.path)
     repair = Repair(sequence, diagnosis)
     size = sequence.width, sequence.height
-    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, generator="gffe-cl check") as writer:
+    named = {"generator": "gffe-cl check", "attributes": sequence.attributes}
+    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         for entry, frame in repair.frames():
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
             on_frame()

@@ -23,6 +23,7 @@ from gffe_cl.formats.numbering import mark_gaps
 from gffe_cl.sequence.description import Description, FrameEntry, reference
 from gffe_cl.sequence.exr import decoded, require_parts, view_note
 from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.header_attributes import carried, reported
 from gffe_cl.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.sequence.reader import Sequence
 
@@ -49,11 +50,12 @@ def open_blender(folder: Path) -> Sequence:
     """Open the capture in `folder`: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
-    reader, notes = HeaderReader(), []
+    reader, headers = HeaderReader(), []
     for entry in description.frames:
         header = reader.read(folder / entry.place, entry.file)
-        notes = notes or view_note(header, entry.file)
         passes = _passes(header, entry)
+        if entry.kind == "rendered":
+            headers[1:] = [(header, passes, entry.file)]
         parts = {part for places in filter(None, passes) for part, _ in places}
         require_parts(header, parts, None, entry.file)
         windows = {header.parts[part].data_window for part in parts}
@@ -63,7 +65,12 @@ def open_blender(folder: Path) -> Sequence:
         if entry.kind != "rendered":
             entry.render_size = None
     pixels = BlenderPixels(folder)
-    pixels.notes += notes + ([f"{folder}: {gaps}"] if gaps else [])
+    pixels.notes += [f"{folder}: {gaps}"] if gaps else []
+    if headers:
+        (first, color, _), (last, passes, file) = headers[0], headers[-1]
+        exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
+        pixels.notes += view_note(last, file) + reported(last, file, exact, description.fps)
+        pixels.attributes = carried(first, color.color[0][0], last)
     return Sequence(folder, description, pixels)
 
 

@@ -143,6 +143,7 @@ class ColorBuffer:
     buffer: Buffer
     encoding: str
     gamma: float
+    told: bool = True  # by the description, not by default
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """Linear RGB (H, W, 3), float16 as stored or float32."""
@@ -156,8 +157,8 @@ class ColorBuffer:
 
 def parse_color(document: Any, name: str = "color") -> ColorBuffer:
     keys = Keys(document, name)
-    buffer = parse_buffer(keys, ("R", "G", "B"))
-    made = ColorBuffer(buffer, keys.choice("encoding", COLOR_ENCODINGS, "linear"), keys.number("gamma", 2.2))
+    buffer, told = parse_buffer(keys, ("R", "G", "B")), isinstance(document, dict) and bool(document.get("encoding"))
+    made = ColorBuffer(buffer, keys.choice("encoding", COLOR_ENCODINGS, "linear"), keys.number("gamma", 2.2), told)
     keys.done()
     return made
 

@@ -21,7 +21,7 @@ from gffe_cl.formats.hdf5 import read_hdf5
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.motion_conversion import inverted_flow, static_motion
 from gffe_cl.formats.numbering import lines_of, missing_numbers, numbered_files
-from gffe_cl.formats.png import read_png_header
+from gffe_cl.formats.png import read_png_colors, read_png_header
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import rigid
 from gffe_cl.sequence.description import FrameEntry, read_text
@@ -90,6 +90,10 @@ def _opened(folder: Path, frames: list[_Frame], size: Size, fps: float, notes: t
         entries[entry.file] = entry
     pixels = DatasetPixels(dict(zip(entries, frames, strict=True)))
     pixels.notes += notes
+    told = read_png_colors(frames[0].color)
+    if told.profile or told.contradicts("srgb", 2.2):
+        pixels.notes.append(f"{frames[0].color.name}: the header says {told.words}; colors are read as sRGB")
+    pixels.attributes = {"chromaticities": told.chromaticities} if told.chromaticities else {}
     if missing := missing_numbers((a.number, b.number) for a, b in zip(frames, frames[1:], strict=False)):
         pixels.notes.append(f"{folder}: {missing}")
     return Sequence(folder, described(str(folder), size, entries.values(), fps), pixels)

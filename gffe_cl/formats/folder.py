@@ -28,10 +28,11 @@ from gffe_cl.formats.buffers import (
 )
 from gffe_cl.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.formats.capture import MOST_FRAMES, described, read_json, whole_number
-from gffe_cl.formats.images import Size, views_of
+from gffe_cl.formats.images import Size, header_attributes, header_notes, views_of
 from gffe_cl.formats.json_schema import Keys
 from gffe_cl.formats.motion_conversion import inverted_flow
 from gffe_cl.formats.numbering import mark_gaps
+from gffe_cl.formats.png import read_png_colors
 from gffe_cl.sequence.description import FILE_NAME, Description, FrameEntry
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
@@ -83,7 +84,7 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
     need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
-    notes = _settle_view(folder, made)
+    notes = _settle_view(folder, made) + _settle_colors(folder, made)
     for frame in made.frames.values():
         if frame.entry.kind == "ground_truth":
             made.truth.buffer.check(folder, frame.number, made.size)
@@ -94,8 +95,56 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
             source = frame.before if made.motion.to_next else frame
             made.motion.buffer.check(folder, source.number, made.size)
     pixels = FolderPixels(folder, made)
-    pixels.notes += notes
+    pixels.notes += notes + _header_notes(folder, made, description.fps)
+    pixels.attributes = _attributes(folder, made)
     return Sequence(folder, description, pixels)
+
+
+def _settle_colors(folder: Path, made: FolderSettings) -> list[str]:
+    """Take the encoding of colors from the headers of PNG files where the description has none. Return sentences on
+    that, and on headers that say something else than the description."""
+    notes = []
+    for kind, name in (("rendered", "color"), ("ground_truth", "truth")):
+        frame = next((one for one in made.frames.values() if one.entry.kind == kind), None)
+        if frame is None:
+            continue
+        one: ColorBuffer = getattr(made, name)
+        file, found = one.buffer.file(frame.number), read_png_colors(one.buffer.path(folder, frame.number))
+        if found.transfer and not one.told and found.contradicts("linear", 1.0):
+            setattr(made, name, replace(one, encoding=found.transfer, gamma=found.gamma))
+            notes.append(f'{file}: the header says {found.words}, which is used ("encoding" would be used instead)')
+        elif found.profile or (one.told and found.contradicts(one.encoding, one.gamma)):
+            notes.append(f"{file}: the header says {found.words}; colors are read as {one.encoding}, as described")
+    return notes
+
+
+def _first(made: FolderSettings) -> list[_Frame]:
+    """Return a rendered frame with motion, if there is one, and the last rendered frame."""
+    rendered = [one for one in made.frames.values() if one.entry.kind == "rendered"]
+    return [next((one for one in rendered if one.before), rendered[0]), rendered[-1]] if rendered else []
+
+
+def _header_notes(folder: Path, made: FolderSettings, fps: float) -> list[str]:
+    notes = []
+    for frame in _first(made)[:1]:
+        for name in _BUFFERS:
+            buffer: Buffer = getattr(made, name).buffer
+            exact = buffer.channels if name != "color" else ()
+            for text in header_notes(
+                buffer.path(folder, frame.number), buffer.file(frame.number), exact, buffer.view, fps
+            ):
+                if text not in notes:
+                    notes.append(text)
+    return notes
+
+
+def _attributes(folder: Path, made: FolderSettings) -> dict[str, Any]:
+    """Return attributes of the colors' headers that new frames get as well."""
+    frames, buffer = _first(made), made.color.buffer
+    if not frames:
+        return {}
+    first, last = (buffer.path(folder, frame.number) for frame in frames)
+    return header_attributes(first, last, buffer.channels, buffer.view)
 
 
 def _settle_view(folder: Path, made: FolderSettings) -> list[str]:

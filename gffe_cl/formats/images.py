@@ -16,9 +16,10 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import open_regular, require_moderate
 from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.formats.png import MAGIC as PNG_MAGIC
-from gffe_cl.formats.png import read_png, read_png_header
+from gffe_cl.formats.png import read_png, read_png_colors, read_png_header
 from gffe_cl.sequence.exr import decoded, place_of, require_parts
 from gffe_cl.sequence.exr_layout import ExrHeader, read_header
+from gffe_cl.sequence.header_attributes import carried, reported
 
 Size = tuple[int, int]
 _EXR_MAGIC, _NPY_MAGIC, _ZIP_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"PK\x03\x04"
@@ -47,12 +48,34 @@ def check_planes(
 
 def views_of(path: Path, label: str) -> list[str]:
     """Return the views of an EXR file, those with most channels first; nothing of files of other kinds or without."""
+    header = _exr_header(path, label)
+    return header.views if header else []
+
+
+def header_notes(path: Path, label: str, exact: Ordered[str], view: str | None, fps: float) -> list[str]:
+    """Return sentences about what the header of an EXR file says and nothing here can use. `exact`: channels that hold
+    depth or motion; `fps`: as the description has it."""
+    header = _exr_header(path, label)
+    return reported(header, label, _places(header, exact, label, view), fps) if header else []
+
+
+def header_attributes(first: Path, last: Path, names: Ordered[str], view: str | None) -> dict[str, Any]:
+    """Return attributes of the color channels `names` in the files of the first and the last frame that new frames get
+    as well; also the primaries of PNG files."""
+    header, later = _exr_header(first, first.name), _exr_header(last, last.name)
+    if header is None or later is None:
+        primaries = read_png_colors(first).chromaticities
+        return {"chromaticities": primaries} if primaries else {}
+    return carried(header, _places(header, names, first.name, view)[0][0], later, view)
+
+
+def _exr_header(path: Path, label: str) -> ExrHeader | None:
     try:
         with open_regular(path) as file:
             is_exr = file.read(8).startswith(_EXR_MAGIC)
     except OSError:
-        return []
-    return read_header(path, label).views if is_exr else []
+        return None
+    return read_header(path, label) if is_exr else None
 
 
 def _read(path, names, label, size, array, view, decode) -> Any:

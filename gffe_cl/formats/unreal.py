@@ -20,7 +20,8 @@ from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import depth_from_distance, motion_from_unreal
 from gffe_cl.sequence.description import FrameEntry
 from gffe_cl.sequence.exr import decoded, require_parts, view_note
-from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.exr_layout import ExrHeader, ExrPart, HeaderReader, read_header
+from gffe_cl.sequence.header_attributes import carried, frame_rate, reported
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 
@@ -57,17 +58,17 @@ def open_unreal(folder: Path) -> Sequence:
     """Open the frames in `folder`. The headers of all files are checked, and a few frames are read to determine the
     meaning of motion and depth. Raises GffeError."""
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
-    notes: list[str] = []
+    headers = []
     size = fps = before = None
     for number, file in numbered:
         header = reader.read(folder / file, file)
-        notes = notes or view_note(header, file)
         places = _places(header, file)
+        headers[1:] = [(header, places, file)]
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
         if size is None:
             x0, y0, x1, y1 = part.display_window
-            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part.texts)
+            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part)
         time = (number - numbered[0][0]) / (fps or _FPS)
         entry = FrameEntry(file, time, reset=before is None or number != before + 1)
         entry.render_camera = entry.display_camera = _camera(part.texts, size, file)
@@ -76,7 +77,9 @@ def open_unreal(folder: Path) -> Sequence:
         before = number
     assert size is not None  # of the first frame
     pixels = UnrealPixels(folder)
-    pixels.notes += notes
+    (first, color, _), (last, places, file) = headers[0], headers[-1]
+    pixels.notes += view_note(last, file) + reported(last, file, places[3:])
+    pixels.attributes = carried(first, color[0][0], last)
     if fps is None:
         pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")
     if missing := missing_numbers((a, b) for (a, _), (b, _) in zip(numbered, numbered[1:], strict=False)):
@@ -218,14 +221,9 @@ def _number(texts: dict[str, str], name: str, file: str) -> float:
     raise GffeError(f"{file}: no {_CAMERA}…{name} in the header (expected the metadata of Movie Render Queue)")
 
 
-def _frame_rate(texts: dict[str, str]) -> float | None:
+def _frame_rate(part: ExrPart) -> float | None:
     """Of the standard attribute, or of Unreal's."""
     for name in ("framesPerSecond", "unreal/frameRate", "unreal/framerate"):
-        above, _, below = texts.get(name, "").partition("/")
-        try:
-            rate = float(above) / float(below or 1)
-        except (ValueError, ZeroDivisionError):
-            continue
-        if 0 < rate < 1e6:
+        if rate := frame_rate(part, name):
             return rate
     return None

@@ -111,8 +111,13 @@ def require_size(header: ExrHeader, names, size, label: str) -> None:
 
 
 def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
-    """As `require_size`, for parts by their numbers."""
-    for index in indices:
+    """As `require_size`, for parts by their numbers, which must lie in one place."""
+    indices = set(indices)
+    if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
+        windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))
+        if len({header.parts[index].size for index in indices}) == 1:
+            raise GffeError(f"{label}: the parts {windows} have several data windows (expected one)")
+    for index in sorted(indices):
         part = header.parts[index]
         if part.subsampled:
             raise GffeError(f"{label}: subsampled channels are not supported")

@@ -13,7 +13,7 @@ import struct
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
 _NUMBERS = {"int": "i", "float": "f", "double": "d", "rational": "iI"}
+_TUPLES = {"chromaticities": "8f", "v2f": "2f", "v3f": "3f"}
 _PIXEL_TYPES = ("uint32", "float16", "float32")
 
 
@@ -49,6 +50,7 @@ class ExrPart:
     deep: bool = False
     matrices: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name → type, bytes; see `matrix`
     texts: dict[str, str] = field(default_factory=dict)  # other attributes of text and numbers, by name
+    attributes: dict[str, Any] = field(default_factory=dict)  # text, number or tuple of numbers, by name
     views: tuple[str, ...] = ()  # of channels that name their view: the first one is that of plain channels
 
     @property
@@ -333,9 +335,15 @@ def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
             elif (name, form) == ("multiView", "stringvector"):
                 part.views = _parse_texts(value)
             elif form == "string":
-                part.texts[name] = value.data.decode("utf-8", "replace")
+                part.texts[name] = part.attributes[name] = value.data.decode("utf-8", "replace")
             elif form in _NUMBERS:
-                part.texts[name] = "/".join(map(str, value.unpack(_NUMBERS[form])))
+                numbers = value.unpack(_NUMBERS[form])
+                part.texts[name] = "/".join(map(str, numbers))
+                part.attributes[name] = numbers if len(numbers) > 1 else numbers[0]
+            elif form in _TUPLES:
+                part.attributes[name] = value.unpack(_TUPLES[form])
+            elif form == "envmap":
+                part.attributes[name] = value.take(1)[0]
         except _Short:
             raise ValueError from None
         name = cursor.text()

@@ -35,7 +35,8 @@ from gffe_cl.sequence.description import (
     require_one_size,
     without_collections,
 )
-from gffe_cl.sequence.exr_layout import HeaderReader
+from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader
+from gffe_cl.sequence.header_attributes import carried, reported
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.output_folder import why_unfinished
@@ -132,6 +133,11 @@ class Sequence:
     def settings(self) -> Any:
         """Return the buffers' part of the capture's description, for formats with an editable one; or None."""
         return self._pixels.settings
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Return attributes of EXR headers that frames made of these get as well, such as the colors' primaries."""
+        return dict(self._pixels.attributes)
 
     @property
     def notes(self) -> list[str]:
@@ -265,10 +271,12 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
     description = parse_description(text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
-    reader, passed, notes = HeaderReader(), set(), []
+    reader, passed = HeaderReader(), set()
+    rendered: list[tuple[ExrHeader, str]] = []  # the headers of rendered frames, and their files
     for index, entry in enumerate(description.frames):
         header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
-        notes = notes or exr.view_note(header, entry.file)
+        if entry.kind == "rendered":
+            rendered[1:] = [(header, entry.file)]
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
@@ -281,7 +289,13 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
         if header.layout:
             passed.add(alike)
     pixels = OwnPixels(folder)
-    pixels.notes += notes
+    if rendered:
+        (first, _), (last, file) = rendered[0], rendered[-1]
+        exact = [place for name in ("Z", *MOTION) if (place := last.find(name))]
+        pixels.notes += exr.view_note(last, file) + reported(last, file, exact, description.fps)
+        color = first.find("R")
+        assert color is not None  # as checked
+        pixels.attributes = carried(first, color[0], last)
     return Sequence(folder, description, pixels)
 
 
