@@ -339,7 +339,8 @@ def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
             elif form in _NUMBERS:
                 numbers = value.unpack(_NUMBERS[form])
                 part.texts[name] = "/".join(map(str, numbers))
-                part.attributes[name] = numbers if len(numbers) > 1 else numbers[0]
+                if len(numbers) == 1:
+                    part.attributes[name] = numbers[0]
             elif form in _TUPLES:
                 part.attributes[name] = value.unpack(_TUPLES[form])
             elif form == "envmap":

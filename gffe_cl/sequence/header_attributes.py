@@ -48,8 +48,9 @@ def carried(header: ExrHeader, part: int, later: ExrHeader | None = None, view: 
         wanted = isinstance(value, _CARRIED[name]) if name in _CARRIED else theirs
         if wanted and _is_sound(name, value):
             found[name] = np.array(value, np.float32) if isinstance(value, tuple) and len(value) < 8 else value
-    if header.views:
-        found["view"] = view or header.parts[part].texts.get("view") or header.views[0]
+    own = view or header.parts[part].texts.get("view") or next(iter(header.views), "")
+    if own and _is_sound("view", own):
+        found["view"] = own
     return found
 
 
@@ -79,11 +80,9 @@ def reported(
             " (expected zip, piz or none)"
         )
     first = header.parts[exact[0][0] if exact else 0]
-    aspect = first.attributes.get("pixelAspectRatio", 1.0)
-    if abs(aspect - 1) >= _SQUARE:
-        found.append(
-            f"{label}: pixels are not square, their aspect is {aspect:g}: cameras are taken as given, in pixels"
-        )
+    aspect = first.attributes.get("pixelAspectRatio")
+    if isinstance(aspect, float) and not abs(aspect - 1) < _SQUARE:
+        found.append(f"{label}: pixels are not square, pixelAspectRatio is {aspect:g}: cameras are taken as given")
     if "envmap" in first.attributes:
         found.append(f"{label}: the header says envmap, a panorama: it is taken for a picture through a pinhole")
     rate = frame_rate(first)
