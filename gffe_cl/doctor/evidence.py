@@ -32,7 +32,7 @@ def set_aside_unwritten(looks: Iterable[Look]) -> list[Finding]:
 
 
 def _long_vectors(looks: list[Look]) -> list[Finding]:
-    long = np.concatenate([look.motion[look.is_long(look.motion)] for look in looks if look.motion is not None])
+    long = np.concatenate([_motion(look)[look.is_long(_motion(look))] for look in looks])
     share = float(np.mean([look.bad.long / np.prod(look.size) for look in looks]))
     for look in looks:
         _set_aside(look, look.is_long)
@@ -63,7 +63,7 @@ def _set_aside(look: Look, unwritten) -> float:
 
 def _shared_vector(looks: list[Look]) -> np.ndarray | None:
     """Return the vector (2,) of many samples that leads many of them out of the image."""
-    vectors = np.concatenate([look.motion for look in looks])
+    vectors = np.concatenate([_motion(look) for look in looks])
     px = np.concatenate([look.px for look in looks])
     size = np.concatenate([np.broadcast_to(look.size, look.px.shape) for look in looks])
     usable = np.isfinite(vectors).all(-1) & vectors.any(-1)
@@ -125,9 +125,14 @@ def _usable_depth(look: Look) -> np.ndarray:
 
 
 def _usable_motion(look: Look) -> np.ndarray:
-    assert look.motion is not None  # the caller chose these
     surface = _usable_depth(look)
-    return np.isfinite(look.motion).all(-1)[surface] if surface.any() else np.ones(1, bool)
+    usable = np.asarray(np.isfinite(_motion(look)).all(-1))
+    return usable[surface] if surface.any() else np.ones(1, bool)
+
+
+def _motion(look: Look) -> np.ndarray:
+    assert look.motion is not None  # the caller chose these
+    return look.motion
 
 
 def _why_no_color(looks: list[Look]) -> str:
@@ -143,7 +148,7 @@ def _why_no_depth(looks: list[Look]) -> str:
 
 def _why_no_motion(looks: list[Look]) -> str:
     bad = np.sum([(look.bad.motion, look.bad.long) for look in looks], 0) / sum(np.prod(look.size) for look in looks)
-    rest = float(np.mean([np.isnan(look.motion).any(-1).mean() for look in looks])) - bad.sum()
+    rest = float(np.mean([np.isnan(_motion(look)).any(-1).mean() for look in looks])) - bad.sum()
     named = {"NaN or infinite": bad[0], "longer than the image's diagonal": bad[1], "one value that leads out": rest}
     return ", ".join(f"{share:.0%} are {name}" for name, share in named.items() if share > 0.005)
 

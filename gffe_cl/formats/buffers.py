@@ -85,9 +85,9 @@ class Buffer:
         found = None
         if self.unknown is not None:
             near = _EQUAL * np.abs(self.unknown)
-            found = (np.abs(values.astype(np.float64) - self.unknown) <= near).all(-1)
+            found = np.asarray((np.abs(values.astype(np.float64) - self.unknown) <= near).all(-1))
         if self.unknown_from is not None:
-            large = (np.abs(values) >= self.unknown_from).any(-1)
+            large = np.asarray((np.abs(values) >= self.unknown_from).any(-1))
             found = large if found is None else found | large
         return found
 
@@ -132,7 +132,9 @@ def parse_buffer(keys: Keys, default: tuple[str, ...], unwritten: bool = False) 
         keys.choice("origin", ("top-left", "bottom-left"), "top-left") == "bottom-left",
         keys.numbers("offset", count, (0.0,) * count),
         keys.numbers("scale", count, (1.0,) * count),
-        *((keys.text("valid"), keys.numbers("unknown", count, None), keys.number("unknown_from")) if unwritten else ()),
+        valid=keys.text("valid") if unwritten else None,
+        unknown=keys.numbers("unknown", count, None) if unwritten else None,
+        unknown_from=keys.number("unknown_from") if unwritten else None,
     )
 
 

@@ -20,7 +20,7 @@ from gffe_cl.formats.capture import MOST_FRAMES, described
 from gffe_cl.formats.hdf5 import read_hdf5
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.motion_conversion import inverted_flow, static_motion
-from gffe_cl.formats.numbering import lines_of, missing_numbers, numbered_files
+from gffe_cl.formats.numbering import lines_of, missing_numbers, numbered_files, visible_files
 from gffe_cl.formats.png import read_png_colors, read_png_header
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import rigid
@@ -216,14 +216,14 @@ def open_tartanair(folder: Path) -> Sequence:
     """Open the trajectory in `folder`, left camera. Raises GffeError."""
     images = _images(folder / "image_left", "*_left.png")
     depths = numbered_files(folder / "depth_left", "*_left_depth.npy")
-    flows = {tuple(map(int, path.name.split("_")[:2])): path for path in _flows(folder / "flow")}
+    flows = _flows(folder / "flow")
     numbers, file = list(images), folder / "pose_left.txt"
     poses = lines_of(_table(file, 7, len(images)), numbers, 0, file.name)
     size, frames = _size(images[numbers[0]]), []
     for number, after, pose in zip(numbers, [*numbers[1:], None], poses, strict=True):
         path = images[number]
         missing = folder / "depth_left" / f"{_digits(path, '', '_left.png')}_left_depth.npy"
-        depth, flow = depths.get(number, missing), flows.get((number, after))
+        depth, flow = depths.get(number, missing), flows.get(f"{number} {after}")
         check_planes(depth, "0", depth.name, size)
         if flow is not None:
             check_planes(flow, "01", flow.name, size)
@@ -236,10 +236,11 @@ def open_tartanair(folder: Path) -> Sequence:
     return _opened(folder, frames, size, 30.0, notes=(note,))
 
 
-def _flows(folder: Path) -> list[Path]:
-    """Return the files of flow from one number to another."""
-    pattern = re.compile(r"-?\d{1,18}_-?\d{1,18}_flow\.npy", re.IGNORECASE)
-    return [path for path in folder.iterdir() if pattern.fullmatch(path.name)] if folder.is_dir() else []
+def _flows(folder: Path) -> dict[str, Path]:
+    """Return the files of flow by the two numbers, "3 4", from which one and to which other it leads."""
+    pattern = re.compile(r"(-?\d{1,18})_(-?\d{1,18})_flow\.npy", re.IGNORECASE)
+    matches = ((pattern.fullmatch(path.name), path) for path in visible_files(folder, ".npy"))
+    return {f"{int(match[1])} {int(match[2])}": path for match, path in matches if match}
 
 
 def _from_ned(pose: np.ndarray) -> np.ndarray:

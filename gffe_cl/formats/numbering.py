@@ -90,7 +90,7 @@ def mark_gaps(frames: list[tuple[int, FrameEntry]]) -> str | None:
     return missing_numbers(gaps, usual)
 
 
-def lines_of(table: Sequence, numbers: Sequence[int], first: int, name: str) -> list:
+def lines_of(table: np.ndarray, numbers: Sequence[int], first: int, name: str) -> list[np.ndarray]:
     """Return the lines of a `table` for frames with these `numbers`: its first line is that of the number `first`.
 
     Where the numbers leave that range the lines are those of the frames in order, if nothing is missing. GffeError,
