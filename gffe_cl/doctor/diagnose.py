@@ -207,13 +207,18 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         search = search_of(reading.rows)
         motion, static = search.motions(reading, search.full)
         use = search.full.solid & np.isfinite(motion).all(-1)
+        if not use.any():
+            sentence = "no pixel of the frames that were compared has a usable depth and a usable motion vector"
+            found.findings.append(Finding(FAULT, "frames", "nothing usable", sentence))
+            found.residuals.clear()
+            return
         off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
         length = np.linalg.norm(motion[use], axis=-1)
-        near = max(0.1 * float(np.median(length)) if len(length) else 0.0, 0.3, search.step)
-        found.residuals[f"{name}_median"] = float(np.median(off)) if len(off) else float("nan")
-        found.residuals[f"{name}_inliers"] = float((off <= near).mean()) if len(off) else float("nan")
-    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1]) if len(length) else np.inf
-    if len(off) and (off <= roughly).mean() < _UNEXPLAINED:
+        near = max(0.1 * float(np.median(length)), 0.3, search.step)
+        found.residuals[f"{name}_median"] = float(np.median(off))
+        found.residuals[f"{name}_inliers"] = float((off <= near).mean())
+    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
+    if (off <= roughly).mean() < _UNEXPLAINED:
         sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 

@@ -91,7 +91,7 @@ def too_few_usable(looks: Iterable[Look]) -> list[Finding]:
     looks = list(looks)
     moving = [look for look in looks if PREVIOUS in look.neighbors and look.motion is not None]
     found = _few("color", looks, _usable_color, _why_no_color, "", 0.0)
-    depth = _few("depth", looks, _usable_depth, _why_no_depth, "surface", _LEAST_DEPTH)
+    depth = _few("depth", moving or looks, _usable_depth, _why_no_depth, "surface", _LEAST_DEPTH)
     motion = _few("motion", moving, _usable_motion, _why_no_motion, "vector", _LEAST_MOTION)
     if any(finding.kind == FAULT for finding in depth):  # vectors of sky are compared with nothing anyway
         return found + depth

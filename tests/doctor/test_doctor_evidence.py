@@ -51,6 +51,21 @@ def test_nothing_to_compare_is_a_fault(kind):
     assert (check(empty.images[:3]) or "").startswith(f"{about}: ")
 
 
+def test_depth_of_the_first_frame_alone_is_nothing_to_compare():
+    frames = [replace(f, depth=np.full_like(f.depth, np.inf)) if k else f for k, f in enumerate(clip().images)]
+    assert names(examine(Kept(frames))) == ["depth: nothing usable"] and quick_warning(Kept(frames))
+
+
+def test_frames_that_are_looked_at_closely_may_be_empty():
+    """Five of many are; others have depth and vectors."""
+    from gffe_cl.doctor.diagnose import _deep_frames
+
+    deep = _deep_frames(len(clip().images))
+    frames = [replace(f, depth=np.full_like(f.depth, np.inf)) if k in deep else f for k, f in enumerate(clip().images)]
+    found = examine(Kept(frames))
+    assert found.verdict == "faults" and not found.compared
+
+
 def test_the_command_never_says_that_it_fits(gffe, tmp_path):
     empty = written(tmp_path / "in", changed(EMPTY["infinite depth"][1]))
     code, text, _ = gffe("check", empty, "--json", tmp_path / "said.json", "--fix", tmp_path / "out")

@@ -12,6 +12,7 @@ from PIL import Image
 from test_formats_images import png
 
 from gffe_cl import Camera, GffeError, open_capture
+from gffe_cl.formats.motion_conversion import static_motion
 
 NEAR, FAR = 0.05, 400.0
 DOCS = Path(__file__).parents[2] / "docs"
@@ -551,6 +552,24 @@ def test_depth_that_was_never_written_is_nan(tmp_path):
     said = {"file": "depth_%d.npy", "unknown": -7}
     sequence = write(tmp_path, depth_as=lambda shot: np.where(UNWRITTEN, np.float32(-7), shot.depth), depth=said)
     assert (without_unwritten(sequence, "depth") == UNWRITTEN).all()
+
+
+def test_flow_that_was_never_written_is_not_mixed_with_other_flow(tmp_path):
+    """To the next frame, every 50th vector is the largest half float: the vectors around it stay as they are."""
+    made = []
+    for bad in (False, True):
+        folder = tmp_path / str(bad)
+        folder.mkdir()
+
+        def flow(shot, bad=bad):
+            after = rendered()[min(rendered().index(shot) + 1, 2)]
+            made = static_motion(shot.depth, shot.camera, after.camera)[0].astype(np.float32)
+            made.reshape(-1, 2)[:: 50 if bad else 10**9] = 65504 if bad else made[0, 0]
+            return made
+
+        sequence = write(folder, motion_as=flow, motion={"file": "motion.%03d.npy", "direction": "to_next"})
+        made.append(sequence.read(sequence.rendered[1]).motion)
+    assert np.percentile(np.linalg.norm(made[1] - made[0], axis=-1), 99.9) < 0.5
 
 
 def test_a_channel_of_validity_must_be_there(tmp_path):
