@@ -29,6 +29,7 @@ _OF_ONE_FILE = (
     "utcOffset", "version", "view", "worldToCamera", "worldToNDC", "wrapmodes", "xDensity",
 )  # fmt: skip
 _PREFIXES = ("unreal/", "camera", "lens", "sensor", "nominalFocal", "effectiveFocal", "pinholeFocal", "entrancePupil")
+_LENGTHS = {"chromaticities": 8, "adoptedNeutral": 2}
 _SQUARE = 1e-3  # of pixels' aspect
 _SAME_RATE = 0.01  # relative
 _PXR24, _B44, _B44A, _DWAA, _DWAB = 5, 6, 7, 8, 9
@@ -60,8 +61,9 @@ def _is_sound(name: str, value: Any) -> bool:
         return 0 < len(value) <= _MOST_TEXT and "\0" not in value
     if name == "pixelAspectRatio":
         return abs(value - 1) > _SQUARE and 1 / _MOST_ASPECT < value < _MOST_ASPECT
-    if isinstance(value, tuple) and len(value) == 8:
-        return bool(np.abs(value).max() < _MOST_CHROMATICITY)
+    if isinstance(value, tuple):
+        right = len(value) == _LENGTHS.get(name, len(value))
+        return right and bool(np.abs(value).max() < (_MOST_CHROMATICITY if len(value) == 8 else np.inf))
     return bool(np.isfinite(value).all())
 
 
