@@ -5,6 +5,7 @@
 #include "frame.h"
 #include "simd_rgb.h"
 
+#define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
 /* How many runs a row of `width` pixels has, for a single lane. */
@@ -116,24 +117,41 @@ WIDE __kernel void take_halves(__constant Frame *frame, __global const half *giv
     take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
 }
 
-/* Bad are depth that is NaN or not positive, and motion that is NaN or infinite. Input and output may be the same buffer. */
+/* Bad are depth that is NaN, not positive or denormal, and motion that is NaN or infinite. Finite depth beyond DEPTH_MOST becomes sky,
+   and motion as long as the diagonal, which leads out of the image from everywhere, NaN. Input and output may be the same buffer. */
 WIDE __kernel void take_geometry(__constant Frame *frame, __global const float *given_depth, const int depth_start,
                                  __global const float *given_motion, const int motion_start, __global float *depth,
                                  __global float2 *motion, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
-    int bad_depth = 0, bad_motion = 0;
+    const float diagonal_squared = (float)width * (float)width + (float)height * (float)height;
+    int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;
         if (count <= 0) break;
         Floats motion_y;
-        const Floats z = load_some_floats(count, given_depth + depth_start + i);
-        const Floats motion_x = load_some_xy(count, (__global const float2 *)(given_motion + motion_start) + i, &motion_y);
-        const Ints good_depth = z > 0.0f, good_motion = isfinite(motion_x) & isfinite(motion_y);
-        if (!ALL(good_depth)) bad_depth += min(count, LANES) - lanes_where(good_depth, count);
-        if (!ALL(good_motion)) bad_motion += min(count, LANES) - lanes_where(good_motion, count);
+        Floats z = load_some_floats(count, given_depth + depth_start + i);
+        Floats motion_x = load_some_xy(count, (__global const float2 *)(given_motion + motion_start) + i, &motion_y);
+        const Ints good_depth = z >= FLT_MIN, beyond = (z > DEPTH_MOST) & !isinf(z);
+        const Ints good_motion = motion_x * motion_x + motion_y * motion_y < diagonal_squared;
+        if (!ALL(good_depth)) {
+            bad_depth += min(count, LANES) - lanes_where(good_depth, count);
+            z = (z >= 0.0f) & !good_depth ? (Floats)(0.0f) : z;
+        }
+        if (ANY(beyond)) {
+            far += lanes_where(beyond, count);
+            z = beyond ? (Floats)(INFINITY) : z;
+        }
+        if (!ALL(good_motion)) {
+            const Ints finite = isfinite(motion_x) & isfinite(motion_y), unwritten = finite & !good_motion;
+            bad_motion += min(count, LANES) - lanes_where(finite, count);
+            too_long += lanes_where(unwritten, count);
+            motion_x = unwritten ? (Floats)(NAN) : motion_x;
+            motion_y = unwritten ? (Floats)(NAN) : motion_y;
+        }
         store_some_floats(z, count, depth + i);
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
     store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);
+    store_counts(width, height, far, too_long, bad_pixels + 4 * runs_of(width) * height);
 }

@@ -107,8 +107,9 @@ def require_display() -> None:
     if not sys.platform.startswith("linux"):
         return
     without = "without a screen: xvfb-run -a gffe …"
-    displays = [os.environ[name] for name in ("DISPLAY", "WAYLAND_DISPLAY") if os.environ.get(name)]
-    if not displays:
+    display = os.environ.get("DISPLAY")
+    wayland = os.environ.get("WAYLAND_DISPLAY")
+    if not display and not wayland:
         raise GffeError(f"no display to open a window on (expected DISPLAY to be set; {without})")
     import imgui_bundle  # noqa: F401  before glfw
 
@@ -117,8 +118,13 @@ def require_display() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         opened = glfw.init()
+    if not opened and not display:
+        raise GffeError(
+            f"no X display: WAYLAND_DISPLAY is {wayland}, but this viewer's GLFW opens windows by X11 only (expected"
+            f" DISPLAY, on Wayland by XWayland; {without})"
+        )
     if not opened:
-        raise GffeError(f"the display {displays[0]} cannot be opened (DISPLAY may be wrong; {without})")
+        raise GffeError(f"the display {display} cannot be opened (DISPLAY may be wrong; {without})")
 
 
 def without_pointer() -> None:

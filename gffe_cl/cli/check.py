@@ -61,7 +61,9 @@ def check(
 
     Exit code 0: nothing, or notes only; 1: faults, which break results.
     """
-    from gffe_cl.doctor import examine, open_for_check, require_findings, selected
+    from gffe_cl.doctor import Finding, examine, open_for_check, require_findings, selected
+    from gffe_cl.doctor.choosing import fixed_by
+    from gffe_cl.doctor.findings import NOTE
     from gffe_cl.doctor.report import as_json, html_report, summary
 
     require_findings(only or (), "--only")
@@ -70,7 +72,7 @@ def check(
         raise GffeError("--only and --except select findings for --fix (expected --fix FOLDER)")
     opened, repaired = open_for_check(sequence)
     diagnosis = examine(opened, opened.exposure)
-    diagnosis.findings[:0] = repaired
+    diagnosis.findings[:0] = repaired + [Finding(NOTE, "frames", "of the reader", text) for text in opened.notes]
     title = f"{sequence}: {len(opened.rendered)} rendered frames, {opened.width}×{opened.height}"
     looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
     out.print(plain(title + looked))
@@ -85,7 +87,7 @@ def check(
         write_text(html, html_report(opened, diagnosis, title, opened.exposure))
     if fix is not None:
         document |= _repair(opened, diagnosis, chosen, fix)
-    elif diagnosis.faults:
+    elif diagnosis.faults and fixed_by(diagnosis):
         out.print("`--fix OUT` writes a sequence without these faults", soft_wrap=True)
     write_json(json_path, document)
     if diagnosis.faults:
@@ -113,6 +115,7 @@ def _repair(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path
         asked = f" ({ON_REQUEST} is changed only where --only names it)" if ON_REQUEST in left else ""
         out.print(plain(f"left as given: {', '.join(left)}{asked}"), soft_wrap=True)
     faults = ", ".join(finding.id for finding in again.faults)
-    verdict = f"still with faults: {faults}" if faults else "it fits now"
+    fits = "it fits now" if again.compared else "nothing could be compared"
+    verdict = f"still with faults: {faults}" if faults else fits
     out.print(plain(f"{fix}: checked again, {verdict}"), soft_wrap=True)
     return {"changed": changed, "left": left, "fixed": as_json(again)}

@@ -14,7 +14,6 @@ from gffe_cl.cli.common import (
     plain,
     write_json,
 )
-from gffe_cl.core.errors import GffeError
 
 if TYPE_CHECKING:
     from gffe_cl.inference.provider_check import Verdict
@@ -32,9 +31,10 @@ def devices(
     network."""
     from dataclasses import asdict
 
-    from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
+    from gffe_cl.opencl.device import best_of, list_devices, none_works
 
-    infos = [info for info in list_devices(refresh) if kind in (None, info.kind)]
+    every = list_devices(refresh)
+    infos = [info for info in every if kind in (None, info.kind)]
     table = Table("", "index", "device", "platform", "kernel runs", "Mpixel/s", "lacks", box=None, header_style="bold")
     working = [info for info in infos if info.works]
     default = best_of(working) if working else None
@@ -59,7 +59,7 @@ def devices(
     document = {"devices": [asdict(i) | {"default": i is default} for i in infos]}
     write_json(json_path, document | {"providers": [asdict(found) for found in verdicts]})
     if not working:
-        raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
+        raise none_works(infos or every, kind)
 
 
 def _provider_verdicts(refresh: bool) -> list[Verdict]:

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from gffe_cl.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
 from gffe_cl.doctor.format_keys import tell_keys
 from gffe_cl.doctor.hypotheses.edges import edge_agreement
@@ -76,6 +77,16 @@ class Diagnosis:
     def faults(self) -> list[Finding]:
         return self.of_kind(FAULT)
 
+    @property
+    def compared(self) -> bool:
+        """Whether motion vectors were compared with depth and cameras at all."""
+        return bool(self.residuals)
+
+    @property
+    def verdict(self) -> str:
+        """Return "faults", "fits", or "unknown" where nothing was compared."""
+        return "faults" if self.faults else "fits" if self.compared else "unknown"
+
 
 def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     """Examine the rendered frames of `clip`. Raises GffeError if it has none, or if a file cannot be read."""
@@ -86,8 +97,11 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found = Diagnosis([], Reading(), frames=len(looks))
     found.looks = [looks[k] for k in deep if looks[k].neighbors]
     _note_bad_pixels(found, looks)
-    _note_unknown_motion(found, looks)
+    found.findings += [*set_aside_unwritten(looks.values()), *too_few_usable(looks.values())]
     _note_resets(found, clip.rendered)
+    if found.faults:
+        tell_keys(found.findings, getattr(clip, "settings", None))
+        return found
     if not any(PREVIOUS in look.neighbors for look in found.looks):
         found.findings.append(
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
@@ -253,13 +267,18 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         search = search_of(reading.rows)
         motion, static = search.motions(reading, search.full)
         use = search.full.solid & np.isfinite(motion).all(-1) & ~np.isin(search.full.frame, cuts)
+        if not use.any():
+            sentence = "no pixel of the frames that were compared has a usable depth and a usable motion vector"
+            found.findings.append(Finding(FAULT, "frames", "nothing usable", sentence))
+            found.residuals.clear()
+            return
         off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
         length = np.linalg.norm(motion[use], axis=-1)
-        near = max(0.1 * float(np.median(length)) if len(length) else 0.0, 0.3, search.step)
-        found.residuals[f"{name}_median"] = float(np.median(off)) if len(off) else float("nan")
-        found.residuals[f"{name}_inliers"] = float((off <= near).mean()) if len(off) else float("nan")
-    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1]) if len(length) else np.inf
-    if len(off) and (off <= roughly).mean() < _UNEXPLAINED:
+        near = max(0.1 * float(np.median(length)), 0.3, search.step)
+        found.residuals[f"{name}_median"] = float(np.median(off))
+        found.residuals[f"{name}_inliers"] = float((off <= near).mean())
+    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
+    if (off <= roughly).mean() < _UNEXPLAINED:
         sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 
@@ -305,25 +324,10 @@ def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
         total = total + look.bad
         for name, (x, y) in look.first_bad.items():
             where.setdefault(name, f"{look.file} at {x}, {y}")
+    total.long, _ = 0, where.pop("long", None)  # these have a note of their own
     if total:
         sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
         found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))
-
-
-def _note_unknown_motion(found: Diagnosis, looks: dict[int, Look]) -> None:
-    """Vectors that lead out of the image from everywhere, and the value that most of them have."""
-    unknown = sum(look.unknown for look in looks.values())
-    if not unknown:
-        return
-    share = 100 * unknown / sum(look.size[0] * look.size[1] for look in looks.values() if look.motion is not None)
-    sentence = f"{share:.2g}% of the motion vectors are longer than the image's diagonal: they count as unknown"
-    values, counts = np.unique(
-        np.concatenate([look.unknown_values for look in looks.values()]), axis=0, return_counts=True
-    )
-    if len(counts) and counts.max() > 0.5 * counts.sum():
-        common = ", ".join(f"{value:g}" for value in values[counts.argmax()])
-        sentence += f"; most of them are ({common}) px, as where nothing was written"
-    found.findings.append(Finding(NOTE, "motion", "unknown", sentence, figures={"share": share / 100}))
 
 
 def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:

@@ -13,7 +13,7 @@ from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, De
 from gffe_cl.doctor.hypotheses.search import Reading
 
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
-DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD = "display values", "bottom-up", "range"
+DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
     0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, RANGE_MISREAD, Finding
+from gffe_cl.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, NEVER_WRITTEN, RANGE_MISREAD, Finding
 from gffe_cl.formats.buffers import TO_NEXT, Buffer
 from gffe_cl.formats.cameras import CONVENTIONS
 from gffe_cl.formats.folder import FolderSettings
@@ -69,6 +69,15 @@ def _motion(finding: Finding, found: set, settings: FolderSettings) -> dict:
         return _scaled(motion.buffer, (_FACTORS[name],) * 2)
     if name == "jitter not removed":
         return {"jitter": "included" if motion.jitter_removed else "removed"}
+    if name == NEVER_WRITTEN and finding.figures["value"] and not motion.jitter_removed:
+        stored = [
+            px / factor / scale + offset
+            for px, factor, scale, offset in zip(
+                finding.figures["value"], motion.factors(settings.size), motion.buffer.scale, motion.buffer.offset,
+                strict=True,
+            )
+        ]  # fmt: skip
+        return {"unknown": [float(f"{value:.7g}") + 0.0 for value in stored]}
     return {}
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from gffe_cl.core.errors import printable
 from gffe_cl.core.validation import require_exposure, require_list
-from gffe_cl.doctor.findings import faults_of
+from gffe_cl.doctor.evidence import set_aside_unwritten, too_few_usable
+from gffe_cl.doctor.findings import FAULT, faults_of
 from gffe_cl.doctor.hypotheses.cameras import camera_readings
 from gffe_cl.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.doctor.hypotheses.motions import motion_readings
@@ -87,9 +88,15 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     """A sentence if the first rendered frames of `clip` do not fit: motion vectors and depth with cameras, motion
     vectors and colors, or a buffer that is upside down. Raises GffeError if a frame cannot be read."""
     count = min(_FRAMES, len(clip.rendered))
-    if count < 2:
+    if not count:
         return None
     looks = take_looks(clip, range(count), _SAMPLES, set(range(count - 1)), exposure)
+    set_aside_unwritten(looks.values())
+    for finding in too_few_usable(looks.values()):
+        if finding.kind == FAULT:
+            return str(finding)
+    if count < 2:
+        return None
     edges = edge_agreement([looks[0]])
     given = _fit(looks, edges)
     if given is None:

@@ -13,7 +13,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range, rays
 from gffe_cl.doctor.hypotheses.motions import MotionReading
-from gffe_cl.doctor.hypotheses.sampling import NEXT, Clip, leads_out
+from gffe_cl.doctor.hypotheses.sampling import NEXT, Clip, is_long
 from gffe_cl.doctor.hypotheses.scoring import Comparison, Vectors
 from gffe_cl.doctor.hypotheses.search import Reading
 from gffe_cl.doctor.hypotheses.transfer_function import srgb_to_linear
@@ -89,7 +89,7 @@ class Repair:
 
         def vectors(frame: RenderedFrame, other: Camera) -> Vectors:
             motion = np.asarray(frame.motion, np.float64)[::every, ::every].reshape(-1, 2)
-            motion = np.where(leads_out(motion, (width, height))[:, None], np.nan, motion)
+            motion = np.where(is_long(motion, (width, height))[:, None], np.nan, motion)
             return motion, static_motion(frame, other, every).reshape(-1, 2)
 
         pairs = vectors(given, given_before.camera), vectors(made, before.camera)
@@ -272,7 +272,8 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
     refuse_same_folder(output, sequence.path)
     repair = Repair(sequence, diagnosis)
     size = sequence.width, sequence.height
-    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, generator="gffe-cl check") as writer:
+    named = {"generator": "gffe-cl check", "attributes": sequence.attributes}
+    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         for entry, frame in repair.frames():
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
             on_frame()

@@ -97,7 +97,7 @@ def _numbers(values) -> str:
 def as_json(diagnosis: Diagnosis) -> dict:
     """Everything that was found, for programs."""
     return {
-        "verdict": "faults" if diagnosis.faults else "fits",
+        "verdict": diagnosis.verdict,
         "findings": [
             {
                 "id": f.id,
@@ -138,7 +138,7 @@ def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -
 
 
 def _findings(diagnosis: Diagnosis) -> str:
-    if not diagnosis.findings:
+    if not diagnosis.findings and diagnosis.compared:
         return "<p>None: motion vectors, depth and cameras fit together.</p>"
     rows = "".join(
         f'<tr><td><span class="{"unknown" if f.kind == "cannot tell" else f.kind.split()[-1]}">{f.kind}</span></td>'

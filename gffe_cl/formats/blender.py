@@ -19,9 +19,11 @@ from gffe_cl.formats.capture import (
     whole_number,
 )
 from gffe_cl.formats.layers import Place, holding, layers_of, owner
+from gffe_cl.formats.numbering import mark_gaps
 from gffe_cl.sequence.description import Description, FrameEntry, reference
-from gffe_cl.sequence.exr import decoded, require_parts
+from gffe_cl.sequence.exr import decoded, require_parts, view_note
 from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.header_attributes import carried, reported
 from gffe_cl.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.sequence.reader import Sequence
 
@@ -46,12 +48,14 @@ def is_blender(folder: Path) -> bool:
 
 def open_blender(folder: Path) -> Sequence:
     """Open the capture in `folder`: JSON and the headers of all files are checked. Raises GffeError."""
-    description = _parse(read_json(folder / FILE_NAME))
+    description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
-    reader = HeaderReader()
+    reader, headers = HeaderReader(), []
     for entry in description.frames:
         header = reader.read(folder / entry.place, entry.file)
         passes = _passes(header, entry)
+        if entry.kind == "rendered":
+            headers[1:] = [(header, passes, entry.file)]
         parts = {part for places in filter(None, passes) for part, _ in places}
         require_parts(header, parts, None, entry.file)
         windows = {header.parts[part].data_window for part in parts}
@@ -60,7 +64,14 @@ def open_blender(folder: Path) -> Sequence:
         through_window(entry, header.parts[passes.color[0][0]], size, entry.file)
         if entry.kind != "rendered":
             entry.render_size = None
-    return Sequence(folder, description, BlenderPixels(folder))
+    pixels = BlenderPixels(folder)
+    pixels.notes += [f"{folder}: {gaps}"] if gaps else []
+    if headers:
+        (first, color, _), (last, passes, file) = headers[0], headers[-1]
+        exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
+        pixels.notes += view_note(last, file) + reported(last, file, exact, description.fps)
+        pixels.attributes = carried(first, color.color[0][0], last)
+    return Sequence(folder, description, pixels)
 
 
 class BlenderPixels(ForeignPixels):
@@ -100,7 +111,8 @@ class BlenderPixels(ForeignPixels):
         return arrays[:4], arrays[4:]
 
 
-def _parse(document: dict) -> Description:
+def _parse(document: dict) -> tuple[Description, str | None]:
+    """Return the description, and a sentence about frames that are missing."""
     size = (
         whole_number(document.get("width"), f"{FILE_NAME}: width"),
         whole_number(document.get("height"), f"{FILE_NAME}: height"),
@@ -108,12 +120,16 @@ def _parse(document: dict) -> Description:
     given = document.get("frames")
     if not isinstance(given, list) or not 0 < len(given) <= MOST_FRAMES:
         raise GffeError(f"{FILE_NAME}: frames must be a list of 1 to {MOST_FRAMES} frames")
-    frames, cameras = [], []
+    frames, cameras, numbered = [], [], []
     for index, one in enumerate(given):
         entry = _frame(one, index, size)
         (cameras if entry.kind == "camera_only" else frames).append(entry)
+        if isinstance(one.get("frame"), int):
+            numbered.append((one["frame"], entry))
+    numbered.sort(key=lambda one: one[1].time)
+    gaps = mark_gaps(numbered) if len(numbered) == len(given) else None
     fps = document.get("fps")
-    return described(
+    description = described(
         FILE_NAME,
         size,
         frames,
@@ -121,6 +137,7 @@ def _parse(document: dict) -> Description:
         require_exposure(document.get("exposure", 1.0), f"{FILE_NAME}: exposure"),
         cameras,
     )
+    return description, gaps
 
 
 def _frame(one, index: int, size) -> FrameEntry:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import shown
+from gffe_cl.core.validation import require_bool, shown
 from gffe_cl.formats.cameras import UNITS, FoundCamera
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.json_schema import Keys
-from gffe_cl.frame.conventions import DIRECTIONS, depth_from_device, depth_from_distance
+from gffe_cl.frame.conventions import DIRECTIONS, decides_depth_range, depth_from_device, depth_from_distance
 from gffe_cl.sequence.description import reference
 
 # How several 8-bit channels hold one number from 0 to 1: the weight of each, the first one first.
@@ -27,6 +27,7 @@ PACKINGS = {
 COLOR_ENCODINGS = ("linear", "srgb", "gamma")
 DEPTH_ENCODINGS = ("linear", "distance", "inverse", "device")
 TO_NEXT = "to_next"
+_EQUAL = 1e-6  # relative: of numbers in a file and in JSON
 _NUMBER = re.compile(r"%(0\d{1,2})?d")
 
 
@@ -42,6 +43,10 @@ class Buffer:
     bottom_up: bool
     offset: tuple[float, ...]
     scale: tuple[float, ...]
+    valid: str | None = None  # a channel that is 0 where nothing was written
+    unknown: tuple[float, ...] | None = None  # what stands in place of values that were never written
+    unknown_from: float | None = None  # values of that magnitude or more are none
+    view: str | None = None  # of EXR files with several; None: the one with most channels
 
     def file(self, number: int) -> str:
         return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
@@ -51,13 +56,43 @@ class Buffer:
 
     def check(self, folder: Path, number: int, size: Size) -> None:
         """Raise GffeError if the file cannot be read, judged by its headers."""
-        check_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
+        check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
+
+    @property
+    def _planes(self) -> tuple[str, ...]:
+        return self.channels if self.valid is None else (*self.channels, self.valid)
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
-        """(H, W, components): float64, or float16 and float32 where they are just that in the file."""
-        planes = read_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
+        """(H, W, components): float64, or float16 and float32 where they are just that in the file; NaN where nothing
+        was written."""
+        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
         if self.bottom_up:
             planes = planes[::-1]
+        unwritten = None
+        if self.valid is not None:
+            unwritten, planes = planes[..., -1] == 0, planes[..., :-1]
+        values = self._values(planes)
+        for wrong in (unwritten, self._is_unknown(values)):
+            if wrong is not None and wrong.any():
+                values = np.where(wrong[..., None], values.dtype.type(np.nan), values)
+        plain = not any(self.offset) and all(s == 1 for s in self.scale)
+        if plain and values.dtype in (np.float16, np.float32):
+            return values
+        return (values - np.array(self.offset)) * np.array(self.scale)
+
+    def _is_unknown(self, values: np.ndarray) -> np.ndarray | None:
+        """Return where `values` (H, W, components), before offset and scale, are what stands for unknown ones."""
+        found = None
+        if self.unknown is not None:
+            near = _EQUAL * np.abs(self.unknown)
+            found = np.asarray((np.abs(values.astype(np.float64) - self.unknown) <= near).all(-1))
+        if self.unknown_from is not None:
+            large = np.asarray((np.abs(values) >= self.unknown_from).any(-1))
+            found = large if found is None else found | large
+        return found
+
+    def _values(self, planes: np.ndarray) -> np.ndarray:
+        """Return the numbers in `planes`, before offset and scale: unpacked, integers from 0 to 1."""
         kind = planes.dtype
         if kind.kind in "iub" and self.normalized:
             planes = planes / (1.0 if kind.kind == "b" else float(np.iinfo(kind).max))
@@ -65,14 +100,12 @@ class Buffer:
             each = planes.shape[-1] // len(self.scale)
             weights = np.array(PACKINGS[self.packing](each))
             planes = planes.reshape(*planes.shape[:2], len(self.scale), each) @ weights
-        plain = not any(self.offset) and all(s == 1 for s in self.scale)
-        if plain and planes.dtype in (np.float16, np.float32):
-            return planes
-        return (planes - np.array(self.offset)) * np.array(self.scale)
+        return planes if planes.dtype.kind == "f" else planes.astype(np.float64)
 
 
-def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
-    """Common part of all buffers; `default` are the channels, one for each component."""
+def parse_buffer(keys: Keys, default: tuple[str, ...], unwritten: bool = False) -> Buffer:
+    """Common part of all buffers; `default` are the channels, one for each component. With `unwritten` keys may say
+    which values were never written."""
     count = len(default)
     pattern = keys.text("file")
     if pattern is None or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):
@@ -99,6 +132,9 @@ def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
         keys.choice("origin", ("top-left", "bottom-left"), "top-left") == "bottom-left",
         keys.numbers("offset", count, (0.0,) * count),
         keys.numbers("scale", count, (1.0,) * count),
+        valid=keys.text("valid") if unwritten else None,
+        unknown=keys.numbers("unknown", count, None) if unwritten else None,
+        unknown_from=keys.number("unknown_from") if unwritten else None,
     )
 
 
@@ -109,6 +145,7 @@ class ColorBuffer:
     buffer: Buffer
     encoding: str
     gamma: float
+    told: bool = True  # by the description, not by default
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """Linear RGB (H, W, 3), float16 as stored or float32."""
@@ -122,8 +159,8 @@ class ColorBuffer:
 
 def parse_color(document: Any, name: str = "color") -> ColorBuffer:
     keys = Keys(document, name)
-    buffer = parse_buffer(keys, ("R", "G", "B"))
-    made = ColorBuffer(buffer, keys.choice("encoding", COLOR_ENCODINGS, "linear"), keys.number("gamma", 2.2))
+    buffer, told = parse_buffer(keys, ("R", "G", "B")), isinstance(document, dict) and bool(document.get("encoding"))
+    made = ColorBuffer(buffer, keys.choice("encoding", COLOR_ENCODINGS, "linear"), keys.number("gamma", 2.2), told)
     keys.done()
     return made
 
@@ -137,9 +174,10 @@ class DepthBuffer:
     near: float | None
     far: float
     reversed: bool
-    opengl_buffer: bool
+    opengl_buffer: bool | None  # None: as the convention has it
     sky: float | None
     sky_from: float | None
+    convention: str
 
     def read(self, folder: Path, number: int, size: Size, found: FoundCamera) -> np.ndarray:
         """Planar depth (H, W) float32 in world units, +inf for sky; `found` is the camera of that frame."""
@@ -160,9 +198,22 @@ class DepthBuffer:
             nothing |= depth >= self.sky_from
         return np.where(nothing, np.inf, depth).astype(np.float32)
 
+    def range_note(self, found: FoundCamera) -> str | None:
+        """Return a sentence where neither the description nor the projection tells the range of a depth buffer of
+        OpenGL."""
+        if self.encoding != "device" or self.near is not None or found.projection is None:
+            return None
+        if self.convention != "opengl" or self.opengl_buffer is not None or decides_depth_range(found.projection):
+            return None
+        return (
+            "depth: the matrix does not tell whether 0 … 1 in the buffer is −1 … 1 in device coordinates: it is taken"
+            ' for that, as without glClipControl (expected "opengl_buffer": true or false)'
+        )
+
     def _from_device(self, values: np.ndarray, found: FoundCamera) -> np.ndarray:
         if self.near is None:
-            depth = depth_from_device(values, found.projection, layout="row-major", opengl_buffer=self.opengl_buffer)
+            opengl = self.convention == "opengl" if self.opengl_buffer is None else self.opengl_buffer
+            depth = depth_from_device(values, found.projection, layout="row-major", opengl_buffer=opengl)
             return depth * np.float32(found.scale)
         values = np.asarray(values, np.float64)
         beyond = values if self.reversed else 1 - values  # 0 at the far plane
@@ -173,7 +224,7 @@ class DepthBuffer:
 
 def parse_depth(document: Any, convention: str) -> DepthBuffer:
     keys = Keys(document, "depth")
-    buffer = parse_buffer(keys, ("R",))
+    buffer = parse_buffer(keys, ("R",), unwritten=True)
     encoding = keys.choice("encoding", DEPTH_ENCODINGS, "linear")
     near, far = keys.number("near"), keys.take("far", "infinite")
     far = np.inf if far == "infinite" else far
@@ -185,9 +236,10 @@ def parse_depth(document: Any, convention: str) -> DepthBuffer:
         near,
         float(far),
         keys.flag("reversed"),
-        keys.flag("opengl_buffer", convention == "opengl"),
+        None if (opengl := keys.take("opengl_buffer")) is None else require_bool(opengl, "depth, opengl_buffer"),
         keys.number("sky"),
         keys.number("sky_from"),
+        convention,
     )
     keys.done()
     return made
@@ -211,15 +263,19 @@ class MotionBuffer:
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """(H, W, 2) float32, pixels, y down: (previous − here), or of `to_next` (next − here)."""
         motion = self.buffer.read(folder, number, size).astype(np.float64)
-        factor = UNITS[self.unit](size)
+        return (motion * self.factors(size)).astype(np.float32)
+
+    def factors(self, size: Size) -> tuple[float, float]:
+        """Return the factors from the buffer's x and y to pixels of an image of `size`."""
+        across, down = UNITS[self.unit](size)
         sign = DIRECTIONS.get(self.direction, 1.0)
-        return (motion * (sign * factor[0], sign * factor[1] * (-1 if self.y_up else 1))).astype(np.float32)
+        return sign * across, sign * down * (-1 if self.y_up else 1)
 
 
 def parse_motion(document: Any) -> MotionBuffer:
     keys = Keys(document, "motion")
     made = MotionBuffer(
-        parse_buffer(keys, ("R", "G")),
+        parse_buffer(keys, ("R", "G"), unwritten=True),
         keys.choice("unit", tuple(UNITS), "pixels"),
         keys.choice("direction", (*DIRECTIONS, TO_NEXT), "to_previous"),
         keys.choice("y", ("down", "up"), "down") == "up",

@@ -20,7 +20,8 @@ from gffe_cl.formats.capture import MOST_FRAMES, described
 from gffe_cl.formats.hdf5 import read_hdf5
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.motion_conversion import inverted_flow, static_motion
-from gffe_cl.formats.png import read_png_header
+from gffe_cl.formats.numbering import lines_of, missing_numbers, numbered_files, visible_files
+from gffe_cl.formats.png import read_png_colors, read_png_header
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import rigid
 from gffe_cl.sequence.description import FrameEntry, read_text
@@ -28,7 +29,6 @@ from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 
 _TAG = struct.pack("<f", 202021.25)  # of Sintel's files
-_NUMBER = re.compile(r"\d+")
 _MOST_TEXT = 64 << 20
 _SPRING_BASELINE = 0.065  # meters
 _NED = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])  # x forward, y right, z down → ours
@@ -37,8 +37,10 @@ _SKY = 1e4  # meters: farther pixels are sky
 
 
 class _Frame(NamedTuple):
-    """One frame; `flow` leads to the next one, or with `backward` from it to the previous one; None if missing."""
+    """One frame; `flow` leads to the next number, or with `backward` from it to the previous one; None if it or that
+    frame is missing."""
 
+    number: int
     color: Path
     depth: Callable[[], np.ndarray]
     flow: Callable[[], np.ndarray] | None
@@ -83,33 +85,36 @@ def _opened(folder: Path, frames: list[_Frame], size: Size, fps: float, notes: t
         check_planes(frame.color, "RGB", frame.color.name, size)
         before = frames[k - 1] if k else None
         cut = before is None or (frame.flow if frame.backward else before.flow) is None
-        entry = FrameEntry(f"frame_{k:06d}.exr", k / fps, reset=cut)
+        entry = FrameEntry(f"frame_{frame.number:06d}.exr", (frame.number - frames[0].number) / fps, reset=cut)
         entry.render_camera = entry.display_camera = frame.camera
         entries[entry.file] = entry
     pixels = DatasetPixels(dict(zip(entries, frames, strict=True)))
     pixels.notes += notes
+    told = read_png_colors(frames[0].color)
+    if told.profile or told.contradicts("srgb", 2.2):
+        pixels.notes.append(f"{frames[0].color.name}: the header says {told.words}; colors are read as sRGB")
+    pixels.attributes = {"chromaticities": told.chromaticities} if told.chromaticities else {}
+    if missing := missing_numbers((a.number, b.number) for a, b in zip(frames, frames[1:], strict=False)):
+        pixels.notes.append(f"{folder}: {missing}")
     return Sequence(folder, described(str(folder), size, entries.values(), fps), pixels)
 
 
-def _images(folder: Path, pattern: str) -> list[Path]:
-    """PNG files in order; GffeError if there are none."""
-    found = sorted(folder.glob(pattern))
+def _images(folder: Path, pattern: str) -> dict[int, Path]:
+    """Return PNG files by their numbers, in order. Raises GffeError if there are none."""
+    found = numbered_files(folder, pattern)
     if not found:
         raise GffeError(f"{folder}: no {pattern} (expected a frame at least)")
     return found
 
 
+def _digits(path: Path, before: str, after: str) -> str:
+    """Return the number in the name of an image as it is written there, for messages about files that are missing."""
+    return path.name[len(before) : len(path.name) - len(after)]
+
+
 def _size(path: Path) -> Size:
     header = read_png_header(path, path.name)
     return header.width, header.height
-
-
-def _number(path: Path) -> str:
-    """Return the digits of the first number in a file's name. Raises GffeError if it has none."""
-    found = _NUMBER.search(path.name)
-    if found is None:
-        raise GffeError(f"{path.name}: no frame number in the name (expected one, as in frame_0001.png)")
-    return found[0]
 
 
 def _within(depth: np.ndarray, sky: float = _SKY) -> np.ndarray:
@@ -128,18 +133,22 @@ def open_sintel(folder: Path) -> Sequence:
     parts = _sintel_folders(folder)
     assert parts is not None  # `is_sintel` was asked
     images = _images(folder, "frame_*.png")
-    size, frames = _size(images[0]), []
-    for path in images:
-        number = _number(path)
-        flow, depth = (parts[k] / f"frame_{number}{end}" for k, end in ((0, ".flo"), (1, ".dpt")))
+    flows, depths, cameras = (
+        numbered_files(place, f"frame_*{end}") for place, end in zip(parts, (".flo", ".dpt", ".cam"), strict=True)
+    )
+    size, frames = _size(next(iter(images.values()))), []
+    for number, path in images.items():
+        name = f"frame_{_digits(path, 'frame_', '.png')}"
+        depth = depths.get(number, parts[1] / f"{name}.dpt")
         _sintel_header(depth, 1, size)
-        has_flow = flow.exists()
-        if has_flow:
+        flow = flows.get(number) if number + 1 in images else None
+        if flow is not None:
             _sintel_header(flow, 2, size)
-        camera = _sintel_camera(parts[2] / f"frame_{number}.cam")
-        read_flow = (lambda flow=flow: _sintel_array(flow, 2, size)) if has_flow else None
+        camera = _sintel_camera(cameras.get(number, parts[2] / f"{name}.cam"))
+        read_flow = None if flow is None else (lambda flow=flow: _sintel_array(flow, 2, size))
         read_depth = lambda depth=depth: _within(_sintel_array(depth, 1, size)[..., 0])  # noqa: E731
-        frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
+        files = (depth,) if flow is None else (depth, flow)
+        frames.append(_Frame(number, path, read_depth, read_flow, camera, files))
     return _opened(folder, frames, size, 24.0)
 
 
@@ -206,23 +215,32 @@ def is_tartanair(folder: Path) -> bool:
 def open_tartanair(folder: Path) -> Sequence:
     """Open the trajectory in `folder`, left camera. Raises GffeError."""
     images = _images(folder / "image_left", "*_left.png")
-    poses = _table(folder / "pose_left.txt", 7, len(images))
-    size, frames = _size(images[0]), []
-    for k, (path, pose) in enumerate(zip(images, poses, strict=True)):
-        number = _number(path)
-        depth = folder / "depth_left" / f"{number}_left_depth.npy"
+    depths = numbered_files(folder / "depth_left", "*_left_depth.npy")
+    flows = _flows(folder / "flow")
+    numbers, file = list(images), folder / "pose_left.txt"
+    poses = lines_of(_table(file, 7, len(images)), numbers, 0, file.name)
+    size, frames = _size(images[numbers[0]]), []
+    for number, after, pose in zip(numbers, [*numbers[1:], None], poses, strict=True):
+        path = images[number]
+        missing = folder / "depth_left" / f"{_digits(path, '', '_left.png')}_left_depth.npy"
+        depth, flow = depths.get(number, missing), flows.get(f"{number} {after}")
         check_planes(depth, "0", depth.name, size)
-        flow = folder / "flow" / f"{number}_{_number(images[k + 1])}_flow.npy" if k + 1 < len(images) else None
-        if flow is not None and not flow.exists():
-            flow = None
         if flow is not None:
             check_planes(flow, "01", flow.name, size)
         camera = _camera(_from_ned(pose), _TARTANAIR_FOCAL, _TARTANAIR_FOCAL, size[0] / 2, size[1] / 2, "pose_left.txt")
         read_flow = None if flow is None else (lambda flow=flow: read_planes(flow, "01", flow.name, size))
         read_depth = lambda depth=depth: _within(read_planes(depth, "0", depth.name, size)[..., 0])  # noqa: E731
-        frames.append(_Frame(path, read_depth, read_flow, camera, (depth,) if flow is None else (depth, flow)))
+        files = (depth,) if flow is None else (depth, flow)
+        frames.append(_Frame(number, path, read_depth, read_flow, camera, files))
     note = "TartanAir's flow is the camera's: moving objects have wrong motion; 30 frames per second are assumed"
     return _opened(folder, frames, size, 30.0, notes=(note,))
+
+
+def _flows(folder: Path) -> dict[str, Path]:
+    """Return the files of flow by the two numbers, "3 4", from which one and to which other it leads."""
+    pattern = re.compile(r"(-?\d{1,18})_(-?\d{1,18})_flow\.npy", re.IGNORECASE)
+    matches = ((pattern.fullmatch(path.name), path) for path in visible_files(folder, ".npy"))
+    return {f"{int(match[1])} {int(match[2])}": path for match, path in matches if match}
 
 
 def _from_ned(pose: np.ndarray) -> np.ndarray:
@@ -239,7 +257,8 @@ def _from_ned(pose: np.ndarray) -> np.ndarray:
 
 
 def _table(path: Path, columns: int, rows: int) -> np.ndarray:
-    """(rows, columns) float64 of a text file of finite numbers."""
+    """Return a text file of finite numbers as (lines, columns) float64. Raises GffeError for fewer lines than `rows`,
+    those of the frames."""
     try:
         table = np.array(
             [line.split() for line in read_text(path, _MOST_TEXT).splitlines() if line.strip()], np.float64
@@ -248,7 +267,7 @@ def _table(path: Path, columns: int, rows: int) -> np.ndarray:
         table = np.zeros((0, 0))
     if table.ndim != 2 or table.shape[1] != columns or len(table) < rows or not np.isfinite(table).all():
         raise GffeError(f"{path.name}: expected {columns} finite numbers for each of {rows} frames")
-    return table[:rows]
+    return table
 
 
 # Spring
@@ -261,18 +280,23 @@ def is_spring(folder: Path) -> bool:
 def open_spring(folder: Path) -> Sequence:
     """Open the scene in `folder`, left camera, at the size of the colors. Raises GffeError, also without h5py."""
     images = _images(folder / "frame_left", "frame_left_*.png")
-    size, frames, links = _size(images[0]), [], following_links()
-    intrinsics = _table(folder / "cam_data" / "intrinsics.txt", 4, len(images))
-    extrinsics = _table(folder / "cam_data" / "extrinsics.txt", 16, len(images))
-    for path, (fx, fy, cx, cy), matrix in zip(images, intrinsics, extrinsics, strict=True):
-        number = _number(path)
-        disparity = folder / "disp1_left" / f"disp1_left_{number}.dsp5"
-        flow = folder / "flow_BW_left" / f"flow_BW_left_{number}.flo5"
+    disparities = numbered_files(folder / "disp1_left", "disp1_left_*.dsp5")
+    flows = numbered_files(folder / "flow_BW_left", "flow_BW_left_*.flo5")
+    numbers, size, frames, links = list(images), _size(next(iter(images.values()))), [], following_links()
+    tables = [
+        lines_of(_table(folder / "cam_data" / name, columns, len(images)), numbers, 1, name)
+        for name, columns in (("intrinsics.txt", 4), ("extrinsics.txt", 16))
+    ]
+    for number, (fx, fy, cx, cy), matrix in zip(numbers, *tables, strict=True):
+        path = images[number]
+        missing = folder / "disp1_left" / f"disp1_left_{_digits(path, 'frame_left_', '.png')}.dsp5"
+        disparity = disparities.get(number, missing)
+        flow = flows.get(number) if number - 1 in images else None
         camera = _camera(matrix.reshape(4, 4), fx, fy, cx, cy, "extrinsics.txt")
-        read_flow = (lambda flow=flow: read_hdf5(flow, "flow", size, 2, links)) if flow.exists() else None
+        read_flow = None if flow is None else (lambda flow=flow: read_hdf5(flow, "flow", size, 2, links))
         read_depth = lambda file=disparity, fx=fx: _from_disparity(file, fx, size, links)  # noqa: E731
-        files = (disparity, *([flow] if read_flow else []))
-        frames.append(_Frame(path, read_depth, read_flow, camera, files, backward=True))
+        files = (disparity,) if flow is None else (disparity, flow)
+        frames.append(_Frame(number, path, read_depth, read_flow, camera, files, backward=True))
     read_hdf5(frames[0].files[0], "disparity", size, 1, links)
     return _settled(folder, frames, size)
 

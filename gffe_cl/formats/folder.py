@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,11 @@ from gffe_cl.formats.buffers import (
 )
 from gffe_cl.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.formats.capture import MOST_FRAMES, described, read_json, whole_number
-from gffe_cl.formats.images import Size
+from gffe_cl.formats.images import Size, header_attributes, header_notes, views_of
 from gffe_cl.formats.json_schema import Keys
 from gffe_cl.formats.motion_conversion import inverted_flow
+from gffe_cl.formats.numbering import mark_gaps
+from gffe_cl.formats.png import read_png_colors
 from gffe_cl.sequence.description import FILE_NAME, Description, FrameEntry
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
@@ -38,6 +40,7 @@ from gffe_cl.sequence.reader import Sequence
 FORMAT, VERSION = "gffe-folder", 1
 _MOST_NUMBER = 10**9
 _FIRST_BYTES = 1 << 16
+_BUFFERS = ("color", "depth", "motion")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,8 @@ class FolderSettings:
     motion: MotionBuffer
     cameras: CameraRules
     frames: dict[str, _Frame]  # by the entry's name
+    view: str | None = None  # of files with several
+    gaps: str | None = None  # a sentence about numbers that are missing
 
     @property
     def has_projections(self) -> bool:
@@ -79,6 +84,7 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
     need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
+    notes = _settle_view(folder, made) + _settle_colors(folder, made)
     for frame in made.frames.values():
         if frame.entry.kind == "ground_truth":
             made.truth.buffer.check(folder, frame.number, made.size)
@@ -88,7 +94,83 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
         if frame.before:
             source = frame.before if made.motion.to_next else frame
             made.motion.buffer.check(folder, source.number, made.size)
-    return Sequence(folder, description, FolderPixels(folder, made))
+    pixels = FolderPixels(folder, made)
+    pixels.notes += notes + _header_notes(folder, made, description.fps)
+    pixels.attributes = _attributes(folder, made)
+    return Sequence(folder, description, pixels)
+
+
+def _settle_colors(folder: Path, made: FolderSettings) -> list[str]:
+    """Take the encoding of colors from the headers of PNG files where the description has none. Return sentences on
+    that, and on headers that say something else than the description."""
+    notes = []
+    for kind, name in (("rendered", "color"), ("ground_truth", "truth")):
+        frame = next((one for one in made.frames.values() if one.entry.kind == kind), None)
+        if frame is None:
+            continue
+        one: ColorBuffer = getattr(made, name)
+        file, found = one.buffer.file(frame.number), read_png_colors(one.buffer.path(folder, frame.number))
+        if found.transfer and not one.told and found.contradicts("linear", 1.0):
+            setattr(made, name, replace(one, encoding=found.transfer, gamma=found.gamma))
+            notes.append(f'{file}: the header says {found.words}, which is used ("encoding" would be used instead)')
+        elif found.profile or (one.told and found.contradicts(one.encoding, one.gamma)):
+            notes.append(f"{file}: the header says {found.words}; colors are read as {one.encoding}, as described")
+    return notes
+
+
+def _first(made: FolderSettings) -> list[_Frame]:
+    """Return a rendered frame with motion, if there is one, and the last rendered frame."""
+    rendered = [one for one in made.frames.values() if one.entry.kind == "rendered"]
+    return [next((one for one in rendered if one.before), rendered[0]), rendered[-1]] if rendered else []
+
+
+def _header_notes(folder: Path, made: FolderSettings, fps: float) -> list[str]:
+    notes = []
+    for frame in _first(made)[:1]:
+        for name in _BUFFERS:
+            buffer: Buffer = getattr(made, name).buffer
+            exact = buffer.channels if name != "color" else ()
+            for text in header_notes(
+                buffer.path(folder, frame.number), buffer.file(frame.number), exact, buffer.view, fps
+            ):
+                if text not in notes:
+                    notes.append(text)
+    return notes
+
+
+def _attributes(folder: Path, made: FolderSettings) -> dict[str, Any]:
+    """Return attributes of the colors' headers that new frames get as well."""
+    frames, buffer = _first(made), made.color.buffer
+    if not frames:
+        return {}
+    first, last = (buffer.path(folder, frame.number) for frame in frames)
+    return header_attributes(first, last, buffer.channels, buffer.view)
+
+
+def _settle_view(folder: Path, made: FolderSettings) -> list[str]:
+    """Take all buffers from one view of a stereo camera, "view" of the JSON or that of the files with fewest of them.
+    Return a sentence that names it. Raises GffeError if the files have none in common."""
+    frame = next((one for one in made.frames.values() if one.before), None) or next(iter(made.frames.values()))
+    held = {}
+    for name in _BUFFERS:
+        buffer = getattr(made, name).buffer
+        if views := views_of(buffer.path(folder, frame.number), buffer.file(frame.number)):
+            held[name] = views
+    if not held:
+        if made.view:
+            raise GffeError(f"{FILE_NAME}, view: the files hold no views, got {shown(made.view)}")
+        return []
+    common = [view for view in min(held.values(), key=len) if all(view in views for views in held.values())]
+    if made.view in common or (common and not made.view):
+        chosen = made.view or common[0]
+    else:
+        listed = "; ".join(f"{name} of {', '.join(views)}" for name, views in held.items())
+        raise GffeError(f"{FILE_NAME}: no view {made.view or 'is that'} of all buffers (the files hold {listed})")
+    for name in (*_BUFFERS, "truth"):
+        one = getattr(made, name)
+        setattr(made, name, replace(one, buffer=replace(one.buffer, view=chosen)))
+    several = sorted({view for views in held.values() for view in views})
+    return [f"{folder}: the files hold the views {', '.join(several)}; {chosen} is used"] if len(several) > 1 else []
 
 
 class FolderPixels(ForeignPixels):
@@ -97,6 +179,9 @@ class FolderPixels(ForeignPixels):
     def __init__(self, folder: Path, made: FolderSettings):
         super().__init__()
         self._folder, self.settings = folder, made
+        self.notes += [f"{folder}: {made.gaps}"] if made.gaps else []
+        ranges = (made.depth.range_note(one.camera) for one in made.frames.values() if one.camera)
+        self.notes += [note for note in ranges if note][:1]
 
     def rendered(self, entry, size):
         frame = self.settings.frames[entry.file]
@@ -152,12 +237,14 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSe
         parse_motion(keys.take("motion")),
         rules,
         {},
+        keys.text("view"),
     )
     frames = list(_frames(keys.take("frames"), fps))
     keys.done()
     if listed is not None and (not isinstance(listed, list) or len(listed) != len(frames)):
         raise GffeError(f"camera, list must have a camera for each of the {len(frames)} frames")
     previous = None
+    made.gaps = mark_gaps([(number, entry) for number, entry, _ in frames])
     for index, (number, entry, camera) in enumerate(frames):
         label = f"{FILE_NAME}, frame {number}, camera"
         if camera is None and listed is not None:
@@ -233,6 +320,6 @@ def _frame(given: Any, index: int) -> tuple[int, FrameEntry, Any]:
 
 
 def _number(value: Any, what: str) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MOST_NUMBER:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MOST_NUMBER:
         return value
-    raise GffeError(f"{what} must be a whole number from 0 to {_MOST_NUMBER}, got {shown(value)}")
+    raise GffeError(f"{what} must be a whole number from {-_MOST_NUMBER} to {_MOST_NUMBER}, got {shown(value)}")

@@ -16,9 +16,10 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import open_regular, require_moderate
 from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.formats.png import MAGIC as PNG_MAGIC
-from gffe_cl.formats.png import read_png, read_png_header
-from gffe_cl.sequence.exr import decoded, require_parts
+from gffe_cl.formats.png import read_png, read_png_colors, read_png_header
+from gffe_cl.sequence.exr import decoded, place_of, require_parts
 from gffe_cl.sequence.exr_layout import ExrHeader, read_header
+from gffe_cl.sequence.header_attributes import carried, reported
 
 Size = tuple[int, int]
 _EXR_MAGIC, _NPY_MAGIC, _ZIP_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"PK\x03\x04"
@@ -26,26 +27,63 @@ _RGBA = {"R": 0, "G": 1, "B": 2, "A": 3}
 _MOST_HEADER = 1 << 16
 
 
-def read_planes(path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None) -> np.ndarray:
-    """Channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ file.
+def read_planes(
+    path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
+) -> np.ndarray:
+    """Channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ file,
+    `view` that of an EXR file with several.
 
     Of PNG the channels are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first
     four. GffeError, beginning with `label`, for a missing file or channel, another size than `size`, and damage.
     """
-    return _read(path, names, label, size, array, decode=True)
+    return _read(path, names, label, size, array, view, decode=True)
 
 
-def check_planes(path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None) -> None:
+def check_planes(
+    path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
+) -> None:
     """Check as `read_planes`, by headers only: no pixel is decoded."""
-    _read(path, names, label, size, array, decode=False)
+    _read(path, names, label, size, array, view, decode=False)
 
 
-def _read(path, names, label, size, array, decode) -> Any:
+def views_of(path: Path, label: str) -> list[str]:
+    """Return the views of an EXR file, those with most channels first; nothing of files of other kinds or without."""
+    header = _exr_header(path, label)
+    return header.views if header else []
+
+
+def header_notes(path: Path, label: str, exact: Ordered[str], view: str | None, fps: float) -> list[str]:
+    """Return sentences about what the header of an EXR file says and nothing here can use. `exact`: channels that hold
+    depth or motion; `fps`: as the description has it."""
+    header = _exr_header(path, label)
+    return reported(header, label, _places(header, exact, label, view), fps) if header else []
+
+
+def header_attributes(first: Path, last: Path, names: Ordered[str], view: str | None) -> dict[str, Any]:
+    """Return attributes of the color channels `names` in the files of the first and the last frame that new frames get
+    as well; also the primaries of PNG files."""
+    header, later = _exr_header(first, first.name), _exr_header(last, last.name)
+    if header is None or later is None:
+        primaries = read_png_colors(first).chromaticities
+        return {"chromaticities": primaries} if primaries else {}
+    return carried(header, _places(header, names, first.name, view)[0][0], later, view)
+
+
+def _exr_header(path: Path, label: str) -> ExrHeader | None:
+    try:
+        with open_regular(path) as file:
+            is_exr = file.read(8).startswith(_EXR_MAGIC)
+    except OSError:
+        return None
+    return read_header(path, label) if is_exr else None
+
+
+def _read(path, names, label, size, array, view, decode) -> Any:
     try:
         with open_regular(path) as file:
             start = file.read(8)
         if start.startswith(_EXR_MAGIC):
-            return _exr(path, names, label, size, decode)
+            return _exr(path, names, label, size, view, decode)
         if start == PNG_MAGIC:
             return _png(path, names, label, size, decode)
         if start.startswith(_NPY_MAGIC):
@@ -59,19 +97,19 @@ def _read(path, names, label, size, array, decode) -> Any:
     raise GffeError(f"{label}: not an EXR, PNG, NPY or NPZ file")
 
 
-def _exr(path, names, label, size, decode):
+def _exr(path, names, label, size, view, decode):
     header = read_header(path, label)
-    places = _places(header, names, label)
+    places = _places(header, names, label, view)
     require_parts(header, {part for part, _ in places}, size, label)
     return np.stack(decoded(path, header, places, label), -1) if decode else None
 
 
-def _places(header: ExrHeader, names, label) -> list[Place]:
+def _places(header: ExrHeader, names, label, view) -> list[Place]:
     """Where channels are, by their whole name, or by `part.name`; of files with a single channel that one."""
-    layers, places = layers_of(header), []
+    layers, places = layers_of(header, view), []
     for name in names:
         layer, _, component = name.rpartition(".")
-        place = layers.get(layer, {}).get(component) or header.find(name)
+        place = (layers.get(layer, {}).get(component) if layer else None) or place_of(header, name, label, view)
         if place is None and len(header.channels) == 1:
             place = (0, header.channels[0])
         if place is None:

@@ -56,7 +56,10 @@ def import_capture(
         raise GffeError(f"{sequence.path}: neither rendered frames nor ground truth to import")
     report, names = ImportReport(), {entry.file for entry in sequence.frames}
     fps, size = sequence.fps / every, (sequence.width, sequence.height)
-    writing = SequenceWriter(output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression)
+    writing = SequenceWriter(
+        output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression,
+        attributes=sequence.attributes,
+    )  # fmt: skip
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every, encoding):
             entry = _fitted(entry, encoding)

@@ -30,7 +30,11 @@ class Keys:
         value = self.take(key)
         return default if value is None else require_number(value, f"{self.label}, {key}")
 
-    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
+    @overload
+    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]: ...
+    @overload
+    def numbers(self, key: str, count: int, default: None) -> tuple[float, ...] | None: ...
+    def numbers(self, key: str, count: int, default: tuple[float, ...] | None) -> tuple[float, ...] | None:
         """`count` numbers; a single one stands for all of them."""
         value = self.take(key)
         if value is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import is_long
 
 _SAME_SURFACE = 0.05  # relative depth
 _STEPS = 6  # of the fixed-point iteration that inverts flow
@@ -42,6 +43,7 @@ def inverted_flow(
     What no flow leads to came into view: it moves as what stands still.
     """
     still, expected = static_motion(depth, camera, camera_before)
+    flow = without_long(flow)
     motion = _splatted(flow, _depth_seen(depth_before, camera_before, camera, flow), depth)
     known = np.asarray(np.isfinite(motion).all(-1))
     motion = np.where(known[..., None], motion, still)
@@ -65,12 +67,20 @@ def composed(
     until there, else on as it did.
     """
     still, depth_still = static_motion(depth, camera, camera_between)
+    motion, between = without_long(motion), without_long(between)
     found, fits = sampled(between, depth_between, motion, depth_still)
     with np.errstate(invalid="ignore"):
         stands = np.linalg.norm(motion - still, axis=-1) <= 1
     whole, _ = static_motion(depth, camera, before)
     hidden = np.where(stands[..., None] & np.isfinite(whole), whole, motion * (steps + 1) / steps)
     return np.where(fits[..., None], motion + found, hidden).astype(np.float32)
+
+
+def without_long(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (H, W, 2) with NaN in place of those as long as the image's diagonal, which were never written and
+    must not be mixed with others."""
+    long = is_long(vectors)
+    return np.where(long[..., None], vectors.dtype.type(np.nan), vectors) if long.any() else vectors
 
 
 def sampled(

@@ -7,18 +7,43 @@ Layout: https://www.w3.org/TR/png-3/
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 
-from gffe_cl.core.errors import GffeError
+from gffe_cl.core.errors import GffeError, printable
 from gffe_cl.core.files import open_regular
 
 MAGIC = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: ("Y",), 2: ("R", "G", "B"), 3: ("R", "G", "B", "A"), 4: ("Y", "A"), 6: ("R", "G", "B", "A")}
 _PALETTE = 3
+_MOST_CHUNKS, _MOST_CHUNK = 1000, 1 << 16  # before the pixels
+_NEAR_GAMMA, _NEAR_CHROMATICITY = 0.1, 2e-3
+_TRANSFERS = {8: "linear", 13: "srgb", 1: "BT.709", 16: "PQ", 18: "HLG"}  # of cICP, by ITU-T H.273
+_SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+
+
+class PngColors(NamedTuple):
+    """What a PNG's header says about its colors: `transfer` "linear", "srgb" or "gamma" with `gamma`, None if nothing;
+    `words` for messages; `chromaticities` as in EXR headers: x, y of red, green, blue and white; and whether there is
+    a `profile` that nothing here applies."""
+
+    transfer: str | None = None
+    gamma: float = 1.0
+    words: str = ""
+    chromaticities: tuple[float, ...] | None = None
+    profile: bool = False
+
+    def contradicts(self, encoding: str, gamma: float) -> bool:
+        """Return whether colors are stored in another way than by this `encoding`."""
+        if self.transfer is None:
+            return False
+        powers = {"linear": 1.0, "srgb": 2.2, "gamma": gamma}
+        mine = self.gamma if self.transfer == "gamma" else powers[self.transfer]
+        return abs(mine - powers[encoding]) > _NEAR_GAMMA
 
 
 class PngHeader(NamedTuple):
@@ -42,6 +67,52 @@ def read_png_header(path: Path, label: str) -> PngHeader:
     if kind not in _CHANNELS or bits not in (1, 2, 4, 8, 16) or not (width and height):
         raise GffeError(f"{label}: damaged PNG header")
     return PngHeader(width, height, bits, kind)
+
+
+def read_png_colors(path: Path) -> PngColors:
+    """Return what the header of a PNG says about its colors; nothing for files of other kinds."""
+    try:
+        with open_regular(path) as file:
+            chunks = dict(_chunks(file))
+    except OSError:
+        return PngColors()
+    given = chunks.get(b"cHRM", b"")
+    chromaticities = None
+    if len(given) >= 32:
+        numbers = [n / 1e5 for n in struct.unpack(">8I", given[:32])]
+        chromaticities = (*numbers[2:], *numbers[:2])
+        if np.abs(np.subtract(chromaticities, _SRGB)).max() < _NEAR_CHROMATICITY or max(numbers) > 1:
+            chromaticities = None  # as of every file without
+    if len(coded := chunks.get(b"cICP", b"")) >= 4:
+        transfer = _TRANSFERS.get(coded[1], f"curve {coded[1]}")
+        known = transfer in ("linear", "srgb")
+        return PngColors(transfer if known else None, 1.0, f"cICP: {transfer}", chromaticities, not known)
+    if b"sRGB" in chunks:
+        return PngColors("srgb", 1.0, "sRGB", chromaticities)
+    if b"iCCP" in chunks:
+        name = printable(chunks[b"iCCP"].split(b"\0")[0].decode("latin-1")[:80])
+        if "srgb" in name.lower() and "linear" not in name.lower():
+            return PngColors("srgb", 1.0, f"profile {name}", chromaticities)
+        return PngColors(None, 1.0, f"profile {name}", chromaticities, True)
+    if len(gamma := chunks.get(b"gAMA", b"")) >= 4 and (power := struct.unpack(">I", gamma[:4])[0]):
+        if abs(1e5 / power - 1) <= _NEAR_GAMMA:
+            return PngColors("linear", 1.0, f"gAMA: {power / 1e5:g}", chromaticities)
+        return PngColors("gamma", 1e5 / power, f"gAMA: {power / 1e5:g}", chromaticities)
+    return PngColors(chromaticities=chromaticities)
+
+
+def _chunks(file) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the chunks before the pixels, by their names, with their first bytes."""
+    if file.read(8) != MAGIC:
+        return
+    for _ in range(_MOST_CHUNKS):
+        start = file.read(8)
+        if len(start) < 8 or start[4:] in (b"IDAT", b"IEND"):
+            return
+        (length,) = struct.unpack(">I", start[:4])
+        data = file.read(min(length, _MOST_CHUNK))
+        yield start[4:], data
+        file.seek(length - len(data) + 4, 1)
 
 
 def read_png(path: Path, header: PngHeader, label: str) -> np.ndarray:

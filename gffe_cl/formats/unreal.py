@@ -6,7 +6,6 @@ depth is planar or along the rays: what stands still tells, reprojected.
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,18 +15,19 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.formats.capture import MOST_FRAMES, described, shown_part, through_window
 from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.formats.motion_conversion import static_motion
+from gffe_cl.formats.numbering import missing_numbers, number_of, visible_files
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import depth_from_distance, motion_from_unreal
 from gffe_cl.sequence.description import FrameEntry
-from gffe_cl.sequence.exr import decoded, require_parts
-from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.exr import decoded, require_parts, view_note
+from gffe_cl.sequence.exr_layout import ExrHeader, ExrPart, HeaderReader, read_header
+from gffe_cl.sequence.header_attributes import carried, frame_rate, reported
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 
 SKY = 1e7  # centimeters: 100 km
 _HALF_MAX = 65504.0  # depth stored as half ends there
 _CAMERA, _LAYER_DATA = "unreal/camera/", "unreal/layerData/"  # of Movie Render Queue, and of its newer graph
-_NAME = re.compile(r"(.*?)(\d+)\.exr", re.IGNORECASE | re.DOTALL)
 _FPS = 30.0
 _TRIED, _MOVED = 6, 0.5  # frames at most; least motion of the picture, pixels
 _GRID = 4  # every so many pixels
@@ -44,7 +44,7 @@ _USUAL = _Meaning(2.0, False)
 
 
 def is_unreal(folder: Path) -> bool:
-    files = sorted(folder.glob("*.exr"))
+    files = visible_files(folder, ".exr")
     if not files:
         return False
     try:
@@ -58,15 +58,17 @@ def open_unreal(folder: Path) -> Sequence:
     """Open the frames in `folder`. The headers of all files are checked, and a few frames are read to determine the
     meaning of motion and depth. Raises GffeError."""
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
+    headers = []
     size = fps = before = None
     for number, file in numbered:
         header = reader.read(folder / file, file)
         places = _places(header, file)
+        headers[1:] = [(header, places, file)]
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
         if size is None:
             x0, y0, x1, y1 = part.display_window
-            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part.texts)
+            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part)
         time = (number - numbered[0][0]) / (fps or _FPS)
         entry = FrameEntry(file, time, reset=before is None or number != before + 1)
         entry.render_camera = entry.display_camera = _camera(part.texts, size, file)
@@ -75,8 +77,13 @@ def open_unreal(folder: Path) -> Sequence:
         before = number
     assert size is not None  # of the first frame
     pixels = UnrealPixels(folder)
+    (first, color, _), (last, places, file) = headers[0], headers[-1]
+    pixels.notes += view_note(last, file) + reported(last, file, places[3:])
+    pixels.attributes = carried(first, color[0][0], last)
     if fps is None:
         pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")
+    if missing := missing_numbers((a, b) for (a, _), (b, _) in zip(numbered, numbered[1:], strict=False)):
+        pixels.notes.append(f"{folder}: {missing}")
     description = described(str(folder), size, entries, fps or _FPS)
     pixels.settle(description.frames, size)
     return Sequence(folder, description, pixels)
@@ -150,18 +157,21 @@ def _said(file: str, meaning: _Meaning, residuals: dict) -> str:
 
 def _numbered(folder: Path) -> list[tuple[int, str]]:
     """The frames' numbers and files, in order. GffeError if they are of several shots."""
-    found, shots = [], set()
-    for path in folder.glob("*.exr"):
-        match = _NAME.fullmatch(path.name)
-        if match is None:
+    found: dict[int, str] = {}
+    shots = set()
+    for path in visible_files(folder, ".exr"):
+        number = number_of(path.stem) if path.stem[-1:].isdigit() else None
+        if number is None:
             raise GffeError(f"{path.name}: no frame number in the name (expected Name.0000.exr)")
-        shots.add(match[1])
-        found.append((int(match[2][:18]), path.name))
+        shots.add(path.stem.rstrip("0123456789").removesuffix("-" if number < 0 else ""))
+        if number in found and len(shots) == 1:
+            raise GffeError(f"{path.name}: frame {number} like {found[number]} (expected one file for a frame)")
+        found[number] = path.name
     if len(shots) > 1:
         raise GffeError(f"{folder}: several shots, {', '.join(sorted(shots)[:3])} (expected one in a folder)")
     if len(found) > MOST_FRAMES:
         raise GffeError(f"{folder}: {len(found)} frames (expected at most {MOST_FRAMES})")
-    return sorted(found)
+    return sorted(found.items())
 
 
 def _places(header: ExrHeader, file: str) -> list[Place]:
@@ -211,14 +221,9 @@ def _number(texts: dict[str, str], name: str, file: str) -> float:
     raise GffeError(f"{file}: no {_CAMERA}…{name} in the header (expected the metadata of Movie Render Queue)")
 
 
-def _frame_rate(texts: dict[str, str]) -> float | None:
+def _frame_rate(part: ExrPart) -> float | None:
     """Of the standard attribute, or of Unreal's."""
     for name in ("framesPerSecond", "unreal/frameRate", "unreal/framerate"):
-        above, _, below = texts.get(name, "").partition("/")
-        try:
-            rate = float(above) / float(below or 1)
-        except (ValueError, ZeroDivisionError):
-            continue
-        if 0 < rate < 1e6:
+        if rate := frame_rate(part, name):
             return rate
     return None

@@ -25,6 +25,7 @@ LAYOUTS = ("auto", "row-major", "column-major")
 DIRECTIONS = {"to_previous": 1.0, "from_previous": -1.0}
 _ZERO = 1e-6  # of the largest entry
 _SAME = 1e-9
+_SLACK = 1e-3  # by which infinitely far planes are moved against rounding errors
 
 
 class Pinhole(NamedTuple):
@@ -190,7 +191,8 @@ def depth_from_device(
     layout : "auto", "row-major" or "column-major"
         See `Camera.from_opengl`.
     opengl_buffer : bool
-        `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1.
+        `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1. It is not used where `projection`
+        gives reversed depth from 1 to 0, which OpenGL has with `glClipControl` only.
     sky : bool
         What has the far plane's depth exactly, as a cleared buffer has, becomes infinite.
 
@@ -211,18 +213,36 @@ def depth_from_device(
     p = _perspective(p.T if chosen == 1 else p) if chosen is not None else _refuse_projection([p, p.T])
     device = require_array(z, "depth: z", ...).astype(np.float64)
     opengl_buffer, sky = require_bool(opengl_buffer, "depth: opengl_buffer"), require_bool(sky, "depth: sky")
-    a, b = p[2, 2] * np.sign(p[3, 2]), p[2, 3]  # z = a + b / depth
+    a, b = _depth_terms(p)
     if b == 0:
         raise GffeError("camera: projection gives every depth the same value (expected two planes)")
+    opengl_buffer &= not _reversed_to_zero(a, b)
     if opengl_buffer:
         device = 2 * device - 1
-    far = 1.0 if b < 0 else -1.0 if opengl_buffer or a < -0.5 else 0.0
+    far = 1.0 if b < 0 else -1.0 if opengl_buffer or a <= -1 + _SLACK else 0.0
     with np.errstate(all="ignore"):
         depth = b / (device - a)
     depth = np.where(np.isnan(device), np.nan, np.where((depth > 0) & np.isfinite(depth), depth, np.inf))
     if sky:
         depth = np.where(device == far, np.inf, depth)
     return as_float32(depth)
+
+
+def decides_depth_range(projection: np.ndarray) -> bool:
+    """Return whether a perspective projection (4, 4) for column vectors tells if depth buffers hold its device depth as
+    it is. Planes that are not reversed can be meant for 0 … 1 and for −1 … 1."""
+    return _reversed_to_zero(*_depth_terms(_perspective(projection)))
+
+
+def _depth_terms(p: np.ndarray) -> tuple[float, float]:
+    """Return a and b of device depth = a + b / depth, of a perspective projection whose w is ±z."""
+    return float(p[2, 2] * np.sign(p[3, 2])), float(p[2, 3])
+
+
+def _reversed_to_zero(a: float, b: float) -> bool:
+    """Return whether device depth a + b / depth is 1 at the near plane and about 0 far away: a = −near / (far − near).
+    From 1 to −1 it would be −1 or less."""
+    return b > 0 and -1 + _SLACK < a < _SLACK
 
 
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:

@@ -26,6 +26,8 @@ from gffe_cl.core.validation import (
 from gffe_cl.frame.camera import Camera
 
 HALF_MAX = 65504.0
+DEPTH_MOST = 1e37  # beyond, squares and products overflow: nothing is there, as with +inf
+DEPTH_LEAST = float(np.finfo(np.float32).tiny)  # below, devices disagree: denormal numbers
 SAME_POSE = 1e-6
 BYTES_PER_PIXEL = (8, 4, 8)  # of color, depth and motion on the device
 KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
@@ -157,8 +159,10 @@ class BadPixels:
 
     color: int = 0  # NaN or infinite; NaN counts as 0
     clamped: int = 0  # magnitude over 65504, clamped
-    depth: int = 0  # NaN or ≤ 0: neither splatted nor collected
+    depth: int = 0  # NaN, ≤ 0 or denormal: neither splatted nor collected
     motion: int = 0  # NaN or infinite: dynamic without history
+    far: int = 0  # depth that is finite but beyond 1e37, taken as sky
+    long: int = 0  # motion as long as the image's diagonal, which no pixel can have: taken as NaN
 
     def __add__(self, other: BadPixels) -> BadPixels:
         return BadPixels(*(getattr(self, n) + getattr(other, n) for n in self.__dataclass_fields__))
@@ -170,10 +174,31 @@ class BadPixels:
         words = {
             "color": "NaN or infinite color",
             "clamped": "color over 65504",
-            "depth": "invalid depth (NaN or ≤ 0)",
+            "depth": "invalid depth (NaN, ≤ 0 or denormal)",
             "motion": "NaN or infinite motion",
+            "far": "depth beyond 1e37, taken as sky",
+            "long": "motion longer than the image's diagonal, taken as unknown",
         }
         return ", ".join(f"{getattr(self, n)} × {text}" for n, text in words.items() if getattr(self, n))
+
+
+def wrong_geometry(depth: np.ndarray, motion: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Return which pixels are bad by depth (H, W) and motion (H, W, 2), bool (H, W) for each such field of
+    `BadPixels`."""
+    wrong = {"depth": ~(depth >= DEPTH_LEAST), "far": np.isfinite(depth) & (depth > DEPTH_MOST)}
+    if motion is None:
+        return wrong
+    finite = np.isfinite(motion).all(-1)
+    return wrong | {"motion": ~finite, "long": finite & is_long(motion)}
+
+
+def is_long(motion: np.ndarray) -> np.ndarray:
+    """Return where motion (H, W, 2) is as long as the diagonal of its image, or longer: (H, W) bool. Such vectors lead
+    out of the image from every pixel, so they were never written, or are no motion."""
+    height, width = motion.shape[:2]
+    x, y = motion[..., 0], motion[..., 1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return x * x + y * y >= np.float32(width) * np.float32(width) + np.float32(height) * np.float32(height)
 
 
 @dataclass(frozen=True)
@@ -197,8 +222,7 @@ class HostArrays:
         rgb = self.color[..., :3]
         finite = np.isfinite(rgb)
         wrong = {"color": (~finite).any(-1), "clamped": (finite & (np.abs(rgb) > HALF_MAX)).any(-1)}
-        wrong["depth"] = ~(self.depth > 0)
-        wrong["motion"] = np.zeros(1, bool) if self.motion is None else ~np.isfinite(self.motion).all(-1)
+        wrong |= wrong_geometry(self.depth, self.motion)
         return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in wrong.items()})
 
     def in_device_layout(self) -> HostArrays:

@@ -29,7 +29,7 @@ from gffe_cl.opencl.probing import (
     try_exact_division,
     try_int64_atomics,
 )
-from gffe_cl.opencl.runtimes import hide_vendors, prepare_runtimes
+from gffe_cl.opencl.runtimes import hide_vendors, prepare_runtimes, why_no_platform
 
 __all__ = [
     "HOW_TO_GET_ONE",
@@ -300,8 +300,7 @@ def open_device(wanted: str | None = None) -> Device:
 def _choose(infos: list[DeviceInfo], wanted: str | None) -> DeviceInfo:
     working = [info for info in infos if info.works]
     if not working:
-        seen = "; ".join(f"{info.name}: {info.problem}" for info in infos) or "no OpenCL platform found"
-        raise GffeError(f"no OpenCL device runs a kernel ({seen}): {HOW_TO_GET_ONE}")
+        raise none_works(infos)
     chosen = working if wanted is None else select(working, wanted)
     if not chosen:
         raise GffeError(
@@ -310,6 +309,16 @@ def _choose(infos: list[DeviceInfo], wanted: str | None) -> DeviceInfo:
             + ")"
         )
     return best_of(chosen)
+
+
+def none_works(infos: list[DeviceInfo], kind: str | None = None) -> GffeError:
+    """Return the error for devices of which none works."""
+    reason = None if infos else why_no_platform()
+    if reason:
+        return GffeError(f"no OpenCL device runs a kernel: {reason}")
+    seen = "; ".join(f"{info.name}: {info.problem}" for info in infos)
+    what = f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel"
+    return GffeError(f"{what} ({seen or 'no OpenCL platform found'}): {HOW_TO_GET_ONE}")
 
 
 def best_of(infos: list[DeviceInfo]) -> DeviceInfo:

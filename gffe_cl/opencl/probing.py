@@ -167,8 +167,15 @@ def _probe(info: DeviceInfo, device: cl.Device) -> None:
         if not device.image_support:
             info.lacks.append("images (not needed)")
     except Exception as error:  # whatever a driver throws
-        info.problem = " ".join(str(error).split())[:200] or type(error).__name__
+        info.problem = " ".join(build_log(error).split())[:200] or type(error).__name__
     print(json.dumps(asdict(info)), flush=True)
+
+
+def build_log(error: Exception) -> str:
+    """Return the compiler's words in the error of a build, without those of OpenCL and pyopencl around them."""
+    noise = ("clBuildProgram failed", "Build on", "(options:", "(source saved", "Compilation ")
+    lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith(noise)]
+    return "\n".join(lines) or str(error)
 
 
 # Arithmetic like that of GAE: four chains of additions and multiplications per pixel. CPUs get 16 pixels per work-item,

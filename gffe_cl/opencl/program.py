@@ -21,6 +21,7 @@ import pyopencl as cl
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.opencl.device import Device, quiet_builds
+from gffe_cl.opencl.probing import build_log
 from gffe_cl.opencl.program_cache import built_program
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
@@ -75,7 +76,7 @@ class Program:
             with quiet_builds():
                 built = built_program(device.context, device.cl_device, source, ("-cl-kernel-arg-info", *options))
         except cl.RuntimeError as error:
-            what, log = f"kernels/{name}.cl does not build on {device.info.name}", _log(error)
+            what, log = f"kernels/{name}.cl does not build on {device.info.name}", build_log(error)
             raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = str(built.get_info(cl.program_info.KERNEL_NAMES)).split(";")
@@ -255,9 +256,3 @@ def first_error(log: str) -> str:
     lines = log.strip().splitlines()
     errors = [line for line in lines if re.search(r"\berror\b", line)]
     return ([line for line in errors if re.search(r"\w:\d+", line)] or errors or lines or [""])[0].strip()
-
-
-def _log(error: Exception) -> str:
-    noise = ("clBuildProgram failed", "Build on", "(options:", "(source saved", "Compilation ")
-    lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith(noise)]
-    return "\n".join(lines) or str(error)

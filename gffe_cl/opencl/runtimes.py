@@ -26,6 +26,8 @@ import platformdirs
 _KEPT = "GFFE_DEVICE_CACHE"
 VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` files, or one such file
 NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub only accepts folders
+_POCL_CACHE = "POCL_CACHE_DIR"  # PoCL's variable
+_DRIVER_CACHES = ("pocl", "pyopencl", "neo_compiler_cache", "mesa_shader_cache", "mesa_shader_cache_db")
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 # libintelocl.so finds these only if they are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")
@@ -141,6 +143,24 @@ def vendors() -> list[Path]:
     return sorted(chosen.glob("*.icd")) if chosen.is_dir() else [chosen] if chosen.is_file() else []
 
 
+def why_no_platform() -> str | None:
+    """Return why the ICD loader lists no platform, where its variable or its files tell."""
+    chosen, found = os.environ.get(VENDORS), vendors()
+    if chosen and not found:
+        there = "where there is no .icd file" if Path(chosen).is_dir() else "which is not there"
+        return f"{VENDORS} is {chosen}, {there} (expected a folder of them, as {_SYSTEM_VENDORS}, or no such variable)"
+    gone = [(icd, library) for icd in found if (library := _library_of(icd)).is_absolute() and not library.exists()]
+    if gone and len(gone) == len(found):
+        return f"{gone[0][0]} names {gone[0][1]}, which is not there (expected the driver's library)"
+    return None
+
+
+def _library_of(icd: Path) -> Path:
+    with suppress(OSError, UnicodeDecodeError):
+        return Path(icd.read_text().strip())
+    return Path(icd.name)
+
+
 def only_vendors(icds: Iterable[Path]) -> Path:
     """A folder that holds these of the `.icd` files and no others, for `OCL_ICD_VENDORS`."""
     return _vendor_folder({icd.name: icd.read_text() for icd in icds})
@@ -209,15 +229,40 @@ def _has_space(path: Path) -> bool:
 
 
 def redirect_unwritable_caches() -> None:
-    """Let PoCL and pyopencl keep their caches where they can be written, for homes that cannot.
+    """Let PoCL and pyopencl keep their caches where they can be written, for homes that cannot and for folders in them
+    that belong to somebody else, as after a run with sudo.
 
     Both fail to build anything otherwise. Both look for the folder when they first need it.
     """
+    chosen = os.environ.get(_POCL_CACHE)
+    if chosen and not _can_be_written(Path(chosen)):
+        os.environ[_POCL_CACHE] = str(cache_folder() / "pocl")
+        warnings.warn(
+            f"{_POCL_CACHE} is {chosen}, which cannot be written: PoCL keeps its cache in {os.environ[_POCL_CACHE]}",
+            stacklevel=2,
+        )
     home = platformdirs.user_cache_path()
-    while not os.path.lexists(home) and home != home.parent:
-        home = home.parent
-    if not home.is_dir() or not os.access(home, os.W_OK) or str(home).startswith("/proc"):
+    if not _can_be_written(home) or not all(map(_can_be_written, _driver_folders(home))):
         os.environ["XDG_CACHE_HOME"] = str(cache_folder())
+
+
+def _can_be_written(folder: Path) -> bool:
+    """Return whether files can be made in `folder`, or if it is missing, it can."""
+    while not os.path.lexists(folder) and folder != folder.parent:
+        folder = folder.parent
+    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK) and not str(folder).startswith("/proc")
+
+
+def _driver_folders(home: Path) -> list[Path]:
+    """Return the caches of drivers in `home`, and the folders in them."""
+    found = []
+    for name in _DRIVER_CACHES:
+        folder = home / name
+        if os.path.lexists(folder):
+            found.append(folder)
+            with suppress(OSError):
+                found += [path for path in folder.iterdir() if path.is_dir()]
+    return found
 
 
 def _vendor_folder(entries: dict[str, str]) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
@@ -33,7 +33,8 @@ JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
 class Source(Protocol):
     """Rendered frames in order of time.
 
-    `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are.
+    `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
+    `attributes`: of EXR headers, which new frames get.
     """
 
     width: int
@@ -42,6 +43,7 @@ class Source(Protocol):
     fps: float
     exposure: float
     count: int
+    attributes: dict[str, Any]
 
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
         """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
@@ -74,8 +76,7 @@ class Recorded:
     from rendered to displayed size. Without a display camera, a principal point within a pixel of the center is then
     taken for jitter.
 
-    Raises GffeError for other windows than that, for a sequence without rendered frames, and for one whose rendered
-    frames have several sizes.
+    Raises GffeError for other windows than that, and for a sequence without rendered frames.
     """
 
     def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
@@ -87,7 +88,8 @@ class Recorded:
         self.sequence, self._device = sequence, device
         self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
         self.exposure, self.count = sequence.exposure, len(sequence.rendered)
-        stored = _common_render_size(sequence)
+        self.attributes = sequence.attributes
+        stored = _render_size(sequence)
         size = (self.width, self.height)
         whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
         self._cut = window == "off" and not whole
@@ -194,6 +196,7 @@ class Live:
         require_frames(count, fps)
         self.scene, self.width, self.height, self.count, self.fps = scene, width, height, count, fps
         self.exposure, self._window = scene.exposure, window
+        self.attributes: dict[str, Any] = {}
         WindowChooser(window, (width, height), [])
         self._renderer, self._jitter = jittered_renderer(device, scene, (width, height), upscale)
         self.render_size = self._renderer.width, self._renderer.height
@@ -233,14 +236,11 @@ def jittered_renderer(
     return smaller_renderer(device, scene, size, upscale, samples or 1), Jitter(JITTER_LENGTH)
 
 
-def _common_render_size(sequence: Sequence) -> tuple[int, int]:
-    sizes = {sequence.size_of(entry): entry for entry in sequence.rendered}
-    if not sizes:
+def _render_size(sequence: Sequence) -> tuple[int, int]:
+    """Return the size of the rendered frames, which have one."""
+    if not sequence.rendered:
         raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
-    if len(sizes) > 1:
-        entries = [f"{e.file} is {w}×{h}" for (w, h), e in sizes.items()]
-        raise GffeError(f"{sequence.path}: rendered frames must have one size ({', '.join(entries[:2])})")
-    return next(iter(sizes))
+    return sequence.size_of(sequence.rendered[0])
 
 
 def _numbers(entries: list[FrameEntry]) -> list[str]:

@@ -8,7 +8,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -195,6 +195,19 @@ def check_times(frames: list[FrameEntry], name: str = FILE_NAME) -> None:
             last["given"] = entry.time
 
 
+def require_one_size(frames: Iterable[FrameEntry], size: tuple[int, int], label: str) -> None:
+    """Raise GffeError, beginning with `label`, unless the rendered ones of `frames` have one size. `size`: of the
+    display, which those without a size have."""
+    first: dict[tuple[int, int], FrameEntry] = {}
+    for entry in frames:
+        if entry.kind == "rendered":
+            width, height = entry.render_size or size
+            first.setdefault((width, height), entry)
+    if len(first) > 1:
+        sizes = [f"{entry.file} is {width}×{height}" for (width, height), entry in first.items()]
+        raise GffeError(f"{label}: rendered frames must have one size ({', '.join(sizes[:2])})")
+
+
 def check_file_name(file, label: str) -> str:
     """`file`, as Python calls it on disk, if it is a relative path inside the sequence's folder, else GffeError."""
     if isinstance(file, str) and _PLAIN_NAME.fullmatch(file) and file != FILE_NAME:
@@ -236,13 +249,14 @@ def _on_disk(name: str) -> str | None:
 
 
 def read_text(path: Path, most: int = _MAX_BYTES) -> str:
-    """Text of a `sequence.json`; GffeError if it cannot be read or has more than `most` bytes."""
+    """Text of a `sequence.json` in UTF-8, also after a byte order mark; GffeError if it cannot be read or has more than
+    `most` bytes."""
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size
             if size > most:
                 raise GffeError(f"{path}: {size} bytes (expected a {path.name} of at most {most})")
-            return file.read().decode("utf-8")
+            return file.read().decode("utf-8-sig")
     except FileNotFoundError:
         raise GffeError(f"{path.parent}: no {path.name} in this folder") from None
     except OSError as error:

@@ -73,11 +73,31 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
 
 
+def place_of(header: ExrHeader, name: str, label: str, view: str | None = None) -> tuple[int, str] | None:
+    """Return (part, channel) of the channel `name` in one view of a file, None if there is none. Raises GffeError if
+    several parts have one."""
+    places = header.candidates(name, view)
+    if len(places) > 1:
+        parts = [header.parts[index].name or f"number {index}" for index, _ in places]
+        raise GffeError(
+            f"{label}: channel '{name}' is in the parts {_one_line(', '.join(parts[:6]))}"
+            f" (expected part.channel, as in {_one_line(parts[-1])}.{name})"
+        )
+    return places[0] if places else None
+
+
+def view_note(header: ExrHeader, label: str, view: str | None = None) -> list[str]:
+    """Return a sentence about the view that is used of a file with several; nothing of others."""
+    if len(header.views) < 2:
+        return []
+    return [f"{label}: holds the views {_one_line(', '.join(sorted(header.views)))}; {view or header.views[0]} is used"]
+
+
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
-    """(part, channel) for each of `names`; GffeError for the first that is not there."""
+    """(part, channel) for each of `names`; GffeError for the first that is not there, or in several parts."""
     places = []
     for name in names:
-        place = header.find(name)
+        place = place_of(header, name, label)
         if place is None:
             held = _one_line(", ".join(header.channels[:12])) + (", …" if len(header.channels) > 12 else "")
             raise GffeError(f"{label}: no channel '{name}' (expected {', '.join(names)}; the file holds {held})")
@@ -91,8 +111,13 @@ def require_size(header: ExrHeader, names, size, label: str) -> None:
 
 
 def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
-    """As `require_size`, for parts by their numbers."""
-    for index in indices:
+    """As `require_size`, for parts by their numbers, which must lie in one place."""
+    indices = set(indices)
+    if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
+        windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))
+        if len({header.parts[index].size for index in indices}) == 1:
+            raise GffeError(f"{label}: the parts {windows} have several data windows (expected one)")
+    for index in sorted(indices):
         part = header.parts[index]
         if part.subsampled:
             raise GffeError(f"{label}: subsampled channels are not supported")
@@ -161,7 +186,7 @@ def write_channels(
             contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
             with _counted():
                 OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
-        except RuntimeError as error:
+        except (RuntimeError, ValueError, TypeError) as error:
             code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
             raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None
         try:  # the library does not notice when the last bytes do not reach the disk

@@ -13,7 +13,7 @@ import struct
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
 _NUMBERS = {"int": "i", "float": "f", "double": "d", "rational": "iI"}
+_TUPLES = {"chromaticities": "8f", "v2f": "2f", "v3f": "3f"}
 _PIXEL_TYPES = ("uint32", "float16", "float32")
 
 
@@ -49,6 +50,8 @@ class ExrPart:
     deep: bool = False
     matrices: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name → type, bytes; see `matrix`
     texts: dict[str, str] = field(default_factory=dict)  # other attributes of text and numbers, by name
+    attributes: dict[str, Any] = field(default_factory=dict)  # text, number or tuple of numbers, by name
+    views: tuple[str, ...] = ()  # of channels that name their view: the first one is that of plain channels
 
     @property
     def size(self) -> tuple[int, int]:
@@ -80,20 +83,66 @@ class ExrHeader:
         counts = map(_chunk_count, self.parts)
         return [None if n is None else struct.Struct(f"<{n if n >= 0 else _TOO_MANY}Q") for n in counts]
 
-    def find(self, channel: str) -> tuple[int, str] | None:
-        """(part, name there) of a channel: the first part that has it; `part.channel` names a part's own."""
+    @cached_property
+    def views(self) -> list[str]:
+        """The views in the file, as of a stereo camera: those with most channels first, of equals in their order."""
+        if not any(part.views or "view" in part.texts for part in self.parts):
+            return []
+        counts = {view: 0 for part in self.parts for view in part.views}
+        for part in self.parts:
+            for channel in part.channels:
+                view = _view_of(part, channel)[0]
+                if view is not None:
+                    counts[view] = counts.get(view, 0) + 1
+        return sorted(filter(counts.__getitem__, counts), key=lambda view: -counts[view])
+
+    def seen(self, view: str | None = None) -> list[tuple[int, str, str]]:
+        """Return (part, channel, name without its view) of the channels of one view and of those of none. The default
+        is the first of `views`."""
+        chosen, found = view or next(iter(self.views), None), []
         for index, part in enumerate(self.parts):
-            if channel in part.channels:
-                return index, channel
+            for channel in part.channels:
+                owner, name = _view_of(part, channel)
+                if owner in (None, chosen):
+                    found.append((index, channel, name))
+        return found
+
+    def candidates(self, channel: str, view: str | None = None) -> list[tuple[int, str]]:
+        """Return (part, name there) of all channels that are called so in one view; `part.channel` names a part's own,
+        and whole names those of other views."""
+        if not self.views:
+            found = [(index, channel) for index, part in enumerate(self.parts) if channel in part.channels]
+        else:
+            found = [(index, name) for index, name, plain in self.seen(view) if plain == channel]
+        if found:
+            return found
         for index, part in enumerate(self.parts):
             name = channel.removeprefix(part.name + ".")
             if part.name and name != channel and name in part.channels:
-                return index, name
-        return None
+                return [(index, name)]
+        return [(index, channel) for index, part in enumerate(self.parts) if channel in part.channels][:1]
+
+    def find(self, channel: str, view: str | None = None) -> tuple[int, str] | None:
+        """Return the first of `candidates`, None if there are none."""
+        return next(iter(self.candidates(channel, view)), None)
 
     @property
     def channels(self) -> list[str]:
         return [name for part in self.parts for name in part.channels]
+
+
+def _view_of(part: ExrPart, channel: str) -> tuple[str | None, str]:
+    """Return the view of a channel, None if it is of none, and the channel's name without it: a part has the attribute
+    `view`, or `multiView` lists those that stand before the last word of names, as in left.R."""
+    own = part.texts.get("view")
+    *layers, name = channel.split(".")
+    if own or not part.views:
+        return own or None, channel
+    if not layers:
+        return part.views[0], channel
+    if layers[-1] in part.views:
+        return layers[-1], ".".join((*layers[:-1], name))
+    return None, channel
 
 
 class _Short(Exception):
@@ -283,10 +332,19 @@ def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
                 start = cursor.position - size
                 part.matrices[name] = (form, values)
                 spans.append(_Span(index, name, form, start, start + len(values)))
+            elif (name, form) == ("multiView", "stringvector"):
+                part.views = _parse_texts(value)
             elif form == "string":
-                part.texts[name] = value.data.decode("utf-8", "replace")
+                part.texts[name] = part.attributes[name] = value.data.decode("utf-8", "replace")
             elif form in _NUMBERS:
-                part.texts[name] = "/".join(map(str, value.unpack(_NUMBERS[form])))
+                numbers = value.unpack(_NUMBERS[form])
+                part.texts[name] = "/".join(map(str, numbers))
+                if len(numbers) == 1:
+                    part.attributes[name] = numbers[0]
+            elif form in _TUPLES:
+                part.attributes[name] = value.unpack(_TUPLES[form])
+            elif form == "envmap":
+                part.attributes[name] = value.take(1)[0]
         except _Short:
             raise ValueError from None
         name = cursor.text()
@@ -305,6 +363,16 @@ def _parse_channels(value, part):
         if len(part.channels) > _MOST_CHANNELS:
             raise ValueError(f"expected at most {_MOST_CHANNELS} channels")
         name = value.text()
+
+
+def _parse_texts(value: _Cursor) -> tuple[str, ...]:
+    found = []
+    while value.position < len(value.data):
+        (length,) = value.unpack("i")
+        if length < 0:
+            raise ValueError
+        found.append(value.take(length).decode("utf-8", "replace"))
+    return tuple(found)
 
 
 def _chunk_count(part: ExrPart) -> int | None:

@@ -32,9 +32,11 @@ from gffe_cl.sequence.description import (
     frame_label,
     parse_description,
     read_text,
+    require_one_size,
     without_collections,
 )
-from gffe_cl.sequence.exr_layout import HeaderReader
+from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader
+from gffe_cl.sequence.header_attributes import carried, reported
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.output_folder import why_unfinished
@@ -67,11 +69,12 @@ class Sequence:
     Raises
     ------
     GffeError
-        By methods: for arguments of other types, for files that changed for the worse since opening, and for frames
-        of another kind than expected.
+        If rendered frames have several sizes. By methods: for arguments of other types, for files that changed for the
+        worse since opening, and for frames of another kind than expected.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):
+        require_one_size(description.frames, (description.width, description.height), str(path))
         self.path, self._pixels = path, pixels
         self.width, self.height = description.width, description.height
         self.fps, self.exposure = description.fps, description.exposure
@@ -130,6 +133,16 @@ class Sequence:
     def settings(self) -> Any:
         """Return the buffers' part of the capture's description, for formats with an editable one; or None."""
         return self._pixels.settings
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Return attributes of EXR headers that frames made of these get as well, such as the colors' primaries."""
+        return dict(self._pixels.attributes)
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what the reader of the capture's form remarked when it was opened."""
+        return [printable(text) for text in self._pixels.notes]
 
     def rendered_before(self, time: float) -> int | None:
         """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
@@ -259,8 +272,11 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
 
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()
+    rendered: list[tuple[ExrHeader, str]] = []  # the headers of rendered frames, and their files
     for index, entry in enumerate(description.frames):
         header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
+        if entry.kind == "rendered":
+            rendered[1:] = [(header, entry.file)]
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
@@ -272,7 +288,15 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
                 require_whole_overlays(header, entry.file, size == (description.width, description.height))
         if header.layout:
             passed.add(alike)
-    return Sequence(folder, description, OwnPixels(folder))
+    pixels = OwnPixels(folder)
+    if rendered:
+        (first, _), (last, file) = rendered[0], rendered[-1]
+        exact = [place for name in ("Z", *MOTION) if (place := last.find(name))]
+        pixels.notes += exr.view_note(last, file) + reported(last, file, exact, description.fps)
+        color = first.find("R")
+        assert color is not None  # as checked
+        pixels.attributes = carried(first, color[0], last)
+    return Sequence(folder, description, pixels)
 
 
 def _check_channels(entry, header):
@@ -282,7 +306,7 @@ def _check_channels(entry, header):
     # Half a motion vector is a fault even where none is allowed.
     names = RENDERED if not entry.reset or any(header.find(n) for n in MOTION) else RENDERED[:4]
     for name in names:
-        if header.find(name) is None:
+        if exr.place_of(header, name, entry.file) is None:
             needed = f"rendered frames need {', '.join(RENDERED)}"
             raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +37,7 @@ from gffe_cl.sequence.description import (
     checked_entry,
     describe,
     parse_description,
+    require_one_size,
 )
 from gffe_cl.sequence.header_camera import camera_attributes
 from gffe_cl.sequence.output_folder import GENERATOR, OutputFolder
@@ -63,6 +65,8 @@ class SequenceWriter:
         frames than that are under way.
     generator : str
         Who writes; only an earlier output of the same generator is replaced.
+    attributes : dict or None
+        Further attributes of the EXRs' headers, such as `Sequence.attributes`.
     compression : str
         Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
@@ -87,6 +91,7 @@ class SequenceWriter:
         threads: int | None = None,
         generator: str = GENERATOR,
         compression: str = exr.DEFAULT_COMPRESSION,
+        attributes: dict[str, Any] | None = None,
     ):
         self.path = require_path(path, "writer: path")
         size = require_size((width, height), "writer: width and height", whole=True)
@@ -103,6 +108,8 @@ class SequenceWriter:
         )
         self._pool: ThreadPoolExecutor | None = None
         self._kept: str | None = None
+        self._further = dict(require_kind(attributes or {}, dict, "writer: attributes", "a dict or None"))
+        self._size, self._first = size, None  # of the display; the first rendered frame
 
     def __enter__(self) -> SequenceWriter:
         self._folder.open()
@@ -124,10 +131,16 @@ class SequenceWriter:
         if entry.kind == "rendered" and entry.render_camera is None:
             raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
         width, height = self._size_of(entry)
+        if entry.kind == "rendered":
+            self._first = self._first or entry
+            require_one_size((self._first, entry), self._size, str(self.path))
         for name, array in channels.items():
             require_array(array, f"{entry.file}: channel '{name}'", height, width, kinds="biuf")
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
-        attributes, nbytes = self._attributes(entry), sum(np.asarray(array).nbytes for array in given.values())
+        attributes, nbytes = (
+            self._further | self._attributes(entry),
+            sum(np.asarray(array).nbytes for array in given.values()),
+        )
 
         def write(path: Path) -> None:
             stored = {name: exr.stored_type(name, given.pop(name), copy=False) for name in list(given)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Container, Mapping
+from dataclasses import fields
 
 import numpy as np
 import pyopencl as cl
@@ -15,6 +16,8 @@ from gffe_cl.stages.host_view import pinned_array
 
 _MOST_BYTES = 28  # per pixel: color float × 4, depth float, motion float × 2
 _PLACES = 2  # that the host fills in turn
+
+_KINDS = len(fields(BadPixels))
 
 
 class Upload(Stage):
@@ -35,7 +38,7 @@ class Upload(Stage):
         ),
         BufferSpec(
             "bad_pixels", np.uint8, (), "runs",
-            "bad pixels in runs of 31 or 248: colors that are not finite, clamped colors, depths, motion", planes=4,
+            "bad pixels in runs of 31 or 248, by the fields of `BadPixels`", planes=_KINDS,
             scratch=True,
         ),
     )  # fmt: skip
@@ -57,7 +60,7 @@ class Upload(Stage):
             {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
-                "bad_pixels": Access("upload.bad_pixels", planes=2),
+                "bad_pixels": Access("upload.bad_pixels", planes=4),
             },
             step=("LANES", 1),
         ),
@@ -145,7 +148,7 @@ class Upload(Stage):
     def _add_oldest(self) -> None:
         counts, event = self._counts.pop(0)
         event.wait()
-        self._bad += BadPixels(*counts.reshape(4, -1).sum(1, dtype=np.int64).tolist())
+        self._bad += BadPixels(*counts.reshape(_KINDS, -1).sum(1, dtype=np.int64).tolist())
 
     def _in_memory(self, array: np.ndarray) -> tuple[cl.Buffer, int]:
         """Return the array where it is, for kernels to read, and at which of its values it begins.

@@ -67,7 +67,7 @@ def unwritten(share, value):
 def test_vectors_that_nobody_wrote_are_a_note(share, value):
     diagnosis, frames = repaired(unwritten(share, value))
     (note,) = diagnosis.findings
-    assert (note.kind, note.id) == ("note", "motion-unknown") and f"({value}, {value}) px" in note.sentence
+    assert (note.kind, note.id) == ("note", "motion-never-written") and f"({value}, {value} px)" in note.sentence
     assert note.figures["share"] == pytest.approx(share, rel=0.2)
     np.testing.assert_array_equal(motion_of(frames), motion_of(unwritten(share, value).images))
 

@@ -223,3 +223,12 @@ def test_the_viewer_and_bench_take_it(tmp_path):
     source.close()
     footage = sequence_footage(None, open_capture(folder))
     assert len(footage.frames) == 3 and footage.cameras[1].intrinsics == shots()[3].camera.intrinsics
+
+
+def test_a_frame_that_is_missing_is_a_gap(tmp_path):
+    """Its number and its time are missing: the vectors of the next one lead to it."""
+    folder = write_blender(tmp_path, shots(count=5))
+    edit_json(folder / "cameras.json", lambda said: said["frames"].pop(4))
+    sequence = open_capture(folder)
+    assert [entry.reset for entry in sequence.rendered] == [True, False, True, False]
+    assert sequence.notes == [f"{folder}: frame 4 is missing: the next frame is a reset"]

@@ -12,6 +12,7 @@ from PIL import Image
 from test_formats_images import png
 
 from gffe_cl import Camera, GffeError, open_capture
+from gffe_cl.formats.motion_conversion import static_motion
 
 NEAR, FAR = 0.05, 400.0
 DOCS = Path(__file__).parents[2] / "docs"
@@ -430,6 +431,152 @@ def test_examples_of_the_documentation(tmp_path, number):
     assert len(sequence.frames) == len(numbers) and len(EXAMPLES) >= 5
     for entry in sequence.ground_truth:
         assert sequence.read_color(entry).shape == (9, 16, 3)
+
+
+def with_last_number(folder, number, **parts):
+    """The frames 3, 4 and 5, the last of them with another number."""
+    write(folder)
+    for path in (*folder.glob("*_0005.exr"), *folder.glob("*_5.npy"), *folder.glob("*.005.npy")):
+        digits = path.name.split(".")[-2].rpartition("_")[2]
+        path.rename(path.with_name(path.name.replace(digits, f"{number:0{len(digits)}d}")))
+    (folder / "sequence.json").write_text(json.dumps(described(**parts)))
+    return open_capture(folder)
+
+
+def test_a_missing_number_is_a_reset(tmp_path):
+    """... where the time is missing as well: numbers alone may be the program's own."""
+    times = ((3, 0.0), (4, 1 / FPS), (6, 3 / FPS))
+    sequence = with_last_number(tmp_path, 6, frames=[{"number": n, "time": t} for n, t in times])
+    assert [entry.reset for entry in sequence.rendered] == [True, False, True]
+    assert sequence.notes == [f"{tmp_path}: frame 5 is missing: the next frame is a reset"]
+    edit_json(tmp_path / "sequence.json", lambda said: said["frames"][2].update(time=2 / FPS))
+    sequence = open_capture(tmp_path)
+    assert [entry.reset for entry in sequence.rendered] == [True, False, False] and not sequence.notes
+
+
+def test_negative_numbers(tmp_path):
+    write(tmp_path)
+    for number in (3, 4, 5):
+        for before, after in (
+            (f"color_{number:04d}.exr", f"color_{number - 4:04d}.exr"),
+            (f"depth_{number}.npy", f"depth_{number - 4}.npy"),
+            (f"motion.{number:03d}.npy", f"motion.{number - 4:03d}.npy"),
+        ):
+            (tmp_path / before).rename(tmp_path / after)
+    (tmp_path / "sequence.json").write_text(json.dumps(described(frames={"first": -1, "count": 3})))
+    same(open_capture(tmp_path))
+
+
+@pytest.mark.parametrize("far", [FAR, np.inf])
+@pytest.mark.parametrize("key", [{}, {"opengl_buffer": True}, {"opengl_buffer": False}], ids=str)
+def test_matrices_of_opengl_with_reversed_depth_tell_the_range(tmp_path, far, key):
+    cameras = []
+    for shot in rendered():
+        p = shot.camera.projection_matrix("opengl", W, H, NEAR)
+        p[2, 2:] = (0, NEAR) if np.isinf(far) else (NEAR / (far - NEAR), NEAR * far / (far - NEAR))
+        cameras.append({"view": shot.camera.view_matrix("opengl").tolist(), "projection": p.tolist()})
+    said = {"file": "depth_%d.npy", "encoding": "device", **key}
+    rules = {"convention": "opengl", "list": cameras}
+    sequence = write(tmp_path, lambda shot: device(shot, far=far, reverse=True), depth=said, camera=rules)
+    for entry, shot in zip(sequence.rendered, rendered(), strict=True):
+        np.testing.assert_allclose(sequence.read(entry).depth, shot.depth, rtol=1e-3)
+    assert not sequence.notes
+
+
+def test_the_range_that_a_matrix_of_opengl_leaves_open_is_named(tmp_path):
+    cameras = []
+    for shot in rendered():
+        p = shot.camera.projection_matrix("opengl", W, H, NEAR, FAR)
+        cameras.append({"view": shot.camera.view_matrix("opengl").tolist(), "projection": p.tolist()})
+    said = {"file": "depth_%d.npy", "encoding": "device"}
+    rules = {"convention": "opengl", "list": cameras}
+    (note,) = write(tmp_path, lambda shot: device(shot), depth=said, camera=rules).notes
+    assert "the matrix does not tell" in note and '"opengl_buffer": true or false' in note
+    edit_json(tmp_path / "sequence.json", lambda described: described["depth"].update(opengl_buffer=True))
+    assert not open_capture(tmp_path).notes
+
+
+UNWRITTEN = np.random.default_rng(4).random((H, W)) < 0.3
+
+
+def without_unwritten(sequence, of="motion"):
+    """The first frame with motion, and where its buffer is NaN; everywhere else it is as rendered."""
+    frame, shot = sequence.read(sequence.rendered[1]), rendered()[1]
+    values = np.atleast_3d(getattr(frame, of))
+    unknown = np.isnan(values).any(-1)
+    assert np.isnan(values).all(-1)[unknown].all()
+    np.testing.assert_allclose(values[~unknown], np.atleast_3d(getattr(shot, of))[~unknown], atol=1 / 64, rtol=1e-6)
+    return unknown
+
+
+def kitti(folder, number, shot):
+    """(v − 32768) / 64 in 16 bits; the third channel is 1 where a vector was written, else all are 0."""
+    coded = np.where(UNWRITTEN[..., None], 0, np.round(np.nan_to_num(shot.motion) * 64 + 32768))
+    image = png(np.dstack([coded, ~UNWRITTEN]).astype(np.uint16), 16, 2)
+    (folder / f"motion_{number}.png").write_bytes(image)
+
+
+@pytest.mark.parametrize("key", [{"valid": "B"}, {"unknown": 0}, {"unknown": [0, 0]}])
+def test_vectors_that_were_never_written_are_nan(tmp_path, key):
+    """By a channel, or by the value that stands in their place, before offset and scale."""
+    said = {"file": "motion_%d.png", "values": "raw", "offset": 32768, "scale": 1 / 64, **key}
+    assert (without_unwritten(write(tmp_path, also=kitti, motion=said)) == UNWRITTEN).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "key"), [(-1, {"unknown": -1}), (2, {"unknown_from": 1}), (65504, {"unknown_from": 6e4})]
+)
+def test_values_of_engines_for_none(tmp_path, value, key):
+    """Godot 4 with FSR 2 clears to -1 in UV, Unity's HDRP writes more than 1 in x, others the largest half float."""
+
+    def coded(shot):
+        made = (shot.motion / (W, H)).astype(np.float32)
+        made[UNWRITTEN] = (value, 0) if value == 2 else value
+        return made
+
+    said = {"file": "motion.%03d.npy", "unit": "uv", **key}
+    assert (without_unwritten(write(tmp_path, motion_as=coded, motion=said)) == UNWRITTEN).all()
+
+
+def test_one_component_alone_is_not_unknown(tmp_path):
+    def coded(shot):
+        made = np.array(shot.motion)
+        made[UNWRITTEN, 0] = -1
+        return made
+
+    sequence = write(tmp_path, motion_as=coded, motion={"file": "motion.%03d.npy", "unknown": -1})
+    assert np.isfinite(sequence.read(sequence.rendered[1]).motion).all()
+
+
+def test_depth_that_was_never_written_is_nan(tmp_path):
+    said = {"file": "depth_%d.npy", "unknown": -7}
+    sequence = write(tmp_path, depth_as=lambda shot: np.where(UNWRITTEN, np.float32(-7), shot.depth), depth=said)
+    assert (without_unwritten(sequence, "depth") == UNWRITTEN).all()
+
+
+def test_flow_that_was_never_written_is_not_mixed_with_other_flow(tmp_path):
+    """To the next frame, every 50th vector is the largest half float: the vectors around it stay as they are."""
+    made = []
+    for bad in (False, True):
+        folder = tmp_path / str(bad)
+        folder.mkdir()
+
+        def flow(shot, bad=bad):
+            after = rendered()[min(rendered().index(shot) + 1, 2)]
+            made = static_motion(shot.depth, shot.camera, after.camera)[0].astype(np.float32)
+            made.reshape(-1, 2)[:: 50 if bad else 10**9] = 65504 if bad else made[0, 0]
+            return made
+
+        sequence = write(folder, motion_as=flow, motion={"file": "motion.%03d.npy", "direction": "to_next"})
+        made.append(sequence.read(sequence.rendered[1]).motion)
+    assert np.percentile(np.linalg.norm(made[1] - made[0], axis=-1), 99.9) < 0.5
+
+
+def test_a_channel_of_validity_must_be_there(tmp_path):
+    with pytest.raises(GffeError, match=r"motion_4.png: no channel 'A' \(the file holds R, G, B\)"):
+        write(tmp_path, also=kitti, motion={"file": "motion_%d.png", "values": "raw", "valid": "A"})
+    with pytest.raises(GffeError, match='color: unknown key "valid"'):
+        write(tmp_path, color={"file": "color_%04d.exr", "valid": "A"})
 
 
 def test_every_key_is_documented():

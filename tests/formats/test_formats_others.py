@@ -203,7 +203,82 @@ def test_sintel_faults(tmp_path):
         open_capture(folder)
 
 
-def test_tartanair(tmp_path):
+def renumbered(root, names):
+    """Give the frames 1, 2 and 3 of write_sintel other numbers, as written in `names`; None removes one."""
+    for path in sorted(root.rglob("frame_*")):
+        name = names[int(path.stem[6:]) - 1]
+        if name is None:
+            path.unlink()
+        else:
+            path.rename(path.with_name(f"renamed_{name}{path.suffix}"))
+    for path in sorted(root.rglob("renamed_*")):
+        path.rename(path.with_name(path.name.replace("renamed", "frame")))
+
+
+@pytest.mark.parametrize("names", [("9", "10", "11"), ("-1", "0", "1"), ("-001", "0000", "0001"), ("08", "9", "010")])
+def test_sintel_is_sorted_by_number(tmp_path, names):
+    folder = write_sintel(tmp_path)
+    renumbered(tmp_path, names)
+    sequence = open_capture(folder)
+    as_rendered(sequence, rendered(), [shot.camera for shot in rendered()])
+    assert [entry.reset for entry in sequence.rendered] == [True, False, False] and not sequence.notes
+    assert [round(entry.time * 24) for entry in sequence.rendered] == [0, 1, 2]
+
+
+def test_sintel_with_a_frame_missing(tmp_path):
+    """The flow of the frame before it leads to nothing that is there, and the time goes on."""
+    folder = write_sintel(tmp_path)
+    renumbered(tmp_path, ("0004", "0006", "0007"))
+    sequence = open_capture(folder)
+    assert [entry.reset for entry in sequence.rendered] == [True, True, False]
+    assert [round(entry.time * 24) for entry in sequence.rendered] == [0, 2, 3]
+    assert sequence.notes == [f"{folder}: frame 5 is missing: the next frame is a reset"]
+    assert [entry.file for entry in sequence.rendered] == ["frame_000004.exr", "frame_000006.exr", "frame_000007.exr"]
+    renumbered(tmp_path, ("-", "-", "-", None, "-", "0006", "0007"))
+    sequence = open_capture(folder)
+    assert [entry.reset for entry in sequence.rendered] == [True, False] and not sequence.notes
+    same_pose(sequence.rendered[0].render_camera, rendered()[1].camera)
+
+
+def test_hidden_files_are_no_frames_and_endings_may_be_in_capitals(tmp_path):
+    folder = write_sintel(tmp_path)
+    (folder / "._frame_0001.png").write_bytes(b"of another system")
+    for place, ending in (
+        (folder, "png"),
+        (tmp_path / "depth" / "alley_1", "dpt"),
+        (tmp_path / "flow" / "alley_1", "flo"),
+    ):
+        path = place / f"frame_0002.{ending}"
+        path.rename(path.with_suffix(path.suffix.upper()))
+    as_rendered(open_capture(folder), rendered(), [shot.camera for shot in rendered()])
+
+
+def test_one_number_twice_is_refused(tmp_path):
+    folder = write_sintel(tmp_path)
+    (folder / "frame_1.png").write_bytes((folder / "frame_0001.png").read_bytes())
+    with pytest.raises(GffeError, match=r"frame_1.png: frame 1 like frame_0001.png \(expected one file for a frame\)"):
+        open_capture(folder)
+
+
+@pytest.mark.parametrize("names", [("9", "10", "11"), ("-1", "0", "1"), ("-0001", "0000", "0001")])
+def test_unreal_is_sorted_by_number(tmp_path, names):
+    frames = write_unreal(tmp_path)
+    for number, name in zip((17, 18, 19), names, strict=True):
+        (tmp_path / f"Shot.{number:04d}.exr").rename(tmp_path / f"Shot.{name}.EXR")
+    (tmp_path / "._Shot.0001.exr").write_bytes(b"of another system")
+    sequence = open_capture(tmp_path)
+    assert [entry.file for entry in sequence.rendered] == [f"Shot.{name}.EXR" for name in names]
+    assert [entry.reset for entry in sequence.rendered] == [True, False, False]
+    for entry, frame in zip(sequence.rendered, frames, strict=True):
+        same_pose(entry.render_camera, frame[4])
+    (tmp_path / f"Shot.{names[1]}.EXR").unlink()
+    sequence = open_capture(tmp_path)
+    assert [entry.reset for entry in sequence.rendered] == [True, True]
+    assert any(f"frame {int(names[1])} is missing" in text for text in sequence.notes)
+
+
+def write_tartanair(tmp_path):
+    """The folder of a trajectory, and its cameras."""
     frames, poses = rendered(), []
     for name in ("depth_left", "flow"):
         (tmp_path / name).mkdir()
@@ -217,6 +292,11 @@ def test_tartanair(tmp_path):
         right, down, forward = cameras[k].world_to_view[:3, :3]
         poses.append([*cameras[k].position, *quaternion(np.stack([forward, right, down], -1))])
     np.savetxt(tmp_path / "pose_left.txt", poses, fmt="%.12f")
+    return cameras
+
+
+def test_tartanair(tmp_path):
+    frames, cameras = rendered(), write_tartanair(tmp_path)
     sequence = open_capture(tmp_path)
     for k, entry in enumerate(sequence.rendered):
         same_pose(entry.render_camera, cameras[k])
@@ -229,6 +309,34 @@ def test_tartanair(tmp_path):
     (tmp_path / "pose_left.txt").write_text("1 2 3\n")
     with pytest.raises(GffeError, match="expected 7 finite numbers for each of 3 frames"):
         open_capture(tmp_path)
+
+
+def test_poses_of_tartanair_belong_to_numbers(tmp_path):
+    cameras = write_tartanair(tmp_path)
+    poses = (tmp_path / "pose_left.txt").read_text()
+    for path in (*tmp_path.rglob("000001_left*"), *tmp_path.rglob("000001_000002_flow.npy")):
+        path.unlink()
+    sequence = open_capture(tmp_path)
+    assert [entry.reset for entry in sequence.rendered] == [True, True]
+    assert any("frame 1 is missing" in text for text in sequence.notes)
+    for entry, camera in zip(sequence.rendered, (cameras[0], cameras[2]), strict=True):
+        same_pose(entry.render_camera, camera)
+    (tmp_path / "pose_left.txt").write_text("".join(poses.splitlines(keepends=True)[:2]))
+    with pytest.raises(GffeError, match=r"pose_left.txt: 2 lines for frames 0 to 2 \(expected a line for each number"):
+        open_capture(tmp_path)
+
+
+def test_poses_of_tartanair_that_were_cut_with_the_images(tmp_path):
+    """As many lines as frames, whose numbers do not begin at 0."""
+    cameras = write_tartanair(tmp_path)
+    for k in (2, 1, 0):
+        for path in (*tmp_path.rglob(f"{k:06d}_left*"), *tmp_path.rglob(f"{k:06d}_0*_flow.npy")):
+            name = path.name.replace(f"{k + 1:06d}", f"{k + 101:06d}").replace(f"{k:06d}", f"{k + 100:06d}")
+            path.rename(path.with_name(name))
+    sequence = open_capture(tmp_path)
+    assert [entry.reset for entry in sequence.rendered] == [True, False, False]
+    for entry, camera in zip(sequence.rendered, cameras, strict=True):
+        same_pose(entry.render_camera, camera)
 
 
 def quaternion(matrix):
@@ -268,3 +376,11 @@ def test_spring(tmp_path, inverted):
     np.savetxt(tmp_path / "cam_data" / "extrinsics.txt", extrinsics)
     sequence = open_capture(tmp_path)
     as_rendered(sequence, frames, [shot.camera for shot in frames])
+    for folder in ("frame_left", "disp1_left", "flow_BW_left"):
+        for path in (tmp_path / folder).glob("*_0002.*"):
+            path.unlink()
+    sequence = open_capture(tmp_path)
+    assert [entry.reset for entry in sequence.rendered] == [True, True]
+    assert [round(entry.time * 24) for entry in sequence.rendered] == [0, 2]
+    if not inverted:  # the flow tells, and there is none
+        same_pose(sequence.rendered[1].render_camera, frames[2].camera)

@@ -172,6 +172,23 @@ def test_opengl_buffers_hold_half_of_the_device_depth():
     np.testing.assert_allclose(depth_from_device(buffer, projection, opengl_buffer=True), depth, rtol=1e-5)
 
 
+@pytest.mark.parametrize("far", [np.inf, 100.0, 1.2, 0.25])
+@pytest.mark.parametrize("opengl_buffer", [True, False])
+def test_reversed_planes_of_opengl_tell_the_range(far, opengl_buffer):
+    """With glClipControl depth goes from 1 to 0, without from 1 to -1: the matrix tells which one it is."""
+    near, depth = 0.1, np.array([0.1, 0.17, 0.2])
+    a, b = (0.0, near) if far == np.inf else (-near / (far - near), near * far / (far - near))
+    for noise in (0, 6e-8, -6e-8):
+        projection = frustum(-1, -1, 1, -1, 1, (a + noise, b))
+        made = depth_from_device(a + b / depth, projection, opengl_buffer=opengl_buffer)
+        np.testing.assert_allclose(made, depth, rtol=1e-5)
+        assert depth_from_device([0.0], projection, opengl_buffer=opengl_buffer) == np.inf
+    a, b = (-1.0, 2 * near) if far == np.inf else (-(far + near) / (far - near), 2 * near * far / (far - near))
+    projection, device = frustum(-1, -1, 1, -1, 1, (a, b)), a + b / depth
+    buffer = (device + 1) / 2 if opengl_buffer else device
+    np.testing.assert_allclose(depth_from_device(buffer, projection, opengl_buffer=opengl_buffer), depth, rtol=1e-5)
+
+
 def test_distances_along_rays():
     camera = Camera(np.eye(4), 30, 25, 9.5, 4.25)
     y, x = np.mgrid[:8, :20] + 0.5

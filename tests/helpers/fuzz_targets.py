@@ -5,6 +5,7 @@ reads them, and mutations. A target takes bytes and must end well or with a Gffe
 import copy
 import json
 import os
+import re
 import shutil
 import struct
 import tempfile
@@ -26,7 +27,7 @@ from gffe_cl.frame.rendered_frame import BadPixels
 from gffe_cl.pipeline.options import OPTIONS, Options
 from gffe_cl.pipeline.pacing import PacingStatistics
 from gffe_cl.selftest.scene import FPS, frames
-from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
 from gffe_cl.viewer.engine.attached import wire
 from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
 from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan, _About, recorded
@@ -189,6 +190,7 @@ class Target:
     seed: bytes
     read: Callable[[bytes], None]
     is_json: bool = False
+    drawn: bool = False  # the bytes are the seed of what is drawn
 
 
 _valid = tempfile.TemporaryDirectory(prefix="gffe-fuzz-")
@@ -310,6 +312,100 @@ def camera_seed():
     return np.concatenate([*matrices, camera.intrinsics, [1.0, 2.0, 3.0, 4.0]]).astype("<f8").tobytes()
 
 
+ATTRIBUTES = (
+    "view", "multiView", "chromaticities", "pixelAspectRatio", "whiteLuminance", "adoptedNeutral", "colorInteropID",
+    "framesPerSecond", "envmap", "compression", "name", "type", "dataWindow", "displayWindow", "worldToCamera", "own",
+)  # fmt: skip
+FORMS = {
+    "string": lambda rng: rng.choice([b"", b"left", b"right", b"\xff\0x", b"a" * 5000]),
+    "stringvector": lambda rng: rng.choice([b"", struct.pack("<i", 4) + b"left", struct.pack("<i", -1), b"\1\0\0"]),
+    "float": lambda rng: struct.pack("<f", rng.choice([0, 1, -1, 2, 1e-30, 1e30, np.nan, np.inf])),
+    "double": lambda rng: struct.pack("<d", rng.choice([0, 1, -1, 1e300, np.nan])),
+    "int": lambda rng: struct.pack("<i", int(rng.choice([0, 1, -1, 2**31 - 1]))),
+    "rational": lambda rng: struct.pack("<iI", *rng.choice([0, 1, 24, 2**31 - 1], 2)),
+    "v2f": lambda rng: struct.pack("<2f", *rng.choice([0, 1, np.nan, 1e30], 2)),
+    "chromaticities": lambda rng: struct.pack("<8f", *rng.choice([0, 0.3, np.nan, 1e30, -5], 8)),
+    "box2i": lambda rng: struct.pack("<4i", *rng.choice([0, 1, W - 1, H - 1, -(2**31), 2**31 - 1], 4)),
+    "m44f": lambda rng: struct.pack("<16f", *rng.choice([0, 1, np.nan, 1e30], 16)),
+    "envmap": lambda rng: bytes([int(rng.integers(3))]), "compression": lambda rng: bytes([int(rng.integers(14))]),
+}  # fmt: skip
+
+
+def with_attributes(data, numbers):
+    """An EXR file with further attributes at the beginning of its header; the chunk table moves along."""
+    rng = np.random.default_rng(np.frombuffer(numbers.ljust(4, b"\0")[:4], np.uint32)[0])
+    added = b""
+    for _ in range(int(rng.integers(1, 4))):
+        form = str(rng.choice(list(FORMS)))
+        value = FORMS[form](rng)
+        name = str(rng.choice(ATTRIBUTES))
+        added += f"{name}\0{form}\0".encode() + struct.pack("<i", len(value)) + bytes(value)
+    head = exr_layout._parse(exr_layout._Cursor(data))[0]
+    (table,) = head.chunk_tables
+    offsets = [offset + len(added) for offset in table.unpack(data[head.end : head.end + table.size])]
+    return data[:8] + added + data[8 : head.end] + table.pack(*offsets) + data[head.end + table.size :]
+
+
+def read_attributes(form, file, numbers):
+    """A capture in which one header has further attributes, read and written again."""
+    data = with_attributes((valid(form)[0] / file).read_bytes(), numbers)
+    root, inside = valid(form)
+    with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
+        copied = shutil.copytree(root, Path(temporary) / "in", copy_function=os.link)
+        for path in copied.rglob("*.exr"):
+            path.unlink()
+            path.write_bytes(data if rng_of(numbers).integers(2) else (root / path.relative_to(copied)).read_bytes())
+        opened = open_capture(copied / inside)
+        opened.warnings()
+        with SequenceWriter(Path(temporary) / "out", W, H, FPS, attributes=opened.attributes) as writer:
+            for entry in opened.rendered:
+                frame = opened.read(entry)
+                named = FrameEntry(f"{len(entry.file)}.exr", entry.time, render_camera=frame.camera)
+                writer.add(named, named_channels(frame.color, frame.depth, frame.motion))
+                break
+        open_capture(Path(temporary) / "out")
+
+
+def rng_of(numbers):
+    return np.random.default_rng(list(numbers) or [0])
+
+
+# Names of frames, of which the number is a part; "{}" is the number.
+NUMBERINGS = (
+    "{}", "{:04d}", "-{}", "{}.{}", "0x{}", "{}e5", "", "abc", "{}-", "--{}", "99999999999999999999{}", "٣{}", " {}",
+    "{}\n", "{}(1)", "._{}", "+{}", "{:064d}",
+)  # fmt: skip
+
+
+def read_numbering(form, numbers):
+    """A capture whose files have other names, numbers that are missing, twice or none."""
+    root, inside = valid(form)
+    rng = rng_of(numbers)
+    with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
+        copied = shutil.copytree(root, Path(temporary) / "in", copy_function=os.link)
+        pattern = str(rng.choice(NUMBERINGS))
+        for path in sorted(copied.rglob("*")):
+            found = re.search(r"\d+", path.stem)
+            if not path.is_file() or found is None or path.suffix in (".json", ".txt"):
+                continue
+            if rng.integers(8) == 0:
+                path.unlink()
+            elif rng.integers(4):
+                number = int(found[0]) + int(rng.choice([0, 0, 0, 1, 7]))
+                name = path.name[: found.start()] + pattern.format(number, number) + path.name[found.end() :]
+                if not path.with_name(name).exists():
+                    path.rename(path.with_name(name))
+        for path in copied.rglob("*.txt"):
+            lines = path.read_text().splitlines()
+            path.write_text("\n".join(lines[: int(rng.integers(len(lines) + 2))] + lines[: int(rng.integers(2))]))
+        opened = open_capture(copied / inside)
+        times = [entry.time for entry in opened.rendered]
+        assert times == sorted(set(times))
+        for entry in opened.rendered:
+            opened.read(entry)
+        opened.warnings()
+
+
 @cache
 def targets():
     """By name, such as "sequence:frame_1.exr"."""
@@ -324,7 +420,17 @@ def targets():
                 read_capture(form, file, data)
 
             data = (valid(form)[0] / file).read_bytes()
+            if file.endswith(".exr"):
+
+                def further(numbers, form=form, file=file):
+                    read_attributes(form, file, numbers)
+
+                found[f"{form}:attributes"] = Target(b"seed", further, drawn=True)
             found[f"{form}:{Path(file).name}"] = Target(data, read, file.endswith(".json"))
+        if form in ("unreal", "sintel", "tartanair", "spring"):
+            found[f"{form}:numbering"] = Target(
+                b"seed", lambda numbers, form=form: read_numbering(form, numbers), drawn=True
+            )
     return found
 
 
@@ -352,6 +458,8 @@ WORDS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0
 
 def mutated(target, data, rng):
     """`data` with one to four changes."""
+    if target.drawn:
+        return bytes(rng.integers(0, 256, 4, np.uint8))
     for _ in range(int(rng.integers(1, 5))):
         change = json_mutated if target.is_json and rng.integers(4) else bytes_mutated
         data = change(data, rng)

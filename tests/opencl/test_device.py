@@ -373,3 +373,49 @@ def in_fresh_process(code):
     """Run it where nothing is chosen."""
     environment = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"), [("empty", "where there is no .icd file"), ("nowhere", "which is not there")]
+)
+def test_a_variable_that_hides_all_drivers_is_named(tmp_path, monkeypatch, value, reason):
+    (tmp_path / "empty").mkdir()
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / value))
+    told = str(device_module.none_works([]))
+    assert f"OCL_ICD_VENDORS is {tmp_path / value}, {reason} (expected a folder of them" in told and "pip" not in told
+    assert "PoCL crashes" in str(device_module.none_works([replace(POCL, works=False, problem="PoCL crashes")]))
+
+
+def test_a_driver_whose_library_is_gone_is_named(tmp_path, monkeypatch):
+    (tmp_path / "driver.icd").write_text(f"{tmp_path}/libdriver.so\n")
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
+    assert f"driver.icd names {tmp_path}/libdriver.so, which is not there" in str(device_module.none_works([]))
+    (tmp_path / "driver.icd").write_text("libdriver.so.1\n")  # the loader looks it up
+    assert "no OpenCL platform found" in str(device_module.none_works([]))
+
+
+@pytest.mark.parametrize("foreign", ["", "pocl", "pocl/kcache", "mesa_shader_cache"])
+def test_caches_of_drivers_that_cannot_be_written_are_elsewhere(tmp_path, monkeypatch, foreign):
+    """... not only where the folder above them cannot be."""
+    home = tmp_path / "home"
+    (home / (foreign or "pocl")).mkdir(parents=True)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(home))
+    monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
+    runtimes.redirect_unwritable_caches()
+    assert os.environ["XDG_CACHE_HOME"] == str(home)
+    allowed = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != home / foreign and allowed(path, mode))
+    runtimes.redirect_unwritable_caches()
+    assert os.environ["XDG_CACHE_HOME"] != str(home)
+
+
+def test_a_cache_that_the_user_named_and_that_cannot_be_written(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "file" / "pocl"))
+    with pytest.warns(UserWarning, match="POCL_CACHE_DIR is .*file/pocl, which cannot be written: PoCL keeps"):
+        runtimes.redirect_unwritable_caches()
+    assert os.environ["POCL_CACHE_DIR"] == str(runtimes.cache_folder() / "pocl")
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "mine"))
+    runtimes.redirect_unwritable_caches()
+    assert os.environ["POCL_CACHE_DIR"] == str(tmp_path / "mine")

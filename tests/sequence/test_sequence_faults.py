@@ -334,6 +334,24 @@ def test_unreadable_json(folder, text):
     assert "sequence.json: not" in fault(folder)
 
 
+def test_a_byte_order_mark_is_no_fault(folder):
+    """As editors of Windows write it."""
+    path = folder / "sequence.json"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert len(open_sequence(folder).rendered) == 3
+
+
+def test_sizes_that_change_are_named_at_opening(folder):
+    edit(folder, lambda said: said["frames"][2].update(render_size=[W + 1, H]))
+    edit(folder, lambda said: said["frames"][4].update(render_size=[W + 2, H]))
+    for file, width in (("frame_1.exr", W + 1), ("frame_2.exr", W + 2)):
+        channels = contiguous(named_channels(*pixels(1, H, width)))
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / file))
+    said = rf"one size \(frame_0.exr is {W}×{H}, frame_1.exr is {W + 1}×{H}\)"
+    with pytest.raises(GffeError, match=rf"{folder}: rendered frames must have {said}"):
+        open_sequence(folder)
+
+
 def test_no_camera_at_all(folder):
     OpenEXR.File({"type": OpenEXR.scanlineimage}, contiguous(named_channels(*pixels(1)))).write(
         str(folder / "frame_1.exr")

@@ -442,3 +442,23 @@ def test_cpu_time_in_the_library_is_counted(tmp_path):
     assert between > before
     sequence.read(sequence.frames[0])
     assert exr_module.codec_seconds() > between
+
+
+def test_rendered_frames_of_several_sizes_are_refused(tmp_path):
+    sizes = rf"one size \(frame_0.exr is {W}×{H}, frame_1.exr is {W - 1}×{H}\)"
+    with pytest.raises(GffeError, match=sizes), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels(0)))
+        smaller = FrameEntry("truth.exr", 0.01, "ground_truth", render_size=(W - 2, H))
+        writer.add(smaller, named_channels(pixels(1, H, W - 2)[0]))
+        entry = rendered(1)
+        entry.render_size = (W - 1, H)
+        writer.add(entry, named_channels(*pixels(1, H, W - 1)))
+    assert not (tmp_path / "out").exists()
+
+
+def test_attributes_that_cannot_be_written_are_refused(tmp_path):
+    wrong = {"chromaticities": np.zeros(2, np.float32)}
+    refused = pytest.raises(GffeError, match=r"frame_0.exr: cannot be written \(.*chromaticities")
+    with refused, SequenceWriter(tmp_path / "out", W, H, 30, attributes=wrong) as writer:
+        writer.add(rendered(0), named_channels(*pixels(0)))
+    assert not (tmp_path / "out").exists()

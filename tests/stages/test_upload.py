@@ -44,8 +44,10 @@ def colors(rng, size, channels, dtype):
 
 
 def geometry(rng, size):
-    depth = rng.choice([1, 1, 1e-40, -1, 0, np.nan, np.inf, -np.inf], size[::-1]).astype(np.float32)
-    return depth, rng.choice([1, 5, 7, 1e30, np.nan, np.inf, -np.inf], (*size[::-1], 2)).astype(np.float32)
+    depths = [1, 1, 1e-40, -1, 0, np.nan, np.inf, -np.inf, 1e37, 2e37, np.finfo(np.float32).max]
+    depth = rng.choice(depths, size[::-1]).astype(np.float32)
+    vectors = [1, 5, 7, -size[0], size[1], 1e30, np.nan, np.inf, -np.inf]
+    return depth, rng.choice(vectors, (*size[::-1], 2)).astype(np.float32)
 
 
 def taken(stage, frame):
@@ -70,10 +72,12 @@ def test_upload_equals_its_twin(device, stage_of, size, dtype):
             depth, motion = geometry(rng, size)
             frame = RenderedFrame(color, depth, motion, view, 0.0)
             expected, infinite, clamped = twins.convert_color(color)
+            *geometry_expected, counts = twins.convert_geometry(depth, motion)
             found = taken(stage, frame)
-            for array, like in zip(found, (expected, depth, motion), strict=True):
-                assert array.tobytes() == like.tobytes()
-            bad = BadPixels(infinite, clamped, *twins.count_geometry(depth, motion))
+            assert found[0].tobytes() == expected.tobytes()
+            for array, like in zip(found[1:], geometry_expected, strict=True):
+                np.testing.assert_array_equal(array, like)
+            bad = BadPixels(infinite, clamped, *counts)
             assert stage.take_bad_pixels() == bad == host_arrays(frame).bad
 
 
@@ -91,7 +95,8 @@ def test_other_types_are_rounded_once(device, stage_of, dtype):
     found = taken(stage_of(size), frame)
     rgb = np.clip(np.nan_to_num(color, posinf=65504, neginf=-65504), -65504, 65504).astype(np.float16)
     assert found[0][..., :3].tobytes() == rgb.tobytes() and not found[0][..., 3].any()
-    assert found[1].tobytes() == depth.tobytes() and found[2].tobytes() == motion.tobytes()
+    for array, like in zip(found[1:], twins.convert_geometry(depth, motion), strict=False):
+        np.testing.assert_array_equal(array, like)
 
 
 def test_layouts_that_must_be_copied(device, stage_of):
@@ -103,8 +108,9 @@ def test_layouts_that_must_be_copied(device, stage_of):
     unaligned = np.frombuffer(b"-" + depth.tobytes(), np.float32, offset=1).reshape(depth.shape)
     motion.flags.writeable = False
     found = taken(stage, RenderedFrame(color, unaligned, motion, view, 0.0))
-    for array, like in zip(found, (twins.convert_color(color)[0], depth, motion), strict=True):
-        assert array.tobytes() == like.tobytes()
+    assert found[0].tobytes() == twins.convert_color(color)[0].tobytes()
+    for array, like in zip(found[1:], twins.convert_geometry(depth, motion), strict=False):
+        np.testing.assert_array_equal(array, like)
 
 
 def test_reset_without_motion(device, stage_of):
@@ -114,6 +120,30 @@ def test_reset_without_motion(device, stage_of):
     color = colors(rng, size, 3, np.float32)
     *_, motion = taken(stage, RenderedFrame(color, depth, None, camera(*size), 0.0, reset=True))
     assert not motion.any() and stage.take_bad_pixels().motion == 0
+
+
+def test_values_that_were_never_written_are_unknown(device):
+    """The largest half float, or -1 in UV, in place of a motion vector is as NaN; depth beyond 1e37 is as sky, a
+    denormal number as 0."""
+    size, rng = (64, 48), np.random.default_rng(8)
+    written = rng.random(size[::-1]) < 0.8
+    made = {}
+    for given in ("unknown", "never written"):
+        pipeline = Pipeline(device, *size, Options(shading_correction=False))
+        for k in range(2):
+            color = np.random.default_rng(k).random((*size[::-1], 3), np.float32)
+            motion = np.full((*size[::-1], 2), 1.5, np.float32)
+            depth = np.linspace(2, 9, size[0] * size[1], dtype=np.float32).reshape(size[::-1])
+            unknown = given == "unknown"
+            motion[~written] = np.nan if unknown else (-size[0], -size[1]) if k else 65504
+            depth[:4], depth[4:6] = (np.inf, 0) if unknown else (3e38, 1e-41)
+            pipeline.submit(RenderedFrame(color, depth, motion, camera(*size), k / 30, reset=k == 0))
+        made[given] = pipeline.extrapolate(camera(*size)).numpy("color")
+        bad = pipeline.bad_pixels
+        if not unknown:
+            assert bad == BadPixels(depth=2 * 2 * size[0], far=2 * 4 * size[0], long=2 * np.count_nonzero(~written))
+            assert "motion longer than the image's diagonal" in str(bad) and "1e37" in str(bad)
+    np.testing.assert_array_equal(made["unknown"], made["never written"])
 
 
 def test_arrays_may_be_changed_after_submit(device):

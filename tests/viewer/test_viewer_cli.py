@@ -86,6 +86,17 @@ def test_display_that_is_not_there(gffe):
     assert "the display :977 cannot be opened" in refused(gffe, "in", display=":977")
 
 
+def test_wayland_without_x11_is_named(monkeypatch):
+    glfw = pytest.importorskip("glfw")
+    monkeypatch.setattr(glfw, "init", lambda: False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wl-9")
+    from gffe_cl.viewer.start import require_display
+
+    with pytest.raises(GffeError, match=r"no X display: WAYLAND_DISPLAY is wl-9, .* XWayland; without a screen: xvfb"):
+        require_display()
+
+
 @pytest.fixture
 def screen():
     if shutil.which("xvfb-run") is None:

@@ -214,7 +214,8 @@ def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Len
         pose = np.linalg.inv(found[entry.file].movement.matrix) @ before if entry.file in found else before
         poses.append(pose)
     cameras = {e.file: _camera(p, lens) for e, p in zip(sequence.rendered, poses, strict=True)}
-    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, generator="gffe-cl calibrate") as writer:
+    named = {"generator": "gffe-cl calibrate", "attributes": sequence.attributes}
+    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         for entry in sequence.frames:
             path = sequence.path / entry.file
             if entry.kind == "rendered":

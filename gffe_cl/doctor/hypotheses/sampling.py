@@ -10,7 +10,7 @@ import numpy as np
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame
+from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, wrong_geometry
 from gffe_cl.sequence import FrameEntry
 from gffe_cl.sequence.read_ahead import read_ahead
 
@@ -19,7 +19,6 @@ BUFFERS = ("color", "depth", "motion")  # whose rows may be stored from the bott
 _TEXTURED = 0.02  # least difference of encoded color between neighbors for a distinguishable place
 _SMALLEST = 8  # pixels: least size of an image
 _FAR = 1e9  # depths beyond this are nothing, as +inf
-_DIAGONAL = 0.999  # of the image's diagonal: motion vectors from here on lead out of it from everywhere
 
 
 class Clip(Protocol):
@@ -42,8 +41,7 @@ class Look:
     size : (width, height), pixels
     px : (N, 2) float64, centers of the sampled pixels
     depth : (N,) float64, as stored
-    motion : (N, 2) float64 as stored, NaN where `leads_out`, or None
-    unknown, unknown_values : how many vectors of the whole frame lead out, and those of the samples (M, 2)
+    motion : (N, 2) float64 as stored, or None
     color : (N, 3) float32, encoded by `encoded`
     contrast : (N,) float32, how far the encoded color is from that of the pixels around
     image, deep : (H, W, 3) float, linear color of the whole frame as stored, and (H, W) its depth; None where they
@@ -66,8 +64,6 @@ class Look:
     camera: Camera
     reset: bool
     bad: BadPixels
-    unknown: int
-    unknown_values: np.ndarray
     first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
     exposure: float = 1.0
     mirrored: dict = field(default_factory=dict, repr=False)
@@ -83,17 +79,18 @@ class Look:
         """(N,) bool: the color distinguishes this place from others nearby."""
         return self.contrast > _TEXTURED
 
+    def is_long(self, motion: np.ndarray) -> np.ndarray:
+        """Return `is_long` for this frame."""
+        return is_long(motion, self.size)
+
     def camera_of(self, step: int) -> Camera:
         return self.neighbors[step].camera
 
 
-def leads_out(motion: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return (…) bool: vectors (…, 2) in pixels that are as long as the diagonal of an image of `size`. They are no
-    motion: renderers leave such values where they write none."""
+def is_long(motion: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return (…) bool: vectors (…, 2) as long as the diagonal of an image of `size`, which were never written."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.isfinite(motion).all(-1) & (
-            np.square(motion, dtype=np.float32).sum(-1) >= _DIAGONAL**2 * np.square(size).sum()
-        )
+        return np.square(motion).sum(-1) >= np.square(size).sum()
 
 
 def encoded(color: np.ndarray, exposure: float) -> np.ndarray:
@@ -171,10 +168,6 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
     height, width = depth.shape
     motion = None if frame.motion is None else np.asarray(frame.motion)
     x, y = grid((width, height), samples)
-    out = np.zeros(depth.shape, bool) if motion is None else leads_out(motion, (width, height))
-
-    def vectors(y: np.ndarray) -> np.ndarray | None:
-        return None if motion is None else np.where(out[y, x, None], np.nan, motion[y, x].astype(np.float64))
 
     def taken(y: np.ndarray) -> dict:
         around = []
@@ -182,7 +175,7 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
             around.append(encoded(color[np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)], exposure))
         return {
             "depth": depth[y, x].astype(np.float64),
-            "motion": vectors(y),
+            "motion": None if motion is None else motion[y, x].astype(np.float64),
             "color": around[0],
             "contrast": np.abs(np.stack(around[1:]) - around[0]).mean((0, 2)),
         }
@@ -198,8 +191,6 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
         camera=frame.camera,
         reset=entry.reset,
         bad=bad,
-        unknown=int(out.sum()),
-        unknown_values=np.zeros((0, 2)) if motion is None else motion[y, x][out[y, x]],
         first_bad=first,
         exposure=exposure,
         mirrored=taken(height - 1 - y),
@@ -209,10 +200,10 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
 
 def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, int]]]:
     """Return counts of invalid values, and the position of the first one of each kind."""
-    kinds: dict[str, Any] = {"depth": ~(np.asarray(frame.depth) > 0)}
-    for name, values in (("color", frame.color), ("motion", frame.motion)):
-        finite = np.ones(1, bool) if values is None else np.isfinite(values)
-        kinds[name] = np.zeros(1, bool) if finite.all() else ~finite.all(-1)  # all of them at once is quicker
+    motion = None if frame.motion is None else np.asarray(frame.motion)
+    kinds: dict[str, Any] = wrong_geometry(np.asarray(frame.depth), motion)
+    finite = np.isfinite(frame.color)
+    kinds["color"] = np.zeros(1, bool) if finite.all() else ~finite.all(-1)  # all of them at once is quicker
     first = {}
     for name, wrong in kinds.items():
         if wrong.any():

@@ -16,6 +16,14 @@ def convert_color(color):
     return out, (~finite).any(-1).sum(), over.any(-1).sum()
 
 
-def count_geometry(depth, motion):
-    """How many depths are NaN or not positive, and how many motion vectors are not finite."""
-    return (~(depth > 0)).sum(), (~np.isfinite(motion).all(-1)).sum()
+def convert_geometry(depth, motion):
+    """Depth without denormal numbers and with sky beyond 1e37, motion without vectors as long as the diagonal, and how
+    many depths are invalid, how many vectors not finite, how many depths too far, and how many vectors too long."""
+    invalid, far = ~(depth >= np.finfo(F).tiny), np.isfinite(depth) & (depth > 1e37)
+    finite = np.isfinite(motion).all(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        short = np.square(motion).sum(-1, dtype=F) < np.square(depth.shape, dtype=F).sum(dtype=F)
+    converted = np.where(far, F(np.inf), np.where(invalid & (depth >= 0), F(0), depth))
+    unwritten = finite & ~short
+    vectors = np.where(unwritten[..., None], F(np.nan), motion)
+    return converted, vectors, (invalid.sum(), (~finite).sum(), far.sum(), unwritten.sum())
