@@ -19,8 +19,9 @@ _MOST_NAMED = 6  # frames
 
 def set_aside_unwritten(looks: Iterable[Look]) -> list[Finding]:
     """Make vectors that were never written NaN in `looks`, and return notes about them: vectors as long as the
-    diagonal of the image, and one vector that many samples share although it leads out of the image."""
-    looks = [look for look in looks if look.motion is not None]
+    diagonal of the image, and one vector that many samples share although it leads out of the image. Vectors of resets
+    lead nowhere and are left alone."""
+    looks = [look for look in looks if look.motion is not None and not look.reset]
     if not looks:
         return []
     found = _long_vectors(looks)

@@ -60,7 +60,7 @@ def test_frames_that_are_looked_at_closely_may_be_empty():
     """Five of many are; others have depth and vectors."""
     from gffe_cl.doctor.diagnose import _deep_frames
 
-    deep = _deep_frames(len(clip().images))
+    deep = _deep_frames(clip().rendered)
     frames = [replace(f, depth=np.full_like(f.depth, np.inf)) if k in deep else f for k, f in enumerate(clip().images)]
     found = examine(Kept(frames))
     assert found.verdict == "faults" and not found.compared
