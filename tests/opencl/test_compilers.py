@@ -21,7 +21,8 @@ WARNINGS = (
     "-Wall", "-Wextra", "-Wshadow", "-Wdouble-promotion", "-Wfloat-conversion", "-Wundef", "-Wvla", "-Werror",
 )  # fmt: skip
 MOST_LOCAL = 16 << 10  # bytes per work-group
-MOST_PRIVATE = {1: 1 << 10, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
+MOST_PRIVATE = {1: 64, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
+PRIVATE = {"scenes/scene.shade": 1 << 10}  # kernels that may have more: those of test scenes
 
 FILES = sorted(path.relative_to(kernel_folder()).with_suffix("").as_posix() for path in kernel_folder().rglob("*.cl"))
 
@@ -123,4 +124,5 @@ def test_kernels_are_modest(lanes):
         found |= {f"{name}.{kernel}": sizes for kernel, sizes in told.items()}
     assert found["holes.fill_from_downsampled"][0] == 3428  # as Intel's runtime and PoCL say
     assert {kernel: sizes for kernel, sizes in found.items() if sizes[0] > MOST_LOCAL} == {}
-    assert {kernel: sizes for kernel, sizes in found.items() if sizes[1] > MOST_PRIVATE[lanes]} == {}
+    too_large = {k: sizes for k, sizes in found.items() if sizes[1] > max(MOST_PRIVATE[lanes], PRIVATE.get(k, 0))}
+    assert too_large == {}
