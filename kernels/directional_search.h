@@ -1,5 +1,7 @@
 /* Looking around a hole in eight directions (hidden_parts.cl, holes.cl). */
 
+#include "simd.h"
+
 #define DIRECTIONS 8             /* direction k + 4 is opposite to k */
 #define AT_ONCE 4                /* pixels that are read at once: a march waits for memory a quarter of `reach` times at most */
 

@@ -334,7 +334,7 @@ typedef struct {
     __global float4 *history;
 } Frames;
 
-/* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame-> */
+/* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame. */
 INLINE void find_history(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
     const int source_width = frame->source_width, plane = source_width * frame->source_height;
     const int src = src_y * source_width + src_x, positions = frame->positions;

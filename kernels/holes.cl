@@ -49,7 +49,8 @@ INLINE int first_beside(const int dst, const int offset, const int steps, __glob
     return 0;
 }
 
-/* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their inverse depths. */
+/* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their inverse
+   depths. */
 typedef struct {
     int met;
     DirectionInts px;
@@ -68,7 +69,8 @@ INLINE void find_border(const int dst_x, const int dst_y, const int width, const
         const int t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
         if (t == 0) continue;
         const int px = dst + t * offset;
-        const float inverse = isinf(depth[px]) ? 0.0f : divide(1.0f, depth[px]), closeness = divide(1.0f, (float)t * step_length(d));
+        const float inverse = isinf(depth[px]) ? 0.0f : divide(1.0f, depth[px]);
+        const float closeness = divide(1.0f, (float)t * step_length(d));
         SET(found->px, k, px);
         SET(found->inverse, k, inverse);
         SET(found->closeness, k, closeness);
@@ -379,7 +381,7 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
 }
 
 /* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
-   frame-> */
+   frame. */
 INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f, float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
@@ -444,9 +446,9 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
    up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
 SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
-                           __global const half *source_color, __global const float *source_depth,
-                           __global half *color, __global float *depth, __global float2 *motion,
-                           __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
+                           __global const half *source_color, __global const float *source_depth, __global half *color,
+                           __global float *depth, __global float2 *motion, __global float4 *downsampled_color,
+                           __global float *downsampled_inverse_depth) {
     const Images images = {filled_by, source_color, source_depth, 0, color, depth, motion};
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];

@@ -63,14 +63,12 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
 /* Products of lifted colors, which stay below 1e28: of the left and of the right strips of two rows. */
 typedef struct { Strip left, right; } Products;
 
-INLINE void begin(Products *products) {
+INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
+    Strip product;
 #pragma unroll
-    for (int part = 0; part < PARTS; ++part) products->left.part[part] = products->right.part[part] = (Texels)(1.0f);
-}
-
-INLINE void multiply(const Strip colors, const float4 law, Strip *product) {
-#pragma unroll
-    for (int part = 0; part < PARTS; ++part) product->part[part] *= LIFTED(Texels, colors.part[part], law);
+    for (int part = 0; part < PARTS; ++part)
+        product.part[part] = LIFTED(Texels, top.part[part], law) * LIFTED(Texels, bottom.part[part], law);
+    return product;
 }
 
 #if LANES == 8
@@ -108,39 +106,65 @@ WIDE __kernel void network_input(__constant Frame *frame, __global const half *c
     const int plane_size = network_width * network_height;
     __global float *out = planes + net_y * network_width + net_x;
 
-    /* The four strips, left and right of two rows, one after another: GPUs have no registers for more. */
+    Floats inverse = 0.0f, mask = 0.0f;
     Products products;
-    begin(&products);
+#if LANES == 8
+    StripOfFrame strips[4];  /* left, right; of two rows */
+    Strip colors[4], before[4];
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
         const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
-        const Strip colors = load_strip(target_width - x, color + 4 * (y * target_width + x));
-        multiply(colors, law, k & 1 ? &products.right : &products.left);
+        strips[k] = strip_of_frame(&frames, x, y);
+        colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
+        previous_of(&frames, strips + k, colors + k, before + k);
+        before[k] = as_halfs(before[k]);
     }
+#pragma unroll
+    for (int row = 0; row < 2; ++row) {
+        const StripOfFrame *a = strips + 2 * row, *b = a + 1;
+        const Pairs near = *median_depth / (Pairs)(a->depth, b->depth);
+        const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
+        const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
+        inverse += nearness.even + nearness.odd;
+        mask += masks.even + masks.odd;
+    }
+    products.left = lifted_rows(colors[0], colors[2], law);
+    products.right = lifted_rows(colors[1], colors[3], law);
     store_colors(products, law, plane_size, out);
-
-    begin(&products);
-    Floats inverse = 0.0f, mask = 0.0f, left_depth = 0.0f, left_mask = 0.0f;
+    products.left = lifted_rows(before[0], before[2], law);
+    products.right = lifted_rows(before[1], before[3], law);
+#else  /* one pixel after another, and colors first: GPUs have no registers for all of them at once */
+    float left_nearness = 0.0f, left_mask = 0.0f;
+    Strip colors[4];
+#pragma unroll
     for (int k = 0; k < 4; ++k) {
-        const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
-        const StripOfFrame strip = strip_of_frame(&frames, x, y);
-        const Strip colors = load_strip(strip.count, color + 4 * strip.first);
-        Strip previous;
-        previous_of(&frames, &strip, &colors, &previous);
-        previous = as_halfs(previous);
+        const int x = min(2 * net_x + (k & 1), target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
+        colors[k] = load_strip(1, color + 4 * (y * target_width + x));
+    }
+    products.left = lifted_rows(colors[0], colors[2], law);
+    products.right = lifted_rows(colors[1], colors[3], law);
+    store_colors(products, law, plane_size, out);
+    products.left.part[0] = products.right.part[0] = (Texels)(1.0f);
+    for (int k = 0; k < 4; ++k) {
+        const int x = min(2 * net_x + (k & 1), target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
+        const StripOfFrame here = strip_of_frame(&frames, x, y);
+        const Strip gae = load_strip(1, color + 4 * here.first);
+        Strip before;
+        previous_of(&frames, &here, &gae, &before);
+        before = as_halfs(before);
+        const Texels lifted = LIFTED(Texels, before.part[0], law);
+        const float near = *median_depth / here.depth, nearness = near < MAX_INVERSE_DEPTH ? near : MAX_INVERSE_DEPTH;
         if (k & 1) {
-            multiply(previous, law, &products.right);
-            const Pairs near = *median_depth / (Pairs)(left_depth, strip.depth);
-            const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
-            const Pairs masks = (Pairs)(left_mask, input_mask_of(&strip));
-            inverse += nearness.even + nearness.odd;
-            mask += masks.even + masks.odd;
+            products.right.part[0] *= lifted;
+            inverse += left_nearness + nearness;
+            mask += left_mask + input_mask_of(&here);
         } else {
-            multiply(previous, law, &products.left);
-            left_depth = strip.depth;
-            left_mask = input_mask_of(&strip);
+            products.left.part[0] *= lifted;
+            left_nearness = nearness;
+            left_mask = input_mask_of(&here);
         }
     }
+#endif
     store_colors(products, law, plane_size, out + 3 * plane_size);
     store_floats(0.25f * inverse, 0, out + 6 * plane_size);
     store_floats(0.25f * mask, 0, out + 7 * plane_size);

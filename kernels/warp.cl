@@ -29,7 +29,7 @@ typedef struct {
     float code_offset;
 } Rendered;
 
-/* The new frame-> */
+/* The new frame. */
 typedef struct {
     __global half *color;
     __global float *depth;
@@ -214,8 +214,8 @@ INLINE float2 without_rounding(const float2 d) {
     return (float2)(fabs(d.x) < STILL ? 0.0f : d.x, fabs(d.y) < STILL ? 0.0f : d.y);
 }
 
-/* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block; false where there is
-   none: nothing is to be resampled. Its key is emptied if the background may fill it. */
+/* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block. False where
+   there is none: nothing is to be resampled. Its key is emptied if the background may fill it. */
 INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
                           const int dst_y, const uint src, const bool smooth, const int unfilled_label, Sample *sample) {
     const int dst = dst_y * from.target_width + dst_x;

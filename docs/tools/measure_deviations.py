@@ -113,7 +113,7 @@ GAE: dict[str, Change] = {
     "a single level of background, at full resolution": Change({"levels": 2}),
     "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
     "what the frame before showed is taken from there": Change(
-        edits={"background.cl": {"!has_previous || !shown_before": "true || !shown_before"}}
+        edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}
     ),
     "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),

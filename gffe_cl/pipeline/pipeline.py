@@ -361,8 +361,8 @@ class Pipeline:
     @property
     @telling_device_faults
     def is_cut(self) -> bool:
-        """Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset. Waits until the
-        device has compared it with the frame before."""
+        """Whether the last submitted frame was detected as an unmarked cut, and so is treated as a reset. Waits until
+        the device has compared it with the frame before."""
         self._decide_cut()
         return bool(self._is_cut)
 

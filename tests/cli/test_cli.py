@@ -587,7 +587,7 @@ def test_read_only_output(gffe, pristine, tmp_path):
     assert code == 2 and "locked" in err and not list((tmp_path / "locked").iterdir())
 
 
-def test_no_device_says_how_to_get_one(tmp_path, pristine):
+def test_no_device_says_why(tmp_path, pristine):
     (tmp_path / "vendors").mkdir()
     environment = os.environ | {"OCL_ICD_VENDORS": str(tmp_path / "vendors"), "OCL_ICD_FILENAMES": ""}
     for args in (
@@ -598,7 +598,7 @@ def test_no_device_says_how_to_get_one(tmp_path, pristine):
         child = subprocess.run(
             [sys.executable, "-m", "gffe_cl", *args], env=environment, capture_output=True, text=True
         )
-        assert child.returncode == 2 and "pip install" in child.stderr, child.stderr
+        assert child.returncode == 2 and "OCL_ICD_VENDORS is" in child.stderr, child.stderr
         assert len(child.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists() and not (tmp_path / "d").exists()
 
@@ -658,7 +658,7 @@ def test_a_library_that_never_returns_is_interrupted(working):
         "with Interrupts() as interrupts:\n"
         f"    {working} and interrupts.begin()\n"
         "    print('working', flush=True)\n"
-        "    hashlib.pbkdf2_hmac('sha256', b'', b'', 1 << 40)\n"
+        "    hashlib.pbkdf2_hmac('sha256', b'', b'', (1 << 31) - 1)\n"
     )
     child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "working\n"

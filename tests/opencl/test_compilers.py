@@ -35,10 +35,11 @@ STANDARDS = ("CL1.2", "CL2.0", "CL3.0")
 # no part of that.
 EXTENSIONS = "-cl-ext=-all,+cl_khr_fp16,+cl_khr_int64_base_atomics,+cl_khr_int64_extended_atomics"
 WARNINGS = (
-    "-Wall", "-Wextra", "-Wshadow", "-Wdouble-promotion", "-Wfloat-conversion", "-Wundef", "-Wvla", "-Werror",
+    "-Wall", "-Wextra", "-Wno-unused-function", "-Wshadow", "-Wdouble-promotion", "-Wfloat-conversion", "-Wundef", "-Wvla", "-Werror",
 )  # fmt: skip
 MOST_LOCAL = 16 << 10  # bytes per work-group
-MOST_PRIVATE = {1: 1 << 10, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
+MOST_PRIVATE = {1: 64, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
+PRIVATE = {"scenes/scene.shade": 1 << 10}  # kernels that may have more: those of test scenes
 MOST_ARGUMENTS = 1000  # bytes of a kernel: some GPUs allow 1024
 MOST_REGISTERS = 64  # on sm_86: more leave it less than half of its threads
 
@@ -140,7 +141,8 @@ def test_kernels_are_modest(lanes):
         found |= {f"{name}.{kernel}": sizes for kernel, sizes in told.items()}
     assert found["holes.fill_from_downsampled"][0] == 3428  # as Intel's runtime and PoCL say
     assert {kernel: sizes for kernel, sizes in found.items() if sizes[0] > MOST_LOCAL} == {}
-    assert {kernel: sizes for kernel, sizes in found.items() if sizes[1] > MOST_PRIVATE[lanes]} == {}
+    too_large = {k: sizes for k, sizes in found.items() if sizes[1] > max(MOST_PRIVATE[lanes], PRIVATE.get(k, 0))}
+    assert too_large == {}
 
 
 # ---- rules for kernels -------------------------------------------------------------------------------------------
