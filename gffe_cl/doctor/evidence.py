@@ -12,7 +12,7 @@ from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Look
 
 FEWEST = 16  # usable samples in all frames
 _LEAST_DEPTH, _LEAST_MOTION = 0.002, 0.1  # shares of the samples: a picture may show little but sky
-_SHARED, _LEADS_OUT = 0.01, 0.25  # shares of samples with one vector, and of those that it leads out of the image
+_SHARED, _LEADS_OUT = 0.01, 0.5  # shares of samples with one vector, and of those that it leads out of the image
 _TRIED = 8  # vectors that many samples share
 _MOST_NAMED = 6  # frames
 

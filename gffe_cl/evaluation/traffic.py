@@ -78,4 +78,6 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
 
 def memory(pipeline: Pipeline) -> dict[str, int]:
     """Bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
-    return {name: owner.nbytes for name, owner in ({"frame": pipeline.board.frame} | pipeline.stages).items()}
+    board = pipeline.board
+    owners = {"frame": board.frame, board.blocks.name: board.blocks} | pipeline.stages
+    return {name: owner.nbytes for name, owner in owners.items()}

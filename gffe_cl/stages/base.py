@@ -168,6 +168,7 @@ class Board:
         self.members = 0  # stages so far
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself if there is none before
+        self.blocks = FrameBlocks(self)
 
     @cached_property
     def frame(self) -> ExtrapolatedBuffers:
@@ -178,11 +179,6 @@ class Board:
     def writer(self) -> BlockWriter:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
-
-    @cached_property
-    def blocks(self) -> FrameBlocks:
-        """The frame blocks on the device."""
-        return FrameBlocks(self)
 
     def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
         """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
@@ -280,12 +276,11 @@ class Recorder(Protocol):
 @dataclass
 class _Prepared:
     """A launch whose arguments stay set: the `kernel` object is its own. `changing` are the arguments that may change
-    from frame to frame: index, name, and the owner ("rendered" or "previous") and name of a declared buffer; `held` are
-    their values that were set last, by index."""
+    from frame to frame: index, name, and the owner ("rendered" or "previous") and name of a declared buffer. Nothing
+    keeps a reference to these: callers' memory is released when they drop it."""
 
     kernel: cl.Kernel
     changing: list[tuple[int, str, str, str]]
-    held: list[Any]
     items: tuple[int, int]
     group: tuple[int, int]
 
@@ -386,14 +381,9 @@ class Stage(Owner):
             if len(self._prepared) == _PREPARED:
                 self._prepared.clear()
             self._prepared[key] = prepared
-        held = prepared.held
         for index, argument, owner, own in prepared.changing:
             value = given.get(argument)
-            if value is None:
-                value = getattr(getattr(self.board, owner), own)
-            if value is not held[index]:
-                prepared.kernel.set_arg(index, value)
-                held[index] = value
+            prepared.kernel.set_arg(index, getattr(getattr(self.board, owner), own) if value is None else value)
         queue = self.device.queue
         self._record(name, cl.enqueue_nd_range_kernel(queue, prepared.kernel, prepared.items, prepared.group))
 
@@ -403,10 +393,10 @@ class Stage(Owner):
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
         group = self._number(kernel.group) if kernel.group else row
-        made, arguments = self.program.kernel(kernel.name), self.program.arguments[kernel.name]
+        made = self.program.kernel(kernel.name)
         declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
         changing = []
-        for index, argument in enumerate(arguments):
+        for index, argument in enumerate(self.program.arguments[kernel.name]):
             if argument.name not in given and argument.name not in declared:
                 raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
             owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
@@ -417,7 +407,7 @@ class Stage(Owner):
             else:
                 made.set_arg(index, self._buffer(f"{owner}.{own}"))
         items = -(-width // group) * group, height
-        return _Prepared(made, changing, [None] * len(arguments), items, (group, 1))
+        return _Prepared(made, changing, items, (group, 1))
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""

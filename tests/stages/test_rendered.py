@@ -62,7 +62,7 @@ def test_surfaces(device, lanes, size):
         pushed = {name: uploaded(device, keys) for name in ("push_keys", "push_winners")}
         written = {"state": uploaded(device, state), "fill_keys": uploaded(device, keys)}
         given |= written | pushed | {"fill_winners": uploaded(device, keys)}
-        stage.launch("find_links", frame=block.view(np.uint8), **given)
+        stage.launch("find_links", frame=uploaded(device, block), **given)
         cl.enqueue_copy(device.queue, state, written["state"])
         cl.enqueue_copy(device.queue, keys, written["fill_keys"])
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k

@@ -235,7 +235,7 @@ def test_separate_memories_give_the_same_bits(device, model, monkeypatch, beside
         stored = (pipeline.stages[stage].read(buffer) for stage, buffer in (name.split(".") for name in names))
         results.append([bits(made.numpy("color")), *map(bits, stored)])
         for name in names:
-            assert bool(pipeline.board.buffer(name).flags & host_memory) == shares, name
+            assert bool(pipeline.board.buffer(*name.split(".")).flags & host_memory) == shares, name
         arrays = [view._staging for view in correction._views]
         assert all(array is None for array in arrays) == shares
         kinds = [event.command_type for event in correction._transfers]
@@ -513,9 +513,9 @@ def test_nothing_is_copied_on_cpu_devices(device, model):
         where = cl.Program(device.context, WRITES_ADDRESS).build().where
     names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
     for name, mapped in zip(names, seen[0], strict=True):
-        where(device.queue, (1,), None, stage.board.buffer(name))
+        where(device.queue, (1,), None, stage.board.buffer(*name.split(".")))
         address = np.empty(1, np.uint64)
-        cl.enqueue_copy(device.queue, address, stage.board.buffer(name))
+        cl.enqueue_copy(device.queue, address, stage.board.buffer(*name.split(".")))
         assert address[0] == mapped, name
 
 

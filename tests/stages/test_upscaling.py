@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import twins
 from synthetic import Rect, Rects, camera
 from twins import upscaling as twin
 
@@ -88,8 +89,9 @@ def test_every_kernel_does_what_its_twin_does(device, size, render_size):
             k > 0,
         )
         packed = np.nan_to_num(frame.color.astype(np.float32), nan=0, posinf=65504)
+        depth, motion, _ = twins.convert_geometry(frame.depth, frame.motion if k else np.zeros_like(frame.motion))
         made = [
-            twin.compare(packed, frame.depth, frame.motion if k else np.zeros((*frame.depth.shape, 2), np.float32),
+            twin.compare(packed, depth, motion,
                          last.depth, state[0][..., :3].astype(np.float32), *maps)
         ]  # fmt: skip
         compressed, dilated, surprise = (stage.read(name) for name in ("compressed", "dilated", "surprise"))
