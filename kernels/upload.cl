@@ -136,7 +136,7 @@ WIDE __kernel void take_geometry(__constant Frame *frame, __global const float *
         const Ints good_motion = motion_x * motion_x + motion_y * motion_y < diagonal_squared;
         if (!ALL(good_depth)) {
             bad_depth += min(count, LANES) - lanes_where(good_depth, count);
-            z = (z >= 0.0f) & !good_depth ? (Floats)(0.0f) : z;
+            z = ((z >= 0.0f) & !good_depth) ? (Floats)(0.0f) : z;
         }
         if (ANY(beyond)) {
             far += lanes_where(beyond, count);

@@ -121,7 +121,7 @@ GAE: dict[str, Change] = {
         edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown)": "return false"}}
     ),
     "what lies beyond the image has no far side": Change(
-        edits={"holes.cl": {"= !(all > 0.0f);": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
+        edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
     ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }

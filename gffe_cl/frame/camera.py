@@ -319,17 +319,8 @@ class Camera:
     def to_view_of(self, other: Camera) -> np.ndarray:
         """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
         validation.require_kind(other, Camera, "camera: other")
-        return np.array([*self.rows_to_view_of(other), [0.0, 0.0, 0.0, 1.0]])
-
-    def rows_to_view_of(self, other: Camera) -> list[list[float]]:
-        """Return the first three rows of `to_view_of`, as lists."""
-        if self.rows == other.rows:
-            return [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
-        rotation, translation = self.inverse
-        rows = other.rows[:3]
-        other_rotation = [row[:3] for row in rows]
-        turned, moved = vectors.product(other_rotation, rotation), vectors.times(other_rotation, translation)
-        return [[*of, place + row[3]] for of, place, row in zip(turned, moved, rows, strict=True)]
+        rows = vectors.view_to_view(self.rows, self.inverse, other.rows)
+        return np.array([*rows, [0.0, 0.0, 0.0, 1.0]])
 
     def scaled(self, scale_x: float, scale_y: float) -> Camera:
         """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels. Raises GffeError

@@ -54,3 +54,15 @@ def view_inverse(matrix: Matrix) -> tuple[list[list[float]], list[float]]:
     """Rotation and translation of the inverse of a rigid transform, of which (3 or 4, 4) rows are given."""
     rotation = inverse([row[:3] for row in matrix[:3]])
     return rotation, [-x for x in times(rotation, [row[3] for row in matrix[:3]])]
+
+
+def view_to_view(source: Matrix, inverse: tuple[Matrix, Vector], target: Matrix) -> list[list[float]]:
+    """Return the first three rows of the transform from one view space to another: 1 for equal poses. `source`,
+    `target`: the rows of world → view; `inverse`: `view_inverse` of the former."""
+    if source == target:
+        return [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+    rotation, translation = inverse
+    rows = target[:3]
+    target_rotation = [row[:3] for row in rows]
+    turned, moved = product(target_rotation, rotation), times(target_rotation, translation)
+    return [[*of, place + row[3]] for of, place, row in zip(turned, moved, rows, strict=True)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.vectors import length
+from gffe_cl.frame.vectors import length, view_to_view
 from gffe_cl.opencl.program import expand, parse_constants, parse_struct
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.mu_law import color_law
@@ -98,7 +98,7 @@ def reprojection(source: Camera, target: Camera) -> np.ndarray:
 
 
 def _reprojection(source: Camera, target: Camera) -> list[float]:
-    row0, row1, row2 = source.rows_to_view_of(target)
+    row0, row1, row2 = view_to_view(source.rows, source.inverse, target.rows)
     inverse = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
     return [*row0, *row1, *row2, *source.intrinsics, *inverse, *target.intrinsics]
 
