@@ -168,6 +168,7 @@ def _make(folder: Path) -> None:
     pipeline.exposure = footage.exposure
     if correction := pipeline.stages.get(ShadingCorrection.name):
         correction.use(_SilentNetwork())
+        correction.works_alone = True  # Oclgrind takes commands of one thread only
     *before, last = (turn for turn in footage.turns(1))
     for turn in before:
         pipeline.submit(turn.frame)

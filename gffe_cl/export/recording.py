@@ -130,7 +130,8 @@ class _Rehearsal:
         }
         self.board.lend()
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
-        self.all = self.stages | others | {FrameBlocks.name: self.board.blocks}
+        others[FrameBlocks.name] = self.board.blocks
+        self.all = self.stages | others
         for stage in self.all.values():
             stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):

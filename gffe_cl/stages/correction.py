@@ -122,6 +122,7 @@ class ShadingCorrection(Stage):
         """Without `load` there are the kernels alone, no network."""
         super().__init__(board)
         self.network: Any = None  # a Network or a substitute
+        self.works_alone = False  # whether everything is to happen in one thread
         if load:
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
@@ -150,7 +151,7 @@ class ShadingCorrection(Stage):
         """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
         they are different processors, and that no other stage needs the final image."""
         same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
-        return not same and next(reversed(self.board.stages.values())) is self
+        return not (same or self.works_alone) and next(reversed(self.board.stages.values())) is self
 
     def look_at(self, names: set[str] | None) -> None:
         self.with_refined = names is None or "correction.refined" in names

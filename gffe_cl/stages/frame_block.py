@@ -20,7 +20,7 @@ MAX_ORDER, MAX_LEVELS = (parse_constants(_SOURCE)[name] for name in ("MAX_ORDER"
 _GRIDS = ("source", "target", "network", "cells")
 # Where each member is, in words of 4 bytes.
 _WORDS = {
-    name: slice(offset // 4, (offset + kind.itemsize) // 4) for name, (kind, offset) in (FRAME.fields or {}).items()
+    name: slice(member[1] // 4, (member[1] + member[0].itemsize) // 4) for name, member in (FRAME.fields or {}).items()
 }
 
 

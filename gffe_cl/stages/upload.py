@@ -167,7 +167,7 @@ class Upload(Stage):
         if "given" not in self.buffer:
             self.buffer |= self.allocate([self.spec("given")])
         given, places, end = self.buffer["given"], {}, 0
-        for name in reversed(arrays):  # the widest type first: each begins where its type may
+        for name in reversed([*arrays]):  # the widest type first: each begins where its type may
             places[name] = slice(end, end := end + arrays[name].nbytes)
         staging = self._free_staging(end)
         for name, place in places.items():

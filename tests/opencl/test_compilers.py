@@ -151,7 +151,7 @@ def test_kernels_are_modest(lanes):
 
 @pytest.mark.parametrize("name", FILES)
 def test_guards_compare_positions(name):
-    """Intel's compiler for CPUs loses stores behind `if (width - x <= 0) return;`, whatever the difference is called."""
+    """Intel's compiler for CPUs loses stores behind `if (width - x <= 0) return;`, however that is written."""
     text = (kernel_folder() / f"{name}.cl").read_text()
     assert re.findall(r"if \(\w+ <= 0\b[^\n]*\) return;", text) == []
 
