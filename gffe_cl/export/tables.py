@@ -18,7 +18,7 @@ from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages import correction, mu_law, scene_cuts
-from gffe_cl.stages.base import Kernel, NearestStage, Stage
+from gffe_cl.stages.base import FrameBlocks, Kernel, NearestStage, Stage
 from gffe_cl.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
 from gffe_cl.stages.frame_block import FRAME, MAX_LEVELS, MAX_ORDER
 
@@ -235,6 +235,8 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
     name, stages = correction.ShadingCorrection.name, list(plan.stages)
     if operation.stage == name:
         return "GFFE_OF_CORRECTION"
+    if operation.stage == FrameBlocks.name:
+        return "0"
     after = occasion.startswith("extrapolated") and name in stages
     return "GFFE_AFTER_CORRECTION" if after and stages.index(operation.stage) > stages.index(name) else "0"
 

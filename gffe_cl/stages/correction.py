@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -127,12 +128,6 @@ class ShadingCorrection(Stage):
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
         self._copying_milliseconds = 0.0
-        staged, inputs = not board.device.shares_memory, board.stages
-        self._views = (
-            HostView(inputs[NetworkInput.name], "frames", staged=staged),
-            HostView(inputs[ShadingFlow.name], "candidates", staged=staged),
-            HostView(self, "judgement", writes=True, staged=staged),
-        )
         self._transfers: list[cl.Event] = []  # between these and the device, of the last frame
         self.unusable_pixels = 0
         self.with_refined = False
@@ -141,6 +136,16 @@ class ShadingCorrection(Stage):
         self._worker: ThreadPoolExecutor | None = None
         # The frame in work, what is enqueued for it, and the network's run.
         self._begun: tuple[Step, Future[list[cl.Event] | None], Future[None]] | None = None
+
+    @cached_property
+    def _views(self) -> tuple[HostView, HostView, HostView]:
+        """The network's input and output on the host. Without a network nobody asks for them."""
+        staged, inputs = not self.device.shares_memory, self.board.stages
+        return (
+            HostView(inputs[NetworkInput.name], "frames", staged=staged),
+            HostView(inputs[ShadingFlow.name], "candidates", staged=staged),
+            HostView(self, "judgement", writes=True, staged=staged),
+        )
 
     @classmethod
     def is_wanted(cls, options) -> bool:
