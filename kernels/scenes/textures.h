@@ -83,7 +83,8 @@ INLINE float3 texture_color(const int texture, const float3 color, const float3 
     float3 noise_p = p / scale;
     float noise_fp = fp;
     if (texture == PLANKS) {
-        noise_p *= a.x > max(a.y, a.z) ? (float3)(9.0f, 9.0f, 0.7f) : (float3)(0.7f, 9.0f, 9.0f);
+        const bool along_z = a.x > max(a.y, a.z);
+        noise_p *= (float3)(along_z ? 9.0f : 0.7f, 9.0f, along_z ? 0.7f : 9.0f);
         noise_fp *= 9.0f;
     }
     if (texture == BARK) noise_p *= (float3)(3.0f, 0.5f, 3.0f), noise_fp *= 3.0f;
