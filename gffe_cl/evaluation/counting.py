@@ -31,6 +31,7 @@ from gffe_cl.opencl.device import open_device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,
@@ -169,6 +170,7 @@ def _make(folder: Path) -> None:
     if correction := pipeline.stages.get(ShadingCorrection.name):
         correction.use(_SilentNetwork())
         correction.works_alone = True  # Oclgrind takes commands of one thread only
+        pipeline.stages[ShadingTrend.name].never_still = True  # with vectors it finds no change of light
     *before, last = (turn for turn in footage.turns(1))
     for turn in before:
         pipeline.submit(turn.frame)

@@ -100,6 +100,7 @@ class ShadingTrend(Stage):
     def __init__(self, board: Board):
         super().__init__(board)
         self._changed = HostView(self, "changed")
+        self.never_still = False  # whether all work is to be done in any case
         self._known: list[cl.Event] = []  # complete when `_changed` can be read
 
     @property
@@ -109,7 +110,7 @@ class ShadingTrend(Stage):
         for event in self._known:
             event.wait()
         changed = self._changed.array
-        return changed is not None and not changed[0]
+        return changed is not None and not changed[0] and not self.never_still
 
     def rendered(self, step: Step) -> None:
         """Find the trend, and whether any light changes. After a reset there is none."""
