@@ -662,6 +662,7 @@ def test_a_library_that_never_returns_is_interrupted(working):
     )
     child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "working\n"
+    time.sleep(0.5)  # until the call has begun
     for _ in range(2 * working):
         child.send_signal(signal.SIGINT)
         with pytest.raises(subprocess.TimeoutExpired):
