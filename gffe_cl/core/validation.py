@@ -203,7 +203,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def _shown_number(value: Any) -> str:
-    """As `shown`, for a value that is not the number that it should be."""
+    """Return the text for a value that is not the number that it should be, as `shown` does for others."""
     return f"{shown(value)} (out of range)" if _is_finite(value) else shown(value)
 
 

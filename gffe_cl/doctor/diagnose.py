@@ -260,7 +260,7 @@ def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) 
 
 
 def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
-    """Of the frames that follow the one before."""
+    """Set the residuals of vectors, as given and as read, and find vectors that nothing explains."""
     misfits = found.order.misfits if found.order else []
     cuts = [place for place, look in enumerate(found.looks) if look.index in misfits]
     for name, reading in (("given", Reading()), ("read", found.reading)):

@@ -111,7 +111,7 @@ def require_size(header: ExrHeader, names, size, label: str) -> None:
 
 
 def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
-    """As `require_size`, for parts by their numbers, which must lie in one place."""
+    """Require one size and one place of parts, by their numbers, as `require_size` does of channels."""
     indices = set(indices)
     if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
         windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))

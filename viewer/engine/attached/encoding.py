@@ -137,7 +137,7 @@ def _reader_of_fields(kind: Any, readers: dict[str, Callable]) -> Callable:
 
 
 def _reader_of_either(readers: dict[Any, Callable]) -> Callable:
-    """Of a type that may be None too, or of a text with or without links."""
+    """Return the reader of a type that may be None too, or of a text with or without links."""
 
     def read(value: Any, arrays: _Arrays) -> Any:
         if value is None and NoneType in readers:
