@@ -58,8 +58,8 @@ nitpick_ignore = [
 _PAGES_ELSEWHERE = {
     "../README.md#limits": "limits.md",
     "../README.md#help": "help.md",
-    "../gffe_cl/scn/weights/MODEL_CARD.md": "model_card.md",
-    "../gffe_cl/export/c/README.md": "c_interface.md",
+    "../gffe_cl/engine/inference/weights/MODEL_CARD.md": "model_card.md",
+    "../gffe_cl/engine/export/c/README.md": "c_interface.md",
 }
 _COMMAND_LINE = (sys.executable, "-m", "typer", "gffe_cl.cli.commands", "utils", "docs", "--name", "gffe")
 
@@ -84,7 +84,7 @@ def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
 def _link_public_name(
     app: Sphinx, env: BuildEnvironment, node: nodes.Element, content: nodes.TextElement
 ) -> nodes.Element | None:
-    """Link a name that a signature or a docstring has from its module, such as `gffe_cl.frame.camera.Camera`."""
+    """Link a name that a signature or a docstring has from its module, such as `gffe_cl.engine.frame.camera.Camera`."""
     name, _, member = re.sub(r"^(gffe|gffe_cl(\.[a-z_]+)*)\.|\(.*", "", node.get("reftarget", "")).partition(".")
     if node.get("refdomain") != "py" or name not in gffe_cl.__all__:
         return None

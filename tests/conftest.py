@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from gffe_cl.cli import main
-from gffe_cl.inference import network
-from gffe_cl.opencl.device import best_of, list_devices, open_info, select
+from gffe_cl.engine.inference import network
+from gffe_cl.engine.opencl.device import best_of, list_devices, open_info, select
 
 _cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")  # children of tests share it
 os.environ["GFFE_DEVICE_CACHE"] = _cache.name

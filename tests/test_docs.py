@@ -16,8 +16,8 @@ from make_tables import SHOWN
 from typer.main import get_command
 
 import gffe_cl
+from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
 from gffe_cl.cli.commands import RENAMED, app
-from gffe_cl.sequence.description import Description, FrameEntry, describe
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -248,7 +248,7 @@ def test_deviations_that_are_measured_exist():
     """What `measure_deviations.py` changes is in the kernels, and each of its rows is explained."""
     import measure_deviations as measured
 
-    from gffe_cl.opencl.program import kernel_folder
+    from gffe_cl.engine.opencl.program import kernel_folder
 
     for change in (*measured.GAE.values(), *measured.SCN.values(), measured.PAPER, measured.CARRIED):
         for file in {*change.constants, *change.edits}:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gffe_cl.pipeline.options import OPTIONS
+from gffe_cl.engine.options import OPTIONS
 
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
 FLOORS = (

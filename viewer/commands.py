@@ -6,9 +6,9 @@ from functools import partial
 
 from imgui_bundle import imgui
 
-from gffe_cl.core.errors import printable
-from gffe_cl.pipeline.options import Option
-from gffe_cl.scenes import SCENES, SITUATIONS
+from gffe_cl.captures.scenes import SCENES, SITUATIONS
+from gffe_cl.engine.core.errors import printable
+from gffe_cl.engine.options import Option
 from gffe_cl.viewer.actions import Action
 from gffe_cl.viewer.engine.slot_metrics import QUANTITIES, REGIONS
 from gffe_cl.viewer.state import saving

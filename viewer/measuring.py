@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.start import PATIENCE, Look, require_display
 
 _SIZE = (1280, 720)  # of the window

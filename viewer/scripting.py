@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.start import PATIENCE, require_display, without_pointer
 from gffe_cl.viewer.state.playback import EVERY_FRAME
 from gffe_cl.viewer.steps import DONE, Step, check, perform
@@ -150,7 +150,7 @@ def require_film(path: Path) -> None:
 def _write_film(path: Path, frames: list[np.ndarray]) -> None:
     from PIL import Image
 
-    from gffe_cl.core.files import replacing
+    from gffe_cl.engine.core.files import replacing
 
     if not frames:
         raise GffeError(f"{path}: nothing was filmed (expected a script that waits)")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.steps import found_layer
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest

@@ -9,9 +9,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.files import read_bounded
-from gffe_cl.pipeline.options import Option
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import read_bounded
+from gffe_cl.engine.options import Option
 from gffe_cl.viewer.actions import Action, Actions
 from gffe_cl.viewer.state.captions import Message
 from gffe_cl.viewer.state.comparing import WAYS

@@ -20,8 +20,9 @@ from compare_speed import Version, store
 from pages import REPOSITORY
 
 import gffe_cl as gffe
-from gffe_cl.evaluation.bench import Copier, bench_size
-from gffe_cl.evaluation.benchmark_input import SCENE, Footage, footage_of
+from gffe_cl.engine.timing.bench import Copier, bench_size
+from gffe_cl.engine.timing.footage import Footage
+from gffe_cl.lab.bench.footage import SCENE, footage_of
 
 
 def clocks(footage: Footage, device: gffe.Device, scn: bool, turns: int, pairs: int) -> list[dict[str, float]]:

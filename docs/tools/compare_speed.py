@@ -35,7 +35,7 @@ import numpy as np
 from pages import REPOSITORY
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.benchmark_input import Footage, Turn
+    from gffe_cl.engine.timing.footage import Footage, Turn
 
 OLD = "61564f7"
 # Parts by the names that `take_timings` has, or had in older versions, where they differ.
@@ -165,7 +165,7 @@ def called(version: str) -> str:
 
 def store(footage: Footage, folder: Path) -> None:
     """Put footage where both versions find it."""
-    from gffe_cl.frame.rendered_frame import host_arrays
+    from gffe_cl.engine.frame.rendered_frame import host_arrays
 
     folder.mkdir()
     for k, frame in enumerate(footage.frames):
@@ -255,8 +255,8 @@ def main() -> None:
         serve(asked.serve, asked.device[0], asked.scn, asked.host)
         return
 
-    from gffe_cl.evaluation.benchmark_input import SCENE, footage_of
-    from gffe_cl.opencl.device import open_device
+    from gffe_cl.engine.opencl.device import open_device
+    from gffe_cl.lab.bench.footage import SCENE, footage_of
 
     width, height = (int(n) for n in asked.size.split("x"))
     reports = []

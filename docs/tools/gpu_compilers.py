@@ -103,7 +103,7 @@ def record(with_rocm: bool) -> list[str]:
     """Build everything and record it. Returns what does not build, a line each."""
     from vendor_compilers import COMPILERS, FILES, Rocm, argument_bytes, build_all, compilers_folder
 
-    from gffe_cl.opencl.program import expand
+    from gffe_cl.engine.opencl.program import expand
 
     kernels: dict[str, dict] = {
         f"{name}.{kernel}": {"arguments": size}

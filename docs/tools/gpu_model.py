@@ -70,7 +70,7 @@ class Times:
 
 def model(gpu: Gpu, assumed: Assumptions, group: str) -> Times:
     """Return the time of a frame pair's "GAE" or "SCN", the shading correction without its convolutions."""
-    from gffe_cl.evaluation.traffic import group as group_of
+    from gffe_cl.engine.timing.traffic import group as group_of
 
     kernels = {
         name: moved
@@ -105,7 +105,7 @@ def bytes_to_network() -> int:
     own."""
     from make_tables import SHOWN
 
-    from gffe_cl.stages.buffers import Sizes
+    from gffe_cl.engine.stages.buffers import Sizes
 
     sizes = Sizes((1920, 1080), (1920, 1080))
     return sum(spec.nbytes(sizes) for stage in SHOWN for spec in stage.buffers if spec.mapped)

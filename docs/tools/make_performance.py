@@ -171,16 +171,16 @@ def with_tables(text: str) -> str:
 
 def measure(sequence: Path | None, device: str | None) -> None:
     """Record what must move, the commands and the memory."""
-    from gffe_cl.opencl.device import open_device
+    from gffe_cl.engine.opencl.device import open_device
 
     found = dict(counted(open_device(device), [*SCENES, *([str(sequence)] if sequence else [])]))
     (MEASURED / "must_move.json").write_text(json.dumps(found, indent=1) + "\n")
 
 
 def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
-    from gffe_cl.evaluation.bench import Copier, bench_size
-    from gffe_cl.evaluation.benchmark_input import footage_of
-    from gffe_cl.pipeline.options import Options
+    from gffe_cl.engine.options import Options
+    from gffe_cl.engine.timing.bench import Copier, bench_size
+    from gffe_cl.lab.bench.footage import footage_of
 
     copier = Copier(device)
     for subject in subjects:

@@ -24,13 +24,13 @@ from scipy.ndimage import uniform_filter
 from situation_regions import region_of_situation, submitted_frames
 from upscaling_defects import SCALE, SEED, pipeline_of, shown_by
 
-from gffe_cl.evaluation.metrics import focus_mask, to_display
-from gffe_cl.evaluation.report import contact_sheet, side_by_side
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.pipeline.source import jittered_renderer
-from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.offline.source import jittered_renderer
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.metrics import focus_mask, to_display
+from gffe_cl.lab.report import contact_sheet, side_by_side
 
 SIZE, PART = (640, 360), (128, 72)
 FPS, ALPHA = 30.0, 0.5

@@ -18,16 +18,16 @@ from scipy.ndimage import binary_erosion
 from situation_regions import submitted_frames
 from skimage.color import hsv2rgb
 
-from gffe_cl.evaluation.metrics import to_display
-from gffe_cl.evaluation.report import contact_sheet, error_image
-from gffe_cl.frame.window import WindowChooser
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.stages.background import REMEMBERED
-from gffe_cl.stages.backward_blocks import BACKWARD
-from gffe_cl.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, texel_of
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.background import REMEMBERED
+from gffe_cl.engine.stages.backward_blocks import BACKWARD
+from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, texel_of
+from gffe_cl.lab.metrics import to_display
+from gffe_cl.lab.report import contact_sheet, error_image
 from gffe_cl.viewer.picture.colors import color_table
 
 SIZE, FPS, ALPHA = (640, 360), 30.0, 1.0

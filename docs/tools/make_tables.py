@@ -14,17 +14,17 @@ from collections.abc import Callable, Iterable, Mapping
 
 from pages import DOCS, table, with_all
 
-from gffe_cl.formats import FORMATS
-from gffe_cl.pipeline.options import OPTIONS, Option
-from gffe_cl.pipeline.pipeline import STAGES
-from gffe_cl.scenes import SCENES, SITUATIONS
-from gffe_cl.stages.background import Background, _level_buffers
-from gffe_cl.stages.base import Stage
-from gffe_cl.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
-from gffe_cl.stages.composition import Composition
-from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
-from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.upload import Upload
+from gffe_cl.captures.formats import FORMATS
+from gffe_cl.captures.scenes import SCENES, SITUATIONS
+from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, Option
+from gffe_cl.engine.pipeline.pipeline import STAGES
+from gffe_cl.engine.stages.background import Background, _level_buffers
+from gffe_cl.engine.stages.base import Stage
+from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
+from gffe_cl.engine.stages.composition import Composition
+from gffe_cl.engine.stages.holes import FarSide, HoleFilling
+from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.upload import Upload
 
 # Default hole filling, and the stages for NumPy arrays, a window, and overlays.
 _USUAL = (FarSide if stage is HoleFilling else stage for stage in STAGES)
@@ -40,7 +40,9 @@ def options_table() -> str:
 
 
 def fillings_table() -> str:
-    return table(("`--hole-filling`", "its color …"), [(f"`{name}`", f.sentence) for name, f in FILLINGS.items()])
+    return table(
+        ("`--hole-filling`", "its color …"), [(f"`{name}`", sentence) for name, sentence in HOLE_FILLINGS.items()]
+    )
 
 
 def stages_table() -> str:

@@ -22,8 +22,8 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import gffe_cl as gffe
-from gffe_cl.pipeline.source import Live
-from gffe_cl.scenes import load_scene
+from gffe_cl.captures.offline.source import Live
+from gffe_cl.captures.scenes import load_scene
 
 NAME = "measure_attach"
 BLOCK, SETTLING = 8, 3  # frames in a turn of a case, and those of them that do not count

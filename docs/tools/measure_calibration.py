@@ -16,20 +16,20 @@ from pathlib import Path
 import numpy as np
 from pages import table, write_tables
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.doctor.calibration.calibrate import calibrate_sequence
-from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import METRICS, to_display
-from gffe_cl.frame.camera import Camera
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.run import run_sequence
-from gffe_cl.pipeline.source import Recorded
-from gffe_cl.scenes import SCENES, load_scene
-from gffe_cl.scenes.render import render_sequence
-from gffe_cl.sequence import Sequence, open_sequence
-from gffe_cl.sequence.description import FILE_NAME, Description, FrameEntry, describe
-from gffe_cl.sequence.exr import write_channels
+from gffe_cl.captures.calibration.calibrate import calibrate_sequence
+from gffe_cl.captures.offline.run import run_sequence
+from gffe_cl.captures.offline.source import Recorded
+from gffe_cl.captures.scenes import SCENES, load_scene
+from gffe_cl.captures.scenes.render import render_sequence
+from gffe_cl.captures.sequence import Sequence, open_sequence
+from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry, describe
+from gffe_cl.captures.sequence.exr import write_channels
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.lab.compare import NO_HISTORY
+from gffe_cl.lab.metrics import METRICS, to_display
 
 SIZE, FRAMES, FPS = (240, 136), 21, 30.0
 MOVING = 0.4  # of the pixels, with objects of one's own

@@ -23,16 +23,16 @@ import numpy as np
 from pages import table, write_tables
 from scipy.signal import lfilter
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import to_display
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.camera_prediction import POSES, predict_camera_at, rotation_matrix
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.sequence import open_sequence
+from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at, rotation_matrix
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.compare import NO_HISTORY
+from gffe_cl.lab.metrics import to_display
 
 ALPHAS = (0.5, 1.0)
 ORDERS = (1, 2, None)

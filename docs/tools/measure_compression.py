@@ -17,14 +17,14 @@ from pathlib import Path
 
 from pages import table, write_tables
 
-from gffe_cl.opencl.device import open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.run import run_sequence
-from gffe_cl.pipeline.source import Recorded
-from gffe_cl.scenes import load_scene
-from gffe_cl.scenes.render import render_sequence
-from gffe_cl.sequence import open_sequence
-from gffe_cl.sequence.exr import COMPRESSIONS, codec_seconds, read_channels, write_channels
+from gffe_cl.captures.offline.run import run_sequence
+from gffe_cl.captures.offline.source import Recorded
+from gffe_cl.captures.scenes import load_scene
+from gffe_cl.captures.scenes.render import render_sequence
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.captures.sequence.exr import COMPRESSIONS, codec_seconds, read_channels, write_channels
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.engine.options import Options
 
 NAMES = ("R", "G", "B", "Z", "motion.x", "motion.y", "mask.dynamic", "mask.disoccluded", "mask.filled_by")
 SIZE, FRAMES, FPS = (1920, 1080), 10, 30.0

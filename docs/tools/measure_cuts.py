@@ -17,13 +17,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from pages import table, write_tables
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneRenderer, load_scene
-from gffe_cl.stages.scene_cuts import COUNTED, LEAST_OVERLAP
+from gffe_cl.captures.scenes import SCENES, SceneRenderer, load_scene
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.scene_cuts import COUNTED, LEAST_OVERLAP
 
 SIZE, SEEDS, SAMPLES = (240, 136), (11, 12, 13), 2
 SECTION = 12  # frames of one kind of motion

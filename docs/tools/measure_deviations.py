@@ -25,12 +25,12 @@ import numpy as np
 from pages import table, write_tables
 from situation_regions import region_of_situation, submitted_frames
 
-from gffe_cl.evaluation.metrics import METRICS, RegionErrors, to_display
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.opencl.program import kernel_folder
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.metrics import METRICS, RegionErrors, to_display
 
 ALPHA, FPS = 0.5, 30.0
 ALPHAS = (0.25, 0.5, 0.75, 1.0)

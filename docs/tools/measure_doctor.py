@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from pages import MEASURED, table, with_all, write_tables
 
-from gffe_cl.doctor.choosing import fixed_by, selected
-from gffe_cl.doctor.diagnose import examine
-from gffe_cl.doctor.fault_injection import BREAKS, GAPS, HARMLESS, Kept, broken
-from gffe_cl.doctor.repair import Repair, static_motion
-from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.sequence import open_sequence
+from gffe_cl.captures.doctor.choosing import fixed_by, selected
+from gffe_cl.captures.doctor.diagnose import examine
+from gffe_cl.captures.doctor.repair import Repair, static_motion
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.lab.fault_injection import BREAKS, GAPS, HARMLESS, Kept, broken
 
 RECORD = MEASURED / "doctor.json"
 SCENES = [(name, seed) for name in ("gallery", "street", "factory", "courtyard") for seed in (5, 6)]
@@ -61,7 +61,7 @@ class Resting(SceneFrames):
 
 
 def render(name: str, seed: int, made_by: type[SceneFrames] = SceneFrames) -> Kept:
-    from gffe_cl.opencl.device import open_device
+    from gffe_cl.engine.opencl.device import open_device
 
     renderer = SceneRenderer(open_device(None), load_scene(name, seed), *SIZE, samples=4)
     source = made_by(renderer)

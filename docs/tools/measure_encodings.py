@@ -20,16 +20,16 @@ from pathlib import Path
 import numpy as np
 from pages import MEASURED, table, write_tables
 
-from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import decibels, squared_error, to_display
-from gffe_cl.formats.motion_conversion import static_motion
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.sequence.encoding import EXACT, Encoding
+from gffe_cl.captures.formats.motion_conversion import static_motion
+from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.sequence.encoding import EXACT, Encoding
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.compare import NO_HISTORY
+from gffe_cl.lab.metrics import decibels, squared_error, to_display
 
 ALPHA, FPS = 0.5, 30.0
 SIZE, FRAMES = (480, 270), 8

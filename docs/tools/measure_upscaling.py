@@ -21,14 +21,14 @@ import numpy as np
 from pages import MEASURED, table, write_tables
 from upscaling_defects import defect_tables, defects
 
-from gffe_cl.evaluation.metrics import psnr, ssim, to_display
-from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.pipeline.source import JITTER_LENGTH, jittered_renderer
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.offline.source import JITTER_LENGTH, jittered_renderer
+from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.metrics import psnr, ssim, to_display
+from gffe_cl.lab.metrics.flicker import Flicker
 
 JSON = MEASURED / "upscaling.json"
 SIZE, SCALE, SEED = (960, 540), 2, 2

@@ -10,11 +10,11 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import to_display
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.scenes import SceneFrames
+from gffe_cl.captures.scenes import SceneFrames
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.compare import NO_HISTORY
+from gffe_cl.lab.metrics import to_display
 
 BESIDE = 2  # pixels around movers that count as their silhouettes
 CHANGED = 0.02  # least change by light, display values, mean over R, G and B

@@ -22,13 +22,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device, open_device, open_info
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.selftest.reference import digest
-from gffe_cl.selftest.scene import FPS, frames
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device, open_device, open_info
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.selftest.reference import digest
+from gffe_cl.engine.selftest.scene import FPS, frames
 
 SIZE, RENDER_SIZE = (96, 54), (112, 64)  # width and height, pixels
 ROUND = 250  # rendered frames

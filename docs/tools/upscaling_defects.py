@@ -13,14 +13,14 @@ import numpy as np
 from pages import REPOSITORY, table
 from scipy.ndimage import binary_dilation
 
-from gffe_cl.evaluation.metrics import to_display
-from gffe_cl.frame.jitter import Jitter
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.pipeline.source import jittered_renderer
-from gffe_cl.scenes import SCENES, SceneFrames, load_scene
+from gffe_cl.captures.offline.source import jittered_renderer
+from gffe_cl.captures.scenes import SCENES, SceneFrames, load_scene
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.metrics import to_display
 
 sys.path.insert(0, str(REPOSITORY / "tests" / "helpers"))
 from synthetic import Rect, Rects, camera

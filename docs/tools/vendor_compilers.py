@@ -18,7 +18,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
-from gffe_cl.opencl.program import expand, kernel_folder, parse_kernels, parse_struct
+from gffe_cl.engine.opencl.program import expand, kernel_folder, parse_kernels, parse_struct
 
 VARIABLE = "GFFE_GPU_COMPILERS"
 BUILTINS = Path(__file__).with_name("nvidia_builtins.cl")

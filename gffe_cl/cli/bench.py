@@ -21,15 +21,15 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.bench import SizeBench
-    from gffe_cl.evaluation.benchmark_input import Footage
-    from gffe_cl.evaluation.counting import KernelTraffic
-    from gffe_cl.evaluation.io_times import IoTimes
-    from gffe_cl.opencl.device import Device, DeviceInfo
-    from gffe_cl.pipeline.options import Options
+    from gffe_cl.engine.opencl.device import Device, DeviceInfo
+    from gffe_cl.engine.options import Options
+    from gffe_cl.engine.timing.bench import SizeBench
+    from gffe_cl.engine.timing.footage import Footage
+    from gffe_cl.lab.bench.counting import KernelTraffic
+    from gffe_cl.lab.bench.io_times import IoTimes
 
 _SIZES = "960x540,1280x720,1920x1080,3840x2160"
 
@@ -101,7 +101,7 @@ def bench(
     options: Options,
 ) -> None:
     """Time every stage, in milliseconds and in bytes per pixel, and compare with the paper's table."""
-    from gffe_cl.opencl.device import list_devices, open_device, open_info
+    from gffe_cl.engine.opencl.device import list_devices, open_device, open_info
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
@@ -137,8 +137,8 @@ def _bench_times(
 ) -> None:
     from dataclasses import asdict
 
-    from gffe_cl.evaluation.bench import PAPER, Copier, bench_size, growth
-    from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
+    from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
+    from gffe_cl.lab.bench.footage import footage_of, is_sequence
 
     asked: Sequence[tuple[int, int] | None] | None = sizes
     if asked is None:
@@ -170,10 +170,10 @@ def _bench_methods(
     options: Options,
     json_path: Path | None,
 ) -> None:
-    from gffe_cl.evaluation.benchmark_input import is_sequence
-    from gffe_cl.evaluation.counting import SIZE
-    from gffe_cl.evaluation.method_times import measure_methods, subject_of
-    from gffe_cl.opencl.device import open_device
+    from gffe_cl.engine.opencl.device import open_device
+    from gffe_cl.lab.bench.counting import SIZE
+    from gffe_cl.lab.bench.footage import is_sequence
+    from gffe_cl.lab.bench.method_times import measure_methods, subject_of
 
     default = open_device().info.index
     devices = sorted(devices, key=lambda device: device.info.index != default)
@@ -196,9 +196,9 @@ def _bench_io(
 ) -> None:
     from dataclasses import asdict
 
-    from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
-    from gffe_cl.evaluation.counting import SIZE
-    from gffe_cl.evaluation.io_times import FORMS, measure_io
+    from gffe_cl.lab.bench.counting import SIZE
+    from gffe_cl.lab.bench.footage import footage_of, is_sequence
+    from gffe_cl.lab.bench.io_times import FORMS, measure_io
 
     report = []
     for device in devices:
@@ -225,8 +225,8 @@ def _bench_host(
 ) -> None:
     from dataclasses import asdict
 
-    from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
-    from gffe_cl.evaluation.host_times import SIZE, measure_host
+    from gffe_cl.lab.bench.footage import footage_of, is_sequence
+    from gffe_cl.lab.bench.host_times import SIZE, measure_host
 
     report = []
     table = Table("device", "size", "submit, ms", "extrapolate, ms", "both, ms", box=None, header_style="bold")
@@ -255,8 +255,8 @@ def _bench_traffic(
     options: Options,
     json_path: Path | None,
 ) -> None:
-    from gffe_cl.evaluation.benchmark_input import footage_of
-    from gffe_cl.evaluation.counting import SIZE, count, report
+    from gffe_cl.lab.bench.counting import SIZE, count, report
+    from gffe_cl.lab.bench.footage import footage_of
 
     if sizes and len(sizes) > 1:
         raise GffeError(f"--traffic takes one size, got {len(sizes)}")
@@ -275,7 +275,7 @@ def _parse_lanes(text: str) -> list[int]:
 
 
 def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
-    from gffe_cl.evaluation.bench import PAPER, growth
+    from gffe_cl.engine.timing.bench import PAPER, growth
 
     heads = (*(f"{r.width}×{r.height}" for r in results), "must move", "paper, 1080p")
     title = plain(f"{name}, {info.name} ({info.platform})")
@@ -355,7 +355,7 @@ def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
 
 
 def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
-    from gffe_cl.evaluation.traffic import group
+    from gffe_cl.engine.timing.traffic import group
 
     form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
     title = plain(f"{footage.name}, a part of {footage.width}×{footage.height}, {form}")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from gffe_cl.cli.common import FollowLinksOption, JsonOption, app, out, plain, progress_bars, steps, write_json
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 
 
 @app.command()
@@ -34,8 +34,8 @@ def calibrate(
     json_path: JsonOption = None,
 ) -> None:
     """Recover the cameras of a sequence from depth and motion vectors alone."""
-    from gffe_cl.doctor.calibration.calibrate import calibrate_sequence
-    from gffe_cl.formats import open_capture
+    from gffe_cl.captures.calibration.calibrate import calibrate_sequence
+    from gffe_cl.captures.formats import open_capture
 
     if fov is not None and not 1 <= fov <= 170:
         raise GffeError(f"--fov must be 1 to 170 degrees, got {fov:g}")

@@ -18,12 +18,12 @@ from gffe_cl.cli.common import (
     steps,
     write_json,
 )
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.files import write_text
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
-    from gffe_cl.doctor import Diagnosis
-    from gffe_cl.sequence import Sequence
+    from gffe_cl.captures.doctor import Diagnosis
+    from gffe_cl.captures.sequence import Sequence
 
 _STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
 
@@ -61,10 +61,10 @@ def check(
 
     Exit code 0: nothing, or notes only; 1: faults, which break results.
     """
-    from gffe_cl.doctor import Finding, examine, open_for_check, require_findings, selected
-    from gffe_cl.doctor.choosing import fixed_by
-    from gffe_cl.doctor.findings import NOTE
-    from gffe_cl.doctor.report import as_json, html_report, summary
+    from gffe_cl.captures.doctor import Finding, examine, open_for_check, require_findings, selected
+    from gffe_cl.captures.doctor.choosing import fixed_by
+    from gffe_cl.captures.doctor.findings import NOTE
+    from gffe_cl.captures.doctor.report import as_json, html_report, summary
 
     require_findings(only or (), "--only")
     require_findings(without or (), "--except")
@@ -97,10 +97,10 @@ def check(
 def _repair(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path) -> dict:
     """Write the sequence with `chosen` repaired to `fix`, check it again, and print the changes. Returns them for
     the JSON."""
-    from gffe_cl.doctor import examine, write_repaired
-    from gffe_cl.doctor.choosing import ON_REQUEST, fixed_by
-    from gffe_cl.doctor.report import as_json, changes
-    from gffe_cl.sequence import open_sequence
+    from gffe_cl.captures.doctor import examine, write_repaired
+    from gffe_cl.captures.doctor.choosing import ON_REQUEST, fixed_by
+    from gffe_cl.captures.doctor.report import as_json, changes
+    from gffe_cl.captures.sequence import open_sequence
 
     for line in changes(chosen):
         out.print(f"to change: {plain(line)}", soft_wrap=True)

@@ -17,13 +17,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from gffe_cl.core.errors import GffeError, printable, shortened
-from gffe_cl.core.files import follow_links_everywhere, require_output_file, write_text
-from gffe_cl.core.validation import is_number
+from gffe_cl.engine.core.errors import GffeError, printable, shortened
+from gffe_cl.engine.core.files import follow_links_everywhere, require_output_file, write_text
+from gffe_cl.engine.core.validation import is_number
 
 if TYPE_CHECKING:
-    from gffe_cl.opencl.remote_workers import Cluster
-    from gffe_cl.sequence.encoding import Encoding
+    from gffe_cl.captures.sequence.encoding import Encoding
+    from gffe_cl.engine.opencl.remote_workers import Cluster
 
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
@@ -67,7 +67,7 @@ def cluster_at(address: str | None) -> Iterator[Cluster | None]:
     if not address:
         yield None
         return
-    from gffe_cl.opencl.remote_workers import Cluster
+    from gffe_cl.engine.opencl.remote_workers import Cluster
 
     cluster = Cluster(address)
     try:
@@ -128,7 +128,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def parse_encoding(text: str | None) -> Encoding:
     """Of --encode; the exact one if it is not given."""
-    from gffe_cl.sequence.encoding import CODE_SIZE, EXACT, Encoding
+    from gffe_cl.captures.sequence.encoding import CODE_SIZE, EXACT, Encoding
 
     if text is None:
         return EXACT
@@ -255,7 +255,7 @@ def warn(text: str) -> None:
 
 def warn_of_networks() -> None:
     """Warn, at the end of any command, if the network did not run on the requested provider."""
-    if inference := sys.modules.get("gffe_cl.inference.network"):
+    if inference := sys.modules.get("gffe_cl.engine.inference.network"):
         for remark in inference.take_remarks():
             warn(remark)
     _warned.clear()

@@ -19,11 +19,11 @@ from gffe_cl.cli.common import (
     warn,
     write_json,
 )
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.compare import Comparison
-    from gffe_cl.evaluation.metrics import Metric
+    from gffe_cl.lab.compare import Comparison
+    from gffe_cl.lab.metrics import Metric
 
 
 @app.command()
@@ -50,9 +50,9 @@ def compare(
     json_path: JsonOption = None,
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""
-    from gffe_cl.evaluation.compare import compare as compare_sequences
-    from gffe_cl.evaluation.metrics import measurable, missing_metrics
-    from gffe_cl.formats import open_capture
+    from gffe_cl.captures.formats import open_capture
+    from gffe_cl.lab.compare import compare as compare_sequences
+    from gffe_cl.lab.metrics import measurable, missing_metrics
 
     if gae is not None and mask != "focus":
         raise GffeError("--gae goes with --mask focus")

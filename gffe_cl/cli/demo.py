@@ -19,10 +19,10 @@ from gffe_cl.cli.common import (
     steps,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.pipeline.options import Options
+    from gffe_cl.engine.options import Options
 
 
 @app.command()
@@ -37,10 +37,10 @@ def demo(
     options: Options,
 ) -> None:
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
-    from gffe_cl.evaluation.demo import METHODS
-    from gffe_cl.evaluation.demo import demo as run_demo
-    from gffe_cl.evaluation.metrics import measurable
-    from gffe_cl.opencl.device import open_device
+    from gffe_cl.engine.opencl.device import open_device
+    from gffe_cl.lab.demo import METHODS
+    from gffe_cl.lab.demo import demo as run_demo
+    from gffe_cl.lab.metrics import measurable
 
     width, height = parse_size(size)
     if min(width, height) < 32 or max(width, height) > 4096:

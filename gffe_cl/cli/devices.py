@@ -16,7 +16,7 @@ from gffe_cl.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from gffe_cl.inference.provider_check import Verdict
+    from gffe_cl.engine.inference.provider_check import Verdict
 
 
 @app.command()
@@ -31,7 +31,7 @@ def devices(
     network."""
     from dataclasses import asdict
 
-    from gffe_cl.opencl.device import best_of, list_devices, none_works
+    from gffe_cl.engine.opencl.device import best_of, list_devices, none_works
 
     every = list_devices(refresh)
     infos = [info for info in every if kind in (None, info.kind)]
@@ -64,9 +64,9 @@ def devices(
 
 def _provider_verdicts(refresh: bool) -> list[Verdict]:
     """Of all providers that are installed, but the CPU's, with the package's own network."""
-    from gffe_cl.inference.network import default_model
-    from gffe_cl.inference.provider_check import verdict
-    from gffe_cl.inference.providers import CPU, installed_providers
+    from gffe_cl.engine.inference.network import default_model
+    from gffe_cl.engine.inference.provider_check import verdict
+    from gffe_cl.engine.inference.providers import CPU, installed_providers
 
     model = default_model()
     if model is None:

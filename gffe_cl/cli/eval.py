@@ -27,14 +27,14 @@ from gffe_cl.cli.common import (
     steps,
     warn,
 )
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.files import write_text
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.table.datasets import Subject
-    from gffe_cl.evaluation.table.results import Column
-    from gffe_cl.evaluation.table.runner import Executor, Filled
-    from gffe_cl.opencl.remote_workers import Cluster
+    from gffe_cl.engine.opencl.remote_workers import Cluster
+    from gffe_cl.lab.table.datasets import Subject
+    from gffe_cl.lab.table.results import Column
+    from gffe_cl.lab.table.runner import Executor, Filled
 
 TURNS = (0.5, 1.0, 2.0, 4.0)  # degrees
 
@@ -120,12 +120,12 @@ def evaluate(
     follow_links: FollowLinksOption = False,
 ) -> None:
     """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
-    from gffe_cl.evaluation.table.datasets import SceneSubject
-    from gffe_cl.evaluation.table.methods import LATE_WARP
-    from gffe_cl.evaluation.table.results import results_of
-    from gffe_cl.evaluation.table.runner import Order
-    from gffe_cl.pipeline.options import Options
-    from gffe_cl.scenes import SCENES
+    from gffe_cl.captures.scenes import SCENES
+    from gffe_cl.engine.options import Options
+    from gffe_cl.lab.table.datasets import SceneSubject
+    from gffe_cl.lab.table.methods import LATE_WARP
+    from gffe_cl.lab.table.results import results_of
+    from gffe_cl.lab.table.runner import Order
 
     _check(frames, fps, seeds, turn_rate)
     videos = _videos(metrics)
@@ -160,7 +160,7 @@ def evaluate(
 
 def _subjects(texts, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
     """The subjects, and why folders among several cannot be opened, by their names."""
-    from gffe_cl.evaluation.table.datasets import parse_subject
+    from gffe_cl.lab.table.datasets import parse_subject
 
     chosen, broken = [], {}
     for text in texts:
@@ -215,7 +215,7 @@ def study(
 
 def _seeded(text: str, seeds: int) -> list[str]:
     """A built-in scene's name with each seed in turn; anything else as it is."""
-    from gffe_cl.scenes import is_scene
+    from gffe_cl.captures.scenes import is_scene
 
     return [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
 
@@ -234,7 +234,7 @@ def _turned(subject: Subject, turn: float) -> Subject:
 
 
 def _videos(text: str | None) -> tuple[str, ...]:
-    from gffe_cl.evaluation.table.videos import VIDEO_METRICS
+    from gffe_cl.lab.table.videos import VIDEO_METRICS
 
     names = tuple(text.split(",")) if text else ()
     if unknown := [name for name in names if name not in VIDEO_METRICS]:
@@ -259,7 +259,7 @@ def _folder(path: Path) -> Path:
 def _filling(output: Path, device: str | None, scheduler: str | None):
     """Return a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the
     time left."""
-    from gffe_cl.evaluation.table.runner import fill
+    from gffe_cl.lab.table.runner import fill
 
     with cluster_at(scheduler) as workers, progress_bars() as bars:
         executor = _executor(workers)
@@ -273,14 +273,14 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
 def _executor(workers: Cluster | None) -> Executor | None:
     if not workers:
         return None
-    from gffe_cl.evaluation.table.cluster import executor_of
+    from gffe_cl.lab.table.cluster import executor_of
 
     return executor_of(workers)
 
 
 def _write(output: Path, results: dict, filled: Filled) -> None:
-    from gffe_cl.evaluation.table.page import page
-    from gffe_cl.evaluation.table.results import to_csv
+    from gffe_cl.lab.table.page import page
+    from gffe_cl.lab.table.results import to_csv
 
     files = {
         "results.json": json.dumps(results, indent=1, allow_nan=False) + "\n",
@@ -296,7 +296,7 @@ def _write(output: Path, results: dict, filled: Filled) -> None:
 
 
 def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
-    from gffe_cl.evaluation.table.results import columns_of
+    from gffe_cl.lab.table.results import columns_of
 
     columns = columns_of(results)
     titles = {method["name"]: method["title"] for method in results["methods"]}
@@ -313,7 +313,7 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
         table.add_row(name, plain(titles[name]) + note, *(c.text(mean[c.name], c.name == "against") for c in columns))
     out.print(table)
     count = len(results["sequences"])
-    out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")
+    out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.lab.metrics.flicker`.")
     if with_regions:
         _print_regions(results)
     _print_gains(results)
@@ -328,7 +328,7 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
 
 def _print_regions(results: dict) -> None:
     """PSNR by method and region, of all sequences together."""
-    from gffe_cl.evaluation.metrics import METRICS
+    from gffe_cl.lab.metrics import METRICS
 
     regions, shares = list(results["regions"]), [sequence["shares"] for sequence in results["sequences"]]
     heads = (f"{region} ({sum(share[region] for share in shares) / len(shares):.2%})" for region in regions)
@@ -358,7 +358,7 @@ def _print_budget(budget: dict[str, list[dict]]) -> None:
 
 
 def _print_late(rows: list[dict]) -> None:
-    from gffe_cl.evaluation.table.results import METRIC_COLUMNS
+    from gffe_cl.lab.table.results import METRIC_COLUMNS
 
     heads: list[Column] = list(METRIC_COLUMNS)
     table = Table("late warp", "turn", *(c.title for c in heads), "not shown before", box=None, header_style="bold")

@@ -11,11 +11,11 @@ import typer
 from gffe_cl.cli.common import DeviceOption, app, out, plain
 from gffe_cl.cli.options import takes_options
 from gffe_cl.cli.run import open_source
-from gffe_cl.core.errors import GffeError
-from gffe_cl.pipeline.options import OPTIONS
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.options import OPTIONS
 
 if TYPE_CHECKING:
-    from gffe_cl.pipeline.options import Options
+    from gffe_cl.engine.options import Options
 
 _OF_PYTHON_ALONE = ("overlays", "scn_provider")
 _EXPORTED = [name for name, option in OPTIONS.items() if option.flag and name not in _OF_PYTHON_ALONE]
@@ -41,10 +41,10 @@ def export(
     options: Options,
 ) -> None:
     """Write the pipeline as C for engines: C99 and OpenCL alone, no Python. Options are fixed by it, sizes are not."""
-    from gffe_cl.export import export as write
-    from gffe_cl.export import write_frames
-    from gffe_cl.opencl.device import open_device
-    from gffe_cl.scenes import is_scene
+    from gffe_cl.captures.offline.raw_frames import write_frames
+    from gffe_cl.captures.scenes import is_scene
+    from gffe_cl.engine.export import export as write
+    from gffe_cl.engine.opencl.device import open_device
 
     if frames is None and size is not None:
         raise GffeError("--size is for --frames of a built-in scene")

@@ -7,7 +7,7 @@ import sys
 
 from gffe_cl.cli.common import plain, say
 from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
-from gffe_cl.core.errors import GffeError, shortened
+from gffe_cl.engine.core.errors import GffeError, shortened
 
 
 def explain(error: BaseException, interrupts: Interrupts) -> int:

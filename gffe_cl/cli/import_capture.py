@@ -27,7 +27,7 @@ from gffe_cl.cli.common import (
 @app.command()
 def formats(json_path: JsonOption = None) -> None:
     """List the forms of captures that every command opens, with an example of each."""
-    from gffe_cl.formats import FORMATS
+    from gffe_cl.captures.formats import FORMATS
 
     table = Table("form", "description", "the folder, for example", box=None, header_style="bold")
     for one in FORMATS.values():
@@ -56,8 +56,8 @@ def import_(
     json_path: JsonOption = None,
 ) -> None:
     """Convert a capture of any known form into a sequence of our own."""
-    from gffe_cl.formats import open_capture
-    from gffe_cl.formats.importing import import_capture
+    from gffe_cl.captures.formats import open_capture
+    from gffe_cl.captures.formats.importing import import_capture
 
     encoding, opened = parse_encoding(encode), open_capture(sequence)
     total = len(opened.rendered) + len(opened.ground_truth)

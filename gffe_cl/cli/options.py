@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.pipeline.options import OPTIONS, Option, Options
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.options import OPTIONS, Option, Options
 
 SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # options of the commands that only measure
 

@@ -74,10 +74,10 @@ def render(
     Situations, small scenes of one difficulty each: bars, ropes, balls, rotors, handheld, cab, wipers, lamps, shadows,
     fan, screen, quantized.
     """
-    from gffe_cl.frame.jitter import Jitter
-    from gffe_cl.opencl.device import open_device
-    from gffe_cl.scenes import load_scene
-    from gffe_cl.scenes.render import render_sequence
+    from gffe_cl.captures.scenes import load_scene
+    from gffe_cl.captures.scenes.render import render_sequence
+    from gffe_cl.engine.frame.jitter import Jitter
+    from gffe_cl.engine.opencl.device import open_device
 
     width, height = parse_size(size)
     built, jittered, encoding = load_scene(scene, seed), Jitter.parse(jitter), parse_encoding(encode)

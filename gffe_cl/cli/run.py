@@ -25,13 +25,13 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.opencl.device import Device, DeviceInfo
-    from gffe_cl.pipeline.options import Options
-    from gffe_cl.pipeline.run import RunReport
-    from gffe_cl.pipeline.source import Live, Recorded
+    from gffe_cl.captures.offline.run import RunReport
+    from gffe_cl.captures.offline.source import Live, Recorded
+    from gffe_cl.engine.opencl.device import Device, DeviceInfo
+    from gffe_cl.engine.options import Options
 
 
 _MANY_CUTS = 0.2  # of the rendered frames
@@ -91,8 +91,8 @@ def run(
     options: Options,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
-    from gffe_cl.opencl.malloc_tuning import keep_freed_memory
-    from gffe_cl.pipeline.run import alphas_for, run_sequence
+    from gffe_cl.captures.offline.run import alphas_for, run_sequence
+    from gffe_cl.engine.opencl.malloc_tuning import keep_freed_memory
 
     if n is not None and alpha is not None:
         raise GffeError("-n and --alpha exclude each other")
@@ -116,8 +116,8 @@ def run(
 
 
 def _check_quickly(source: Recorded | Live, target: Path) -> None:
-    from gffe_cl.doctor import quick_warning
-    from gffe_cl.pipeline.source import Recorded
+    from gffe_cl.captures.doctor import quick_warning
+    from gffe_cl.captures.offline.source import Recorded
 
     suspicion = quick_warning(source.sequence, source.exposure) if isinstance(source, Recorded) else None
     if suspicion:
@@ -132,10 +132,10 @@ def open_source(
     upscale: float = 0.0,
 ) -> tuple[Device, Recorded | Live]:
     """Open a folder as a sequence. Other names may be built-in scenes, rendered as `live` describes."""
-    from gffe_cl.formats import open_capture
-    from gffe_cl.opencl.device import open_device
-    from gffe_cl.pipeline.source import Live, Recorded
-    from gffe_cl.scenes import is_scene, load_scene, scene_names
+    from gffe_cl.captures.formats import open_capture
+    from gffe_cl.captures.offline.source import Live, Recorded
+    from gffe_cl.captures.scenes import is_scene, load_scene, scene_names
+    from gffe_cl.engine.opencl.device import open_device
 
     if is_scene(str(sequence)):
         size, frames, fps, seed = live.values()
@@ -151,7 +151,7 @@ def open_source(
 
 
 def _print_report(report: RunReport, output: Path) -> None:
-    from gffe_cl.sequence.read_ahead import usable_cores
+    from gffe_cl.captures.sequence.read_ahead import usable_cores
 
     for warning in report.warnings:
         warn(warning)

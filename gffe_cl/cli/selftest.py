@@ -11,8 +11,8 @@ from rich.table import Table
 from gffe_cl.cli.common import DeviceOption, JsonOption, app, err, out, output_file, plain, write_json
 
 if TYPE_CHECKING:
-    from gffe_cl.opencl.device import DeviceInfo
-    from gffe_cl.selftest import DeviceResult, NetworkResult
+    from gffe_cl.engine.opencl.device import DeviceInfo
+    from gffe_cl.engine.selftest import DeviceResult, NetworkResult
 
 _COLORS = {"equal": "green", "differs": "red", "failed": "red", "refused": "yellow"}
 _MOST_ROWS = 40
@@ -44,8 +44,8 @@ def selftest(
 
     Exit code 1: something differs; 2: something could not be run.
     """
-    from gffe_cl.selftest import selftest as run
-    from gffe_cl.selftest.report import machine
+    from gffe_cl.engine.selftest import selftest as run
+    from gffe_cl.engine.selftest.report import machine
 
     wanted = {"forms": ["own"], "speed": False} if quick else None
     found = run(device, seconds=seconds, wanted=wanted, on_device=_announce)

@@ -21,8 +21,8 @@ from gffe_cl.cli.common import (
     progress_bars,
     write_json,
 )
-from gffe_cl.core.errors import GffeError, how_to_install
-from gffe_cl.core.files import only_process
+from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.files import only_process
 
 
 @app.command()
@@ -85,10 +85,10 @@ def train(
         import torch
     except ImportError:
         raise GffeError(f"training needs PyTorch and TensorBoard (expected: {how_to_install('train')})") from None
-    from gffe_cl.opencl.device import open_device
-    from gffe_cl.scn.clips import complete_clips, finished_clips, make_clips
-    from gffe_cl.scn.crops import list_crops
-    from gffe_cl.scn.training import Processes, Recipe, Training, clips_of_run
+    from gffe_cl.engine.opencl.device import open_device
+    from gffe_cl.lab.training.clips import complete_clips, finished_clips, make_clips
+    from gffe_cl.lab.training.crops import list_crops
+    from gffe_cl.lab.training.training import Processes, Recipe, Training, clips_of_run
 
     if minutes is not None and not minutes > 0:
         raise GffeError(f"--minutes must be positive, got {minutes:g}")
@@ -214,8 +214,8 @@ def _duration(seconds: float) -> str:
 
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
-    from gffe_cl.scn import losses
-    from gffe_cl.scn.export import count_operations, export_onnx, model_card
+    from gffe_cl.lab.training import losses
+    from gffe_cl.lab.training.export import count_operations, export_onnx, model_card
 
     figures = training.validate()
     recipe, network = training.recipe, training.network

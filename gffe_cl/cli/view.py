@@ -20,11 +20,11 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import require_seed
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_seed
 
 if TYPE_CHECKING:
-    from gffe_cl.pipeline.options import Options
+    from gffe_cl.engine.options import Options
 
 
 def _list_actions(wanted: bool) -> None:
@@ -140,8 +140,8 @@ def view(
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
     _require_packages()
-    from gffe_cl.inference.network import load_network
-    from gffe_cl.scenes import is_scene
+    from gffe_cl.captures.scenes import is_scene
+    from gffe_cl.engine.inference.network import load_network
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.measuring import measure as measure_playback
     from gffe_cl.viewer.scripting import play_script, require_film

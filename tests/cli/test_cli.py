@@ -18,12 +18,12 @@ from scn_models import constant_model
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import open_sequence
-from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.metrics import METRICS, Metric
-from gffe_cl.evaluation.table.results import METRIC_COLUMNS
-from gffe_cl.pipeline.run import alphas_for
-from gffe_cl.scenes import load_scene
-from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.captures.offline.run import alphas_for
+from gffe_cl.captures.scenes import load_scene
+from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.lab.metrics import METRICS, Metric
+from gffe_cl.lab.table.results import METRIC_COLUMNS
 
 W, H = 64, 40
 SCENE = Rects([Rect((0, 0, 12), frequency=0.3), Rect((-1, 0, 6), (1, 1), velocity=(6, 0, 0), frequency=1)])
@@ -399,8 +399,8 @@ def test_options_of_scenes_are_refused_for_sequences(gffe, scene, tmp_path):
 
 
 def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
-    from gffe_cl.evaluation.compare import baseline_repeat, shown_color
-    from gffe_cl.evaluation.metrics import psnr, to_display
+    from gffe_cl.lab.compare import baseline_repeat, shown_color
+    from gffe_cl.lab.metrics import psnr, to_display
 
     options = ("--size", "96x54", "--frames", 4, "--ground-truth", "--window", "fixed:1.3")
     assert gffe("render", "room", tmp_path / "in", *options)[0] == 0
@@ -642,7 +642,7 @@ def test_signals_during_the_first_second(pristine, tmp_path, kind):
 
 
 def test_nothing_heavy_before_the_handlers():
-    heavy = ("numpy", "pyopencl", "typer", "rich", "ctypes", "json", "gffe_cl.opencl")
+    heavy = ("numpy", "pyopencl", "typer", "rich", "ctypes", "json", "gffe_cl.engine.opencl")
     for module in ("gffe_cl.cli", "gffe_cl"):
         code = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
         child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

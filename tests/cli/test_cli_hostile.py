@@ -15,15 +15,15 @@ import pytest
 from fuzz_arguments import arguments, kind, parameters, wrong
 
 from gffe_cl.cli import common
-from gffe_cl.core import errors
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.files import only_process
-from gffe_cl.evaluation.table import runner
-from gffe_cl.evaluation.table.datasets import SceneSubject
-from gffe_cl.evaluation.table.jobs import Cell
-from gffe_cl.export import writing
-from gffe_cl.opencl.remote_workers import Cluster
-from gffe_cl.pipeline.options import Options
+from gffe_cl.engine.core import errors
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import only_process
+from gffe_cl.engine.export import writing
+from gffe_cl.engine.opencl.remote_workers import Cluster
+from gffe_cl.engine.options import Options
+from gffe_cl.lab.table import runner
+from gffe_cl.lab.table.datasets import SceneSubject
+from gffe_cl.lab.table.jobs import Cell
 
 
 def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
@@ -164,7 +164,7 @@ def test_a_file_as_home(tmp_path):
     file.write_text("")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "POCL_", "PYOPENCL_", "GFFE_D"))}
     changes = {"HOME": str(file), "GFFE_DEVICE_CACHE": str(file), "TMPDIR": str(tmp_path)}
-    code = "from gffe_cl.opencl.device import list_devices as l; f = l(True); assert f and all(i.works for i in f), f"
+    code = "from gffe_cl.engine.opencl.device import list_devices as l; f = l(True); assert f and all(i.works for i in f), f"
     child = subprocess.run(
         [sys.executable, "-c", code], env=environment | changes, capture_output=True, text=True, cwd=tmp_path
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gffe_cl.sequence import open_sequence
+from gffe_cl.captures.sequence import open_sequence
 
 SIZE = ("--size", "160x90")
 

@@ -14,7 +14,7 @@ class Blocked:
             raise (OSError if name == "imgui_bundle" else ImportError)(f"{name}\\nis broken")
 sys.meta_path.insert(0, Blocked())
 from gffe_cl.cli import main
-from gffe_cl.evaluation import bench
+from gffe_cl.engine.timing import bench
 bench._COPY_BYTES = 1 << 20
 def gffe(*arguments):
     sys.argv = ["gffe", *arguments]

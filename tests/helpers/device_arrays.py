@@ -2,9 +2,9 @@
 
 import pyopencl as cl
 
-from gffe_cl.frame.rendered_frame import HostArrays
-from gffe_cl.opencl.device import Device
-from gffe_cl.stages.buffers import DeviceFrame
+from gffe_cl.engine.frame.rendered_frame import HostArrays
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.stages.buffers import DeviceFrame
 
 
 def copy_to(device: Device, frame: DeviceFrame, arrays: HostArrays) -> None:

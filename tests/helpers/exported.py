@@ -10,8 +10,8 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import OVERLAYS
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
 OK, INVALID, OPENCL, OUT_OF_MEMORY, NETWORK_FAILED = range(5)

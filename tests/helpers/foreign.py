@@ -10,9 +10,9 @@ from functools import cache
 import numpy as np
 import OpenEXR
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.opencl.device import open_device
-from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.opencl.device import open_device
 
 W, H, FPS = 97, 55, 30.0
 SCENE = "forest"  # the camera turns, leaves move, and there is sky

@@ -21,13 +21,13 @@ import OpenEXR
 from PIL import Image
 
 from gffe_cl import Camera, GffeError, open_capture
-from gffe_cl.frame import conventions
-from gffe_cl.frame.camera import predict_camera
-from gffe_cl.frame.rendered_frame import BadPixels
-from gffe_cl.pipeline.options import OPTIONS, Options
-from gffe_cl.pipeline.pacing import PacingStatistics
-from gffe_cl.selftest.scene import FPS, frames
-from gffe_cl.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
+from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
+from gffe_cl.engine.frame import conventions
+from gffe_cl.engine.frame.camera import predict_camera
+from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.options import OPTIONS, Options
+from gffe_cl.engine.pipeline.pacing import PacingStatistics
+from gffe_cl.engine.selftest.scene import FPS, frames
 from gffe_cl.viewer.engine.attached import wire
 from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
 from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan, _About, recorded

@@ -4,7 +4,7 @@ flattening.
 
 import numpy as np
 
-from gffe_cl.scenes.scene_types import BOX, CAPSULE, CONE, ELLIPSOID
+from gffe_cl.captures.scenes.scene_types import BOX, CAPSULE, CONE, ELLIPSOID
 
 
 def _quadratic(a, b, c):

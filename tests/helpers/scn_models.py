@@ -4,7 +4,7 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from gffe_cl.inference.model_interface import HEAD, HEAD_LAYERS, JUDGEMENT_PLANES, OUTPUT, head_text
+from gffe_cl.engine.inference.model_interface import HEAD, HEAD_LAYERS, JUDGEMENT_PLANES, OUTPUT, head_text
 
 FLOAT = TensorProto.FLOAT
 FRAMES, CANDIDATES = (1, 8, "height", "width"), (1, 16, "h", "w")

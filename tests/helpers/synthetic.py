@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 
 @dataclass

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.sequence import (
+from gffe_cl.captures.sequence import (
     FrameEntry,
     SequenceWriter,
     named_channels,
 )
+from gffe_cl.engine.frame.camera import Camera
 
 W, H = 13, 9
 

@@ -8,8 +8,8 @@ import sys
 import time
 
 import gffe_cl as gffe
-from gffe_cl.pipeline.source import Live
-from gffe_cl.scenes import load_scene
+from gffe_cl.captures.offline.source import Live
+from gffe_cl.captures.scenes import load_scene
 
 name, log = sys.argv[1:3]
 width, height = map(int, (sys.argv[3] if len(sys.argv) > 3 else "160x96").split("x"))

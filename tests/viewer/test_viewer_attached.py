@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 import gffe_cl as gffe
-from gffe_cl.pipeline.source import Live
-from gffe_cl.scenes import load_scene
+from gffe_cl.captures.offline.source import Live
+from gffe_cl.captures.scenes import load_scene
 from gffe_cl.viewer.engine.attached import channel, client, wire
 from gffe_cl.viewer.engine.attached.encoding import encoded
 from gffe_cl.viewer.engine.attached.program import RunningProgram

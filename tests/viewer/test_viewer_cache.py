@@ -8,7 +8,7 @@ import tiny_sequence
 from test_viewer_model import Session
 
 from gffe_cl import Options
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey, Playhead
 from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.evaluation.metrics import to_display
-from gffe_cl.evaluation.report import error_image
-from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.lab.metrics import to_display
+from gffe_cl.lab.report import error_image
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.panels.picture_frames import uncovered
 from gffe_cl.viewer.picture.canvas import Canvas, read

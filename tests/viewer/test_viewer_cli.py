@@ -17,7 +17,7 @@ from PIL import Image
 from scn_models import constant_model
 from test_viewer_model import Session
 
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.steps import check, parse, perform, unopened
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
@@ -150,7 +150,7 @@ def test_screenshot_with_shading_correction(gffe, screen, tmp_path):
 def test_asking_for_shading_correction_without_weights(tmp_path):
     tiny_sequence.write(tmp_path / "in")
     (tmp_path / "script.py").write_text(
-        "from gffe_cl.inference import network\nnetwork.default_model = lambda: None\n"
+        "from gffe_cl.engine.inference import network\nnetwork.default_model = lambda: None\n"
         "from gffe_cl.cli import main; main()\n"
     )
     child = subprocess.run(
@@ -346,7 +346,7 @@ def test_leaving_while_the_device_works(tmp_path, fault, code):
     (tmp_path / "script.py").write_text(
         "import atexit\n"
         "from types import SimpleNamespace\n"
-        "from gffe_cl.core.errors import GffeError\n"
+        "from gffe_cl.engine.core.errors import GffeError\n"
         "from gffe_cl.viewer.start import leaving\n"
         "atexit.register(print, 'taken down')\n"
         "print('figures')\n"

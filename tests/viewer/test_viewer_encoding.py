@@ -9,7 +9,7 @@ import pytest
 from fuzz_targets import answer_seed
 
 from gffe_cl import Camera, GffeError
-from gffe_cl.pipeline.options import Options
+from gffe_cl.engine.options import Options
 from gffe_cl.viewer.engine.attached import wire
 from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
 from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, _About

@@ -25,14 +25,14 @@ from gffe_cl import (
     named_channels,
     open_sequence,
 )
-from gffe_cl.evaluation import bench as bench_module
-from gffe_cl.evaluation.metrics import METRICS, Metric, focus_mask, measurable, psnr, ssim, to_display
-from gffe_cl.frame.window import WindowChooser
-from gffe_cl.inference import network as inference
-from gffe_cl.opencl.device import Device
-from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.pipeline.source import Live, Recorded
-from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.offline.source import Live, Recorded
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.inference import network as inference
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.program import kernel_folder
+from gffe_cl.engine.timing import bench as bench_module
+from gffe_cl.lab.metrics import METRICS, Metric, focus_mask, measurable, psnr, ssim, to_display
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
 from gffe_cl.viewer.engine.sources.live import SceneSource

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from gffe_cl import Options
-from gffe_cl.evaluation.metrics import psnr, squared_error, to_display
-from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.evaluation.table.regions import REGIONS as TABLE
-from gffe_cl.evaluation.table.regions import find_labels
-from gffe_cl.frame.camera import Camera
-from gffe_cl.opencl.device import open_device
-from gffe_cl.scenes import load_scene
-from gffe_cl.scenes.render import render_sequence
+from gffe_cl.captures.scenes import load_scene
+from gffe_cl.captures.scenes.render import render_sequence
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.lab.metrics import psnr, squared_error, to_display
+from gffe_cl.lab.metrics.flicker import Flicker
+from gffe_cl.lab.metrics.regions import REGIONS as TABLE
+from gffe_cl.lab.table.labels import find_labels
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
 from gffe_cl.viewer.engine.layers import LayerSpec
@@ -117,7 +117,7 @@ def test_disocclusions_over_the_picture():
 
 def test_regions_are_those_of_the_table(tmp_path):
     """... of `gffe eval` where it finds them by the pipeline: its two kinds of disocclusions are one here."""
-    from gffe_cl.evaluation.table.datasets import FolderSubject, open_subject
+    from gffe_cl.lab.table.datasets import FolderSubject, open_subject
     from gffe_cl.viewer.engine.engine import Engine
     from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 

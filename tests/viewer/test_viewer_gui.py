@@ -48,7 +48,7 @@ def seen(tmp_path_factory):
     if shutil.which("xvfb-run") is None:
         assert not os.environ.get("CI"), "CI must have xvfb-run"
         pytest.skip("xvfb-run is not installed")
-    from gffe_cl.opencl.program import kernel_folder
+    from gffe_cl.engine.opencl.program import kernel_folder
 
     folder = tmp_path_factory.mktemp("gui")
     artifacts = Path(os.environ.get("GFFE_ARTIFACTS") or folder / "pictures").absolute() / "viewer"

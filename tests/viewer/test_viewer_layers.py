@@ -10,18 +10,18 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.stages.background import Background, _level_buffers
-from gffe_cl.stages.base import Stage
-from gffe_cl.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
-from gffe_cl.stages.connectivity import Connectivity
-from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.history import HistoryTracking
-from gffe_cl.stages.holes import Downsampled
-from gffe_cl.stages.network_input import NetworkInput
-from gffe_cl.stages.prediction import PositionPrediction
-from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.shading import ShadingInputs
-from gffe_cl.stages.shading_flow import ShadingFlow
+from gffe_cl.engine.stages.background import Background, _level_buffers
+from gffe_cl.engine.stages.base import Stage
+from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
+from gffe_cl.engine.stages.connectivity import Connectivity
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.history import HistoryTracking
+from gffe_cl.engine.stages.holes import Downsampled
+from gffe_cl.engine.stages.network_input import NetworkInput
+from gffe_cl.engine.stages.prediction import PositionPrediction
+from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.shading import ShadingInputs
+from gffe_cl.engine.stages.shading_flow import ShadingFlow
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
 from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, area_of, default_display, fitted, shown_as

@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.sequence.exr import read_channels
+from gffe_cl.captures.sequence.exr import read_channels
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.panels.picture import short

@@ -15,10 +15,10 @@ from scn_models import constant_model
 from test_doctor import COUNT, clip
 
 from gffe_cl import OPTIONS, Options
-from gffe_cl.core.errors import GffeError
-from gffe_cl.doctor.fault_injection import broken
-from gffe_cl.inference import network
-from gffe_cl.pipeline.options import Option
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inference import network
+from gffe_cl.engine.options import Option
+from gffe_cl.lab.fault_injection import broken
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeker import Seeker

@@ -8,7 +8,7 @@ import pytest
 import tiny_sequence
 from test_viewer_model import Canvas, Session
 
-from gffe_cl.opencl.program import kernel_folder
+from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.messages import Request
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from gffe_cl import Options
-from gffe_cl.pipeline.options import OPTIONS
+from gffe_cl.engine.options import OPTIONS
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.state.presets import Kept, KeptSettings, command_line
 
@@ -43,7 +43,7 @@ def parsed(line: str, monkeypatch) -> dict:
 
     monkeypatch.setattr(run_module, "open_source", stand_in)
     monkeypatch.setattr(run_module, "_check_quickly", lambda *_: None)
-    monkeypatch.setattr("gffe_cl.pipeline.run.run_sequence", run_sequence)
+    monkeypatch.setattr("gffe_cl.captures.offline.run.run_sequence", run_sequence)
     words = shlex.split(line)
     assert words[0] == "gffe"
     with pytest.raises(Stop):

@@ -12,9 +12,9 @@ from pathlib import Path
 
 
 def make(folder: Path) -> None:
-    from gffe_cl.opencl.device import open_device
-    from gffe_cl.scenes import load_scene
-    from gffe_cl.scenes.render import render_sequence
+    from gffe_cl.captures.scenes import load_scene
+    from gffe_cl.captures.scenes.render import render_sequence
+    from gffe_cl.engine.opencl.device import open_device
 
     device, scene = open_device(), load_scene("corridor")
     render_sequence(scene, folder / "small", device, 192, 108, 8, 30.0, ground_truth=True, window="adaptive")
@@ -30,7 +30,7 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     import viewer_gui_playing as playing
     import viewer_gui_settings as settings_cases
 
-    from gffe_cl.inference import network
+    from gffe_cl.engine.inference import network
     from gffe_cl.viewer.app import App
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.start import leaving

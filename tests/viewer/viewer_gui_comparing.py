@@ -107,7 +107,7 @@ def flip_error(gui: Gui):
         values["drawn"] = int(picture.max())
         from flip_evaluator import evaluate
 
-        from gffe_cl.evaluation.metrics import to_display
+        from gffe_cl.lab.metrics import to_display
 
         images = [model.contents.result.images[name][..., :3] for name in ("truth", "final")]
         true, shown = (to_display(image, model.source.exposure) for image in images)
@@ -128,7 +128,7 @@ def flip_error(gui: Gui):
 
 @case
 def measuring(gui: Gui):
-    from gffe_cl.evaluation.metrics import psnr, ssim, to_display
+    from gffe_cl.lab.metrics import psnr, ssim, to_display
 
     model, values = gui.model, gui.values
     gui.ctx.window_focus("//Compare")

@@ -15,7 +15,7 @@ from imgui_bundle import glfw_utils, imgui
 from PIL import Image
 from viewer_gui_driver import CTRL, KEY, Gui, collector
 
-from gffe_cl.evaluation.metrics import to_display
+from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.sources.opening import ScenePlan
 from gffe_cl.viewer.picture.canvas import read
 
@@ -207,7 +207,7 @@ def _made(before: set[Path]) -> list[Path]:
 @case
 def saving(gui: Gui):
     """PNG, EXR and MP4 in the working folder."""
-    from gffe_cl.sequence.exr import read_channels
+    from gffe_cl.captures.sequence.exr import read_channels
 
     model, values = gui.model, gui.values
     before = set(Path.cwd().iterdir())

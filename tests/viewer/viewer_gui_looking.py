@@ -6,7 +6,7 @@ import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
-from gffe_cl.stages.buffers import lies_on_source, texel_of
+from gffe_cl.engine.stages.buffers import lies_on_source, texel_of
 from gffe_cl.viewer.panels import status
 
 CASES, case = collector()

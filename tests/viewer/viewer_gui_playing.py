@@ -9,7 +9,7 @@ from imgui_bundle import imgui
 from scn_models import movers_model
 from viewer_gui_driver import KEY, SHIFT, Gui, collector
 
-from gffe_cl.inference import network as inference
+from gffe_cl.engine.inference import network as inference
 from gffe_cl.viewer.engine.slot_renderer import SlotMaker
 from gffe_cl.viewer.panels.timeline import CACHED
 

@@ -75,7 +75,7 @@ def settings_a_and_b(gui: Gui):
 @case
 def finding_frames(gui: Gui):
     """Every generated frame is measured; the worst, the next worse and the largest difference are found."""
-    from gffe_cl.evaluation.metrics import psnr, to_display
+    from gffe_cl.lab.metrics import psnr, to_display
 
     model, values = gui.model, gui.values
     survey = model.survey
@@ -212,7 +212,7 @@ def walking_along_a_story(gui: Gui):
 @case
 def rectangle(gui: Gui):
     """Drawn with Shift: what filled its pixels, their errors, their motion."""
-    from gffe_cl.evaluation.metrics import psnr, to_display
+    from gffe_cl.lab.metrics import psnr, to_display
 
     model, values = gui.model, gui.values
     gui.settle()

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.layers import FRAME_BUFFERS, named_images
 

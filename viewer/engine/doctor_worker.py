@@ -5,11 +5,11 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.sequence import Sequence
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.doctor import Finding
+    from gffe_cl.captures.doctor import Finding
 
 _WRONG_PLACE = "does not follow the frame before it (doctor)"
 
@@ -35,8 +35,8 @@ class Doctor:
         threading.Thread(target=self._run, args=(sequence,), name="gffe-viewer-doctor", daemon=True).start()
 
     def _run(self, sequence: Sequence) -> None:
-        from gffe_cl.doctor import examine
-        from gffe_cl.doctor.findings import FAULT, NOTE
+        from gffe_cl.captures.doctor import examine
+        from gffe_cl.captures.doctor.findings import FAULT, NOTE
 
         try:
             found = examine(sequence, sequence.exposure)

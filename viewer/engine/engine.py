@@ -14,10 +14,10 @@ from typing import Any
 
 import pyopencl as cl
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.bench import Copier
-from gffe_cl.inference.network import NetworkError
-from gffe_cl.opencl.device import Device
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inference.network import NetworkError
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.timing.bench import Copier
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey
 from gffe_cl.viewer.engine.mailbox import Exchange
 from gffe_cl.viewer.engine.messages import (

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.base import Output, Stage
-from gffe_cl.stages.buffers import RENDERED, RGBA, BufferSpec, ExtrapolatedBuffers, Owner
-from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.shading import FocusMask
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Output, Stage
+from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, ExtrapolatedBuffers, Owner
+from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.viewer.engine import names
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from gffe_cl.opencl.device import Device
+from gffe_cl.engine.opencl.device import Device
 from gffe_cl.viewer.engine.messages import EngineError, Inspection, Recipe, Request, Result
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.source import FrameSource

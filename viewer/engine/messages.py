@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.frame.rendered_frame import BadPixels
-from gffe_cl.pipeline.options import Options
+from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.options import Options
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.explain.pixel_explain_types import Story
 from gffe_cl.viewer.engine.layers import LayerSpec

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import METRICS, measurable, to_display
+from gffe_cl.lab.metrics import METRICS, measurable, to_display
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.messages import Metrics
 from gffe_cl.viewer.engine.worker import Worker

@@ -7,19 +7,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.inference import network
-from gffe_cl.opencl.device import Device
-from gffe_cl.opencl.program import Program, expand, kernel_folder
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.base import Board
-from gffe_cl.stages.buffers import Sizes
-from gffe_cl.stages.composition import Composition
-from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.shading import FocusMask
-from gffe_cl.stages.upload import Upload
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inference import network
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.program import Program, expand, kernel_folder
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Board
+from gffe_cl.engine.stages.buffers import Sizes
+from gffe_cl.engine.stages.composition import Composition
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.shading import FocusMask
+from gffe_cl.engine.stages.upload import Upload
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
 

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation import traffic
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
-from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.base import Board
-from gffe_cl.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.stages.shading import FocusMask
-from gffe_cl.stages.upload import Upload
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Board
+from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.shading import FocusMask
+from gffe_cl.engine.stages.upload import Upload
+from gffe_cl.engine.timing import traffic
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Moment, Shot
 from gffe_cl.viewer.engine.explain.motion_trail import Passed

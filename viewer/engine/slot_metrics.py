@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import METRICS, focus_mask, squared_error, to_display
-from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.evaluation.table.regions import REGIONS as _TABLE
-from gffe_cl.evaluation.table.regions import shows, steps, world_positions
+from gffe_cl.lab.metrics import METRICS, focus_mask, squared_error, to_display
+from gffe_cl.lab.metrics.flicker import Flicker
+from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
+from gffe_cl.lab.metrics.regions import shows, steps, world_positions
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.messages import Result
 
 NEEDED = frozenset({names.FINAL, names.GAE, names.TRUTH, names.DEPTH, names.DYNAMIC, names.DISOCCLUDED})
 
-# As the table of methods has them (evaluation/table/regions.py), found by the pipeline; the first that holds counts.
+# As the table of methods has them (gffe_cl/lab/metrics/regions.py), found by the pipeline; the first that holds counts.
 REGIONS = {
     "out of screen": _TABLE["out of screen"],
     "disoccluded": "hidden in the rendered frame behind something else",

@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation import traffic
-from gffe_cl.frame.rendered_frame import HALF_MAX
-from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.run import alphas_for
+from gffe_cl.captures.offline.run import alphas_for
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.timing import traffic
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import device_layers, pixel_values, read_layers
 from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story

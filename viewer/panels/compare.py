@@ -6,7 +6,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.evaluation.metrics import METRICS
+from gffe_cl.lab.metrics import METRICS
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.legends import legend

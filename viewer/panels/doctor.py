@@ -5,7 +5,7 @@ from __future__ import annotations
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from gffe_cl.core.errors import printable
+from gffe_cl.engine.core.errors import printable
 from gffe_cl.viewer.panels import widgets
 
 _RED, _AMBER, _GRAY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
@@ -45,7 +45,7 @@ def draw(app) -> None:
 def _findings(doctor) -> None:
     if not doctor.findings:
         return
-    from gffe_cl.doctor.findings import FAULT, NOTE  # loaded by now
+    from gffe_cl.captures.doctor.findings import FAULT, NOTE  # loaded by now
 
     colors = {FAULT: _RED, NOTE: _AMBER}
     for finding in doctor.findings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from gffe_cl.opencl.program import kernel_folder
+from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.panels.status import RED
 

@@ -7,7 +7,7 @@ from functools import partial
 
 from imgui_bundle import imgui
 
-from gffe_cl.pipeline.options import Option
+from gffe_cl.engine.options import Option
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.state.parameters import by_hand
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from imgui_bundle import hello_imgui, imgui
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.pipeline.options import Option
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.options import Option
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand, parsed
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from imgui_bundle import ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.opencl.program import first_error
+from gffe_cl.engine.opencl.program import first_error
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.legends import value_text
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
 
-from gffe_cl.core.errors import printable
-from gffe_cl.scenes import scene_names
+from gffe_cl.captures.scenes import scene_names
+from gffe_cl.engine.core.errors import printable
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.panels.status import RED
 

@@ -15,7 +15,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from gffe_cl.stages.frame_block import reprojection
+from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.layers import VIEWS, LayerSpec
 from gffe_cl.viewer.picture import colors

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.stages.buffers import Sizes, lies_on_source, texel_of
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.stages.buffers import Sizes, lies_on_source, texel_of
 from gffe_cl.viewer.engine.layers import NATIVE, LayerSpec
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, Rgb
 

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.report import write_video
-from gffe_cl.pipeline.run import _dump_channels
-from gffe_cl.sequence.exr import write_channels
+from gffe_cl.captures.offline.run import _dump_channels
+from gffe_cl.captures.sequence.exr import write_channels
+from gffe_cl.captures.video import write_video
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
     from gffe_cl.viewer.engine.layers import LayerSpec

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import squared_error, to_display
+from gffe_cl.lab.metrics import squared_error, to_display
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Result

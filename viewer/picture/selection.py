@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import METRICS, squared_error, to_display
-from gffe_cl.stages.buffers import FILLED_BY
+from gffe_cl.engine.stages.buffers import FILLED_BY
+from gffe_cl.lab.metrics import METRICS, squared_error, to_display
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.messages import Result
 from gffe_cl.viewer.picture.current_frame import Contents

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from gffe_cl.evaluation.metrics import METRICS
+from gffe_cl.lab.metrics import METRICS
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.messages import Metrics, Recipe, Result

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.pipeline.options import Options
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.options import Options
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.attached.program import FRAMES, RunningProgram
 from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.viewer.engine.explain.motion_trail import WayPoint
 from gffe_cl.viewer.engine.explain.pixel_explain_types import Link
 from gffe_cl.viewer.picture.current_frame import Contents

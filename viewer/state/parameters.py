@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.inference import network
-from gffe_cl.pipeline.options import OPTIONS, Option, Options
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inference import network
+from gffe_cl.engine.options import OPTIONS, Option, Options
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources.source import FrameSource
 from gffe_cl.viewer.state.playback import Playback

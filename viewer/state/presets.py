@@ -6,8 +6,8 @@ import shlex
 from dataclasses import dataclass, replace
 from typing import Any
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.pipeline.options import OPTIONS, Options, command_words
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.options import OPTIONS, Options, command_words
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.slot_renderer import weights_of
 from gffe_cl.viewer.engine.sources.preview import place_of

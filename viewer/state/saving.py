@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.formats.importing import import_capture
-from gffe_cl.sequence import Sequence
+from gffe_cl.captures.formats.importing import import_capture
+from gffe_cl.captures.sequence import Sequence
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name

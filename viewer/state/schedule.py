@@ -9,7 +9,7 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass
 
-from gffe_cl.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError
 
 MOST_GENERATED = 7
 ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps

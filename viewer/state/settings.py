@@ -13,7 +13,7 @@ from typing import Any
 
 import platformdirs
 
-from gffe_cl.core.files import read_bounded
+from gffe_cl.engine.core.files import read_bounded
 
 _MOST_BYTES = 1 << 20  # of the file
 _MOST_RECENT = 12

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 import gffe_cl as gffe
-from gffe_cl.frame.transfer_function import linear_values
+from gffe_cl.engine.frame.transfer_function import linear_values
 
 
 @dataclass

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gffe_cl.opencl.program import constants
-from gffe_cl.stages.buffers import BLOCK
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.stages.buffers import BLOCK
 from twins.background import as_rgb9e5
 from twins.common import COMMON, decode_color, encode_color
 from twins.warp import codes_of

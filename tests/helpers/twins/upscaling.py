@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from gffe_cl.opencl.program import constants
+from gffe_cl.engine.opencl.program import constants
 from twins.common import F, centers, invalid
 from twins.warp import load_color
 

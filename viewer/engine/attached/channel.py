@@ -18,8 +18,8 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import shown
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import shown
 
 _NAME = re.compile(r"[\w.-]{1,64}", re.ASCII)
 _LONGEST_PATH = 107  # bytes, of a Unix socket

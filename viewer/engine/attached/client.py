@@ -17,16 +17,16 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import require_kind, require_whole
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.pipeline.made_frame import ExtrapolatedFrame
-from gffe_cl.pipeline.pacing import Pacer
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.base import Stage
-from gffe_cl.stages.buffers import DeviceFrame
-from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_kind, require_whole
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame
+from gffe_cl.engine.pipeline.pacing import Pacer
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Stage
+from gffe_cl.engine.stages.buffers import DeviceFrame
+from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.attached.channel import Channel, Listener
 from gffe_cl.viewer.engine.attached.encoding import decoded, encoded

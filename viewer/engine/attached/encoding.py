@@ -17,8 +17,8 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import scalar
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import scalar
 from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step
 
 NUMERIC = "biuf"  # kinds of NumPy's types

@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pacing import PacingStatistics
-from gffe_cl.sequence import Sequence
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pacing import PacingStatistics
 from gffe_cl.viewer.engine.attached.channel import NO_ANSWER, OtherVersion, connect, own_version
 from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
 from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, mapped, recorded

@@ -12,8 +12,12 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.core.validation import (
+from gffe_cl.captures.formats.capture import described
+from gffe_cl.captures.sequence.description import FrameEntry, rendered_entry
+from gffe_cl.captures.sequence.pixel_source import ForeignPixels
+from gffe_cl.captures.sequence.reader import Sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import (
     require_exposure,
     require_frame_rate,
     require_number,
@@ -21,13 +25,9 @@ from gffe_cl.core.validation import (
     require_whole,
     shown,
 )
-from gffe_cl.formats.capture import described
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.sequence.description import FrameEntry, rendered_entry
-from gffe_cl.sequence.pixel_source import ForeignPixels
-from gffe_cl.sequence.reader import Sequence
-from gffe_cl.stages.buffers import DeviceFrame
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.viewer.engine.attached.encoding import NUMERIC, decoded, encoded
 
 _PAGE = mmap.PAGESIZE

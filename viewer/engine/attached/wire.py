@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gffe_cl.core.validation import require_frame_rate, require_size, require_whole
-from gffe_cl.frame.rendered_frame import BadPixels
-from gffe_cl.pipeline.options import Options
-from gffe_cl.pipeline.pacing import PacingStatistics
+from gffe_cl.engine.core.validation import require_frame_rate, require_size, require_whole
+from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pacing import PacingStatistics
 from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.layers import LayerSpec

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.frame.camera import Camera
+from gffe_cl.engine.frame.camera import Camera
 
 REMEMBERED = 9  # rendered frames, the one that is shown included
 _SAME = 0.25  # relative depth within which a surface, which may move, is taken for the one of the frame after

@@ -7,14 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.opencl.program import constants
-from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.background import REMEMBERED
-from gffe_cl.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
-from gffe_cl.stages.frame_block import MAX_LEVELS
-from gffe_cl.stages.holes import FILLINGS
-from gffe_cl.stages.sharpening import Sharpening
-from gffe_cl.stages.upscaling import LOCK_FRAMES, Upscaling
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import HOLE_FILLINGS, MAX_LEVELS
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.background import REMEMBERED
+from gffe_cl.engine.stages.buffers import (
+    BY_CRACK_CLOSING,
+    BY_HIDDEN_PART,
+    BY_HOLE_FILLING,
+    BY_NOTHING,
+    BY_WARP,
+    FILLED_BY,
+)
+from gffe_cl.engine.stages.sharpening import Sharpening
+from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
 from gffe_cl.viewer.engine.explain.fragment_history import Fragment, around, least
@@ -167,7 +173,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
     nothing = Step(nothing, Link("disoccluded", names.DISOCCLUDED))
     if pipeline.options.hole_filling == "none":
         return nothing, "Hole filling is off: black, at infinite depth."
-    filled = f"Hole filling: its color {FILLINGS[pipeline.options.hole_filling].sentence}."
+    filled = f"Hole filling: its color {HOLE_FILLINGS[pipeline.options.hole_filling]}."
     said: list[str | Step] = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.frame.rendered_frame import BadPixels
-from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline.options import Options
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
 from gffe_cl.viewer.engine.attached.program import RunningProgram
 from gffe_cl.viewer.engine.messages import Inspection, Request, Result
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource

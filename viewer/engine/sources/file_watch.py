@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.formats import open_capture
-from gffe_cl.sequence import Sequence
+from gffe_cl.captures.formats import open_capture
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
 
 _DESCRIPTIONS = ("sequence.json", "cameras.json")
 

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera, predict_camera
-from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, RenderedFrame
-from gffe_cl.frame.window import WindowChooser
-from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline.run import alphas_for
-from gffe_cl.pipeline.source import jittered_renderer
-from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
-from gffe_cl.scenes.sequences import require_frames
-from gffe_cl.stages.base import read_some_rows
+from gffe_cl.captures.offline.run import alphas_for
+from gffe_cl.captures.offline.source import jittered_renderer
+from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.captures.scenes.sequences import require_frames
+from gffe_cl.engine.frame.camera import Camera, predict_camera
+from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, RenderedFrame
+from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.stages.base import read_some_rows
 from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
 from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
 

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import pyopencl as cl
 
-from gffe_cl.core.errors import printable
-from gffe_cl.formats import open_capture
-from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.scenes import is_scene, load_scene
-from gffe_cl.sequence import Sequence
+from gffe_cl.captures.formats import open_capture
+from gffe_cl.captures.scenes import is_scene, load_scene
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import printable
+from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.viewer.engine.sources.file_watch import Growth
 from gffe_cl.viewer.engine.sources.live import SceneSource
 from gffe_cl.viewer.engine.sources.preview import Previewer, place_of
@@ -66,7 +66,7 @@ def make_source(
 
 def _suspicion(sequence: Sequence, target: str) -> str | None:
     """A sentence, if the first frames do not fit."""
-    from gffe_cl.doctor import quick_warning
+    from gffe_cl.captures.doctor import quick_warning
 
     suspicion = quick_warning(sequence, sequence.exposure)
     return suspicion and printable(f"{suspicion}; `gffe check {target}` has details")

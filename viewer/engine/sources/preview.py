@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError
-from gffe_cl.formats import open_capture
-from gffe_cl.frame.rendered_frame import HALF_MAX
-from gffe_cl.scenes import is_scene
-from gffe_cl.sequence import Sequence
+from gffe_cl.captures.formats import open_capture
+from gffe_cl.captures.scenes import is_scene
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 
 _IMAGES = (".exr", ".png", ".npy", ".npz", ".flo", ".flo5")
 

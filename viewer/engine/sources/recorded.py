@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.core.errors import GffeError, printable
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline.run import alphas_for
-from gffe_cl.pipeline.source import Recorded
-from gffe_cl.sequence import Sequence
-from gffe_cl.stages.presentation import present
+from gffe_cl.captures.offline.run import alphas_for
+from gffe_cl.captures.offline.source import Recorded
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError, printable
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.stages.presentation import present
 from gffe_cl.viewer.engine.sources.file_watch import Growth, continues
 from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
 

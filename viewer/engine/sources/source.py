@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.pipeline.options import Options
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.options import Options
 from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps

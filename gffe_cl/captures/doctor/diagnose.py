@@ -1,0 +1,390 @@
+"""The doctor's diagnosis: faults of a sequence, their certainty, and their repair (`gffe check`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+
+from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
+from gffe_cl.captures.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.captures.doctor.format_keys import tell_keys
+from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_camera
+from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
+from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
+from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, take_looks, with_rows
+from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
+from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
+from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.engine.frame.rendered_frame import BadPixels
+
+_DEEP = 5  # frames that are looked at closely, with those before and after them
+_MOVES, _JUMPS = 0.1, 10.0  # of the camera's usual movement: frames with less are still, with more they are cuts
+_SAMPLES = 2500  # of each frame
+_MOST_READ, _MOST_PIXELS = 40, 80_000_000  # frames and pixels that are read, whichever is more
+_DOUBTFUL = 0.5  # agreements below that make one look for another order of frames
+_MARGIN = 0.06  # of the sum of scores, by which another reading must be better than the given one
+_VISIBLE = 0.3  # least motion by the camera's rotation and by its translation, pixels
+_UNEXPLAINED = 0.35  # share of samples that must agree roughly; below it there is an unknown fault
+_TELLING = 0.02  # of agreements: by less they do not decide
+_COLORS_ALONE = 0.12  # of color scores, where they have to decide alone
+_COMPARABLE = 0.5  # color score of static samples, below which movers' colors decide nothing
+_ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
+_ALIKE = 0.01  # difference of agreements below which two readings are equivalent
+_CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
+_SAME_SHOT = 0.7  # of the usual color score along depth and cameras
+_MOST_GAPS = 12  # frames at which gaps are told from cuts
+_SKY_STILL = 0.05  # pixels
+
+
+@dataclass
+class Diagnosis:
+    """Result of a diagnosis.
+
+    `findings`: faults, notes, and what cannot be told; `reading`: how the buffers are to be read; `given`, `best`:
+    verdicts on what is given and on `reading`; `others`: on the next best; `order`: of the frames; `residuals`: pixels
+    as given and as read; `step`: of quantized vectors, pixels; `decodes_color`: colors are to be made linear, which
+    only `gffe_cl.captures.doctor.selected` decides; `frames`: how many were looked at.
+    """
+
+    findings: list[Finding]
+    reading: Reading
+    given: Verdict | None = None
+    best: Verdict | None = None
+    others: list[Verdict] = field(default_factory=list)
+    order: Order | None = None
+    residuals: dict[str, float] = field(default_factory=dict)
+    step: float = 0.0
+    decodes_color: bool = False
+    frames: int = 0
+    looks: list[Look] = field(default_factory=list, repr=False)
+
+    def of_kind(self, kind: str) -> list[Finding]:
+        return [finding for finding in self.findings if finding.kind == kind]
+
+    @property
+    def runner_up(self) -> Verdict | None:
+        """The best verdict with another meaning. Verdicts that are indistinguishable from the best do not count."""
+        best = self.best
+        return next((v for v in self.others if best and abs(v.agreement - best.agreement) > _ALIKE), None)
+
+    @property
+    def faults(self) -> list[Finding]:
+        return self.of_kind(FAULT)
+
+    @property
+    def compared(self) -> bool:
+        """Whether motion vectors were compared with depth and cameras at all."""
+        return bool(self.residuals)
+
+    @property
+    def verdict(self) -> str:
+        """Return "faults", "fits", or "unknown" where nothing was compared."""
+        return "faults" if self.faults else "fits" if self.compared else "unknown"
+
+
+def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
+    """Examine the rendered frames of `clip`. Raises GffeError if it has none, or if a file cannot be read."""
+    count = len(clip.rendered)
+    deep = _deep_frames(clip.rendered)
+    beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
+    looks = take_looks(clip, beside | set(_spread(count, _pixels(clip))), _SAMPLES, beside, exposure)
+    found = Diagnosis([], Reading(), frames=len(looks))
+    found.looks = [looks[k] for k in deep if looks[k].neighbors]
+    _note_bad_pixels(found, looks)
+    found.findings += [*set_aside_unwritten(looks.values()), *too_few_usable(looks.values())]
+    _note_resets(found, clip.rendered)
+    if found.faults:
+        tell_keys(found.findings, getattr(clip, "settings", None))
+        return found
+    if not any(PREVIOUS in look.neighbors for look in found.looks):
+        found.findings.append(
+            Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
+        )
+        return found
+    steps = motion_steps(found.looks)
+    step, added = largest_step(steps), False
+    if step:
+        given = Search(found.looks, step)
+        motion, static = given.motions(Reading(), given.full)
+        added = are_sums(motion[given.full.solid], static[given.full.solid], steps)
+        step *= 1 + added
+        found.findings.append(motion_finding(steps, found.looks, added))
+    found.step = step
+    found.findings += precision_notes(found.looks, exposure)
+
+    edges = edge_agreement(found.looks)
+
+    @cache
+    def search_of(rows: tuple[str, ...]) -> Search:
+        turned = with_rows({k: looks[k] for k in beside}, rows)
+        sign = 1 if ("color" in rows) == ("depth" in rows) else -1
+        return Search([turned[look.index] for look in found.looks], step, rows, sign * edges)
+
+    search = search_of(())
+    found.given = search.verdict(Reading())
+    if not found.given.agreement >= _DOUBTFUL:
+        order = shuffled_order(looks, count, step)
+        if order is not None:
+            return _examine_reordered(clip, exposure, order, found)
+    _judge(found, search_of)
+    search = search_of(found.reading.rows)
+    found.looks = search.full.looks
+    found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
+    _tell_residuals(found, search_of)
+    _judge_order(found, looks, _gaps(found, clip, exposure))
+    _note_sky(found, search)
+    _judge_colors(found)
+    _tell_unknown(found, search)
+    tell_keys(found.findings, getattr(clip, "settings", None))
+    return found
+
+
+def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Diagnosis) -> Diagnosis:
+    found = examine(Reordered(clip, order), exposure)
+    if found.order is not None and found.order.order is not None:
+        order = [order[k] for k in found.order.order]
+        found.findings = [finding for finding in found.findings if finding.name != "out of order"]
+    found.order, found.given = Order({}, [], order), given.given
+    found.looks = given.looks
+    _judge_order(found, {}, [])
+    return found
+
+
+def _deep_frames(entries: list[FrameEntry]) -> list[int]:
+    """Return frames that can tell something, evenly spread: the camera moves before them, and it does not jump."""
+    if len(entries) < 3:
+        return list(range(len(entries)))
+    inner = [k for k in range(1, len(entries) - 1) if not entries[k].reset]
+    telling = [k for k, moves in zip(inner, _camera_moves(entries, inner), strict=True) if moves]
+    chosen = _some(telling, _DEEP)
+    return sorted(chosen + _some([k for k in inner if k not in telling], _DEEP - len(chosen)))
+
+
+def _some(indices: list[int], most: int) -> list[int]:
+    if len(indices) <= most:
+        return indices
+    return [indices[k - 1] for k in sorted(set(np.linspace(1, len(indices), most).round().astype(int).tolist()))]
+
+
+def _camera_moves(entries: list[FrameEntry], indices: list[int]) -> np.ndarray:
+    """(indices,) bool: the camera moves before the frame, and not so far that it must be a cut."""
+    moved = np.zeros((len(indices), 2))  # how far it turns, and how far it goes
+    for row, k in enumerate(indices):
+        before, here = entries[k - 1].render_camera, entries[k].render_camera
+        if before is not None and here is not None:
+            step = here.world_to_view @ np.linalg.inv(before.world_to_view)
+            moved[row] = np.linalg.norm(step[:3, :3] - np.eye(3)), np.linalg.norm(step[:3, 3])
+    usual = [np.quantile(part[part > 0], 0.9, method="lower") if part.any() else np.inf for part in moved.T]
+    least, most = np.multiply(_MOVES, usual), np.multiply(_JUMPS, usual)
+    return np.logical_and((moved >= least).any(-1), (moved <= most).all(-1))
+
+
+def _spread(count: int, pixels: int) -> list[int]:
+    """All frames, or of long sequences runs of them."""
+    if count <= max(_MOST_READ, _MOST_PIXELS // pixels):
+        return list(range(count))
+    starts = np.linspace(0, count - 4, _MOST_READ // 4).astype(int)
+    return sorted({int(start) + k for start in starts for k in range(4)})
+
+
+def _pixels(clip: Clip) -> int:
+    """Of a rendered frame."""
+    entries = clip.rendered
+    return int(np.size(clip.read(entries[0]).depth)) if entries else 1
+
+
+def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
+    bench, mirrored = search_of(()).full, None
+    assert found.given is not None  # judged before
+    found.best = without_camera(search_of(()))
+    if found.best is None or not _is_clear(found.best, search_of):
+        ways = search_rows(search_of)
+        found.best = _convincing(ways.verdicts, found.given)
+        if not _is_clear(found.best, search_of):
+            found.best = found.given
+        found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
+        mirrored = ways.doubt(found.best.reading)
+    found.reading = found.best.reading
+    found.findings += faults_of(found.reading, bench.stored[bench.solid])
+    if mirrored is not None:
+        instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
+        sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
+        found.findings.append(Finding(UNKNOWN, "frames", "upside down", sentence))
+
+
+def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
+    """Return the best of `verdicts`, or `given` unless that is clearly worse. If the camera stands still, depth and
+    cameras are no evidence. Then the colors of movers decide on signs, axes and units, if they are certain."""
+    best = verdicts[0]
+    if best.total < given.total + _MARGIN:
+        return given
+    gain = np.nansum([best.edges, best.camera_color, -given.edges, -given.camera_color])  # of colors with depth
+    if best.agreement > given.agreement + _TELLING or (best.reading.rows and gain > _COLORS_ALONE):
+        return best
+    for verdict in verdicts:
+        motion = verdict.reading.motion
+        if verdict.reading == replace(Reading(), motion=motion) and motion.step == PREVIOUS and not motion.held_by:
+            comparable = given.camera_color > _COMPARABLE  # static surfaces have equal colors: the exposure is constant
+            return verdict if comparable and verdict.motion_color > given.motion_color + _COLORS_ALONE else given
+    return given
+
+
+def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
+    """Return whether the reading of `verdict` is better than the given one in most of the frames that can tell. Where
+    vectors lack the camera's part, and where the camera stands still, colors tell."""
+    reading = verdict.reading
+    if reading in (Reading(), Reading(rows=("color",))):
+        return True
+    before, after = search_of(()), search_of(reading.rows)
+    given, read = before.motions(Reading(), before.full), after.motions(reading, after.full)
+    solid = before.full.solid
+    compared = [Comparison.of(given, read, part, before.step) for part in before.full.parts(solid)]
+    telling = [one for one in compared if one is not None]
+    if telling and 2 * sum(one.is_better for one in telling) <= len(telling):
+        return False
+    if telling and not reading.motion.adds_camera:
+        return True
+    scores = []
+    for bench, motion, step in ((before.full, given[0], PREVIOUS), (after.full, read[0], reading.motion.step)):
+        score = bench.color_scores(motion, step)
+        scores.append(bench.by_frame(score, np.isfinite(score) & bench.solid))
+    gains = [gain for gain, one in zip(scores[1] - scores[0], compared, strict=True) if one or not telling]
+    known = np.array(gains)[np.isfinite(gains)]
+    return bool(2 * (known > 0).sum() > len(known))
+
+
+def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
+    """Set the residuals of vectors, as given and as read, and find vectors that nothing explains."""
+    misfits = found.order.misfits if found.order else []
+    cuts = [place for place, look in enumerate(found.looks) if look.index in misfits]
+    for name, reading in (("given", Reading()), ("read", found.reading)):
+        search = search_of(reading.rows)
+        motion, static = search.motions(reading, search.full)
+        use = search.full.solid & np.isfinite(motion).all(-1) & ~np.isin(search.full.frame, cuts)
+        if not use.any():
+            sentence = "no pixel of the frames that were compared has a usable depth and a usable motion vector"
+            found.findings.append(Finding(FAULT, "frames", "nothing usable", sentence))
+            found.residuals.clear()
+            return
+        off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
+        length = np.linalg.norm(motion[use], axis=-1)
+        near = max(0.1 * float(np.median(length)), 0.3, search.step)
+        found.residuals[f"{name}_median"] = float(np.median(off))
+        found.residuals[f"{name}_inliers"] = float((off <= near).mean())
+    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
+    if (off <= roughly).mean() < _UNEXPLAINED:
+        sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
+        found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
+
+
+def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> list[int]:
+    """Return the frames that the one before does not fit though it shows the same: depth and cameras lead to the same
+    colors, only the vectors lead elsewhere."""
+    assert found.order is not None and found.best is not None  # examined before
+    gaps = []
+    for index in found.order.misfits[:_MOST_GAPS]:
+        pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
+        look = pair[index]
+        if look.motion is not None and np.nanmedian(np.abs(look.motion)) > 0:
+            color = Search([look]).camera_color(found.reading.camera, found.reading.depth)
+            gaps += [index] if color > _SAME_SHOT * found.best.camera_color else []
+    return gaps
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> None:
+    order = found.order
+    assert order is not None  # examined before
+    if order.order is not None:
+        moved = [str(k) for k, at in enumerate(order.order) if k != at]
+        sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
+        found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
+        return
+    for index in gaps:
+        sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
+        sentence += " vectors do not lead there; a frame may be missing"
+        found.findings.append(
+            Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
+        )
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps):
+        sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
+        found.findings.append(
+            Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})
+        )
+
+
+def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
+    total, where = BadPixels(), {}
+    for look in looks.values():
+        total = total + look.bad
+        for name, (x, y) in look.first_bad.items():
+            where.setdefault(name, f"{look.file} at {x}, {y}")
+    total.long, _ = 0, where.pop("long", None)  # these have a note of their own
+    if total:
+        sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
+        found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))
+
+
+def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:
+    """Frames after the first that are marked as resets."""
+    resets = [str(k) for k, entry in enumerate(entries) if k and entry.reset]
+    if resets:
+        frames = f"frames {', '.join(resets[:12])}{' …' if len(resets) > 12 else ''} are resets"
+        sentence = f"{frames if len(resets) > 1 else f'frame {resets[0]} is a reset'}: what leads across is left out"
+        found.findings.append(Finding(NOTE, "frames", "reset", sentence, figures={"frames": len(resets)}))
+
+
+def _note_sky(found: Diagnosis, search: Search) -> None:
+    """Sky whose vectors are zero while the camera turns."""
+    bench = search.full
+    ray = bench.reach(found.reading.camera, found.reading.motion.step).ray
+    with np.errstate(invalid="ignore"):
+        sky = ~bench.solid | (found.reading.depth.inverse(bench.stored, ray) <= 0)
+    motion = bench.motion(found.reading.motion)
+    static = bench.static(found.reading.camera, found.reading.depth, found.reading.motion.step)
+    sky &= np.isfinite(motion).all(-1) & np.isfinite(static).all(-1)
+    turning = sky & (np.linalg.norm(static, axis=-1) > _VISIBLE)
+    if turning.sum() < 16 or found.reading.motion.adds_camera:
+        return
+    if np.median(np.linalg.norm(motion[turning], axis=-1)) < _SKY_STILL:
+        sentence = "the sky has no motion although the camera turns: harmless, it is taken from the camera"
+        found.findings.append(Finding(NOTE, "motion", "sky without motion", sentence, "sky gets the camera's motion"))
+
+
+def _judge_colors(found: Diagnosis) -> None:
+    votes = display_curve_votes(found.looks)
+    if votes.verdict:
+        sure = votes.verdict == "display values"
+        words = "colors are display values (sRGB), not linear" if sure else "colors may be display values (sRGB)"
+        sentence = f"{words}: {votes.share:.0%} of {votes.telling} antialiased silhouettes are evidence of it"
+        figures = votes._asdict()
+        found.findings.append(
+            Finding(FAULT if sure else NOTE, "color", DISPLAY_VALUES, sentence, "colors are made linear", figures)
+        )
+
+
+def _tell_unknown(found: Diagnosis, search: Search) -> None:
+    """Report the properties that a static or only turning camera leaves open."""
+    reading, bench = found.reading, search.full
+    still = np.zeros(len(bench.px))
+    reach = bench.reach(reading.camera, PREVIOUS)
+    turned = np.linalg.norm(reach.pixels(still) - bench.px, axis=-1)
+    with np.errstate(invalid="ignore"):
+        shifted = np.linalg.norm(
+            bench.static(reading.camera, reading.depth) - (reach.pixels(still) - bench.px), axis=-1
+        )
+    use = bench.solid & np.isfinite(shifted) & np.isfinite(turned)
+    if not use.any():
+        return
+    if np.quantile(shifted[use], 0.9) < _VISIBLE:
+        if np.quantile(turned[use], 0.9) < _VISIBLE:
+            sentence = "the camera stands still: cameras and depth cannot be checked, and motion only on movers"
+            found.findings.append(Finding(UNKNOWN, "camera", "still camera", sentence))
+        else:
+            sentence = "the camera only turns: depth and the cameras' positions cannot be checked"
+            found.findings.append(Finding(UNKNOWN, "depth", "rotation only", sentence))

@@ -1,0 +1,161 @@
+"""Findings of the doctor: plain sentences with their evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gffe_cl.captures.doctor.hypotheses import cameras, motions
+from gffe_cl.captures.doctor.hypotheses.cameras import CameraReading, axes_in_words
+from gffe_cl.captures.doctor.hypotheses.depths import (
+    AS_GIVEN,
+    DEVICE,
+    PLANAR,
+    RANGE,
+    DepthReading,
+    Planes,
+    misread_range,
+)
+from gffe_cl.captures.doctor.hypotheses.search import Reading
+from gffe_cl.engine.core.errors import printable
+
+FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
+DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
+_RANGES = {
+    2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
+    0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
+}
+_UNITS = {100.0: "in centimeters, {0} in meters", 1000.0: "in millimeters, {0} in meters"}
+_UNIT_SLACK = 0.03
+
+
+@dataclass
+class Finding:
+    """`kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera, frames or
+    color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
+    `change`: the correction of the capture's own description, if possible."""
+
+    kind: str
+    about: str
+    name: str
+    sentence: str
+    fix: str = ""
+    figures: dict = field(default_factory=dict)
+    change: str = ""
+
+    @property
+    def id(self) -> str:
+        """Stable name for `--only` and `--except`: `motion-y-flipped`."""
+        return finding_id(self.about, self.name)
+
+    def __str__(self) -> str:
+        change = f"; in the capture's sequence.json, {self.change}" if self.change else ""
+        return printable(f"{self.about}: {self.sentence}{change}")
+
+
+def finding_id(about: str, name: str) -> str:
+    return f"{about} {name}".lower().replace(" ", "-")
+
+
+def fixable_ids() -> list[str]:
+    """All findings that `gffe check --fix` can repair or leave."""
+    names = {
+        "color": (DISPLAY_VALUES, BOTTOM_UP),
+        "motion": (*motions.SENTENCES, "jitter not removed", "sky without motion", BOTTOM_UP),
+        "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP),
+        "camera": (*cameras.SENTENCES, "field of view", "jitter not removed"),
+        "frames": ("out of order", "cut", "gap"),
+    }
+    return [finding_id(about, name) for about, group in names.items() for name in group]
+
+
+def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
+    """Return one finding for every difference between `reading` and the sequence as given. `stored`: sampled depths."""
+    found = [
+        Finding(
+            FAULT,
+            buffer,
+            BOTTOM_UP,
+            f"rows of the {buffer} are stored from the bottom up",
+            "rows are turned upside down",
+        )
+        for buffer in reading.rows
+    ]
+    found += [
+        Finding(FAULT, "motion", part, motions.SENTENCES[part], "motion vectors are converted")
+        for part in reading.motion.parts
+    ]
+    found += _camera_faults(reading.camera)
+    if reading.depth != AS_GIVEN:
+        found.append(_depth_fault(reading.depth, stored))
+    if reading.jitter:
+        lacking = {
+            "motion": "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
+            "camera": "the cameras lack the jitter that motion vectors and colors have",
+        }[reading.jitter]
+        found.append(Finding(FAULT, reading.jitter, "jitter not removed", lacking, "a constant per frame is taken off"))
+    return found
+
+
+def _camera_faults(camera: CameraReading) -> list[Finding]:
+    found = []
+    axes = camera.axes if camera.axes_before is None else camera.axes_before
+    for part in camera.parts:
+        sentence = cameras.SENTENCES[part].format(axes=axes_in_words(axes))
+        found.append(Finding(FAULT, "camera", part, sentence, "matrices are converted"))
+    if camera.focal != 1:
+        percent = 100 * (camera.focal - 1)
+        sentence = (
+            f"the field of view is off: focal lengths are {abs(percent):.1f}% too {'long' if percent > 0 else 'short'}"
+        )
+        found.append(
+            Finding(FAULT, "camera", "field of view", sentence, "focal lengths are divided", {"focal": camera.focal})
+        )
+    return found
+
+
+def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
+    c = depth.coefficients
+    stretched = misread_range(c[-1]) if depth.model in (RANGE, PLANAR) else None
+    if stretched:
+        figures = {"factor": stretched, "offset": c[0] if depth.model is RANGE else 0.0}
+        return Finding(
+            FAULT, "depth", RANGE_MISREAD, _RANGES[stretched], "depths are converted to linear again", figures
+        )
+    if depth.model is DEVICE:
+        return _device_fault(depth, stored)
+    if depth.model is PLANAR:
+        return _unit_fault(1 / c[0] if c[0] else np.inf)
+    also = "" if abs(c[0] - 1) < _UNIT_SLACK else f", and in units of {1 / c[0]:.4g} of the cameras'"
+    sentence = f"depth is the distance along rays, not along the view axis{also}"
+    return Finding(
+        FAULT, "depth", "along rays", sentence, "depths are divided by their rays' lengths", {"unit": 1 / c[0]}
+    )
+
+
+def _unit_fault(unit: float) -> Finding:
+    """Return the finding about the unit of depth. `unit`: factor from stored depths to the unit of the cameras."""
+    if unit < 0:
+        return Finding(FAULT, "depth", "negative", "depths are negative", "depths change their sign", {"unit": unit})
+    for factor, words in _UNITS.items():
+        for ratio, first, second in (
+            (factor, "depths are", "camera positions"),
+            (1 / factor, "camera positions are", "depths"),
+        ):
+            if abs(np.log(unit * ratio)) < _UNIT_SLACK:
+                sentence = f"{first} {words.format(second)}"
+                return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
+    sentence = f"depths and camera positions have different units: {unit:.4g} of the cameras' is one of the depths'"
+    return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
+
+
+def _device_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
+    planes = Planes.of(depth, stored)
+    far = "infinity" if np.isinf(planes.far) else f"{planes.far:.4g}"
+    kind = "reversed device depth" if planes.reverse else "device depth"
+    sentence = f"depth is {kind}, not linear: near {planes.near:.4g}, far {far}"
+    figures = {"near": planes.near, "far": planes.far, "reversed": planes.reverse}
+    return Finding(
+        FAULT, "depth", "reversed" if planes.reverse else "device", sentence, "depths are made linear", figures
+    )

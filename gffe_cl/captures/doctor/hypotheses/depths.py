@@ -1,0 +1,184 @@
+"""How depths may be meant: hypotheses whose parameters (near, far, units) are fitted to motion vectors.
+
+Everything is in terms of w = 1 / depth, which is linear in what is unknown: w = Σ c · φ(stored).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.engine.frame.camera import Camera
+
+_DRAWS = 48
+_INFINITE = 5e-4  # near / far: below that far is indistinguishable from infinity
+_SIGNED = 0.01  # device depths below minus this reach from −1 to 1
+
+
+def rays(camera: Camera, px: np.ndarray) -> np.ndarray:
+    """(N, 3) float64: view positions at depth 1 of pixels (N, 2)."""
+    x, y = (px[:, 0] - camera.cx) / camera.fx, (px[:, 1] - camera.cy) / camera.fy
+    return np.stack([x, y, np.ones_like(x)], -1)
+
+
+@dataclass(frozen=True)
+class DepthModel:
+    """`name` of the hypothesis and how many functions φ it has."""
+
+    name: str
+    terms: int
+
+    def basis(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
+        """(N, terms) of stored depths (N,) and rays (N, 3)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.name == "planar":
+                return (1 / stored)[..., None]
+            if self.name == "along rays":
+                return (np.linalg.norm(ray, axis=-1) / stored)[..., None]
+            if self.name == "range":
+                return np.stack([np.ones_like(stored), 1 / stored], -1)
+            return np.stack([np.ones_like(stored), stored], -1)
+
+
+PLANAR, ALONG_RAYS, DEVICE = DepthModel("planar", 1), DepthModel("along rays", 1), DepthModel("device", 2)
+RANGE = DepthModel("range", 2)  # a depth buffer that was made linear with 0 … 1 taken for −1 … 1, or the other way
+MODELS = (PLANAR, ALONG_RAYS, DEVICE, RANGE)
+_RANGES = 2.0, 0.5
+_NEAR_RANGE = 0.05  # of the logarithm of the range's factor
+
+
+def misread_range(factor: float) -> float | None:
+    """Return 2 if 0 … 1 was taken for −1 … 1, 0.5 for the reverse, None if `factor`, of 1 / depth, fits neither."""
+    return next((r for r in _RANGES if factor > 0 and abs(np.log(factor / r)) < _NEAR_RANGE), None)
+
+
+@dataclass(frozen=True)
+class DepthReading:
+    """A model with its parameters: 1 / depth = basis · coefficients."""
+
+    model: DepthModel = PLANAR
+    coefficients: tuple[float, ...] = (1.0,)
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the parameters have a meaning, perhaps under axes that are all the other way round."""
+        return self.model is not RANGE or misread_range(abs(self.coefficients[1])) is not None
+
+    @property
+    def has_meaning(self) -> bool:
+        """Whether the parameters have a meaning under the axes they were found with."""
+        return self.model is not RANGE or misread_range(self.coefficients[1]) is not None
+
+    def inverse(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
+        """(N,) float64: 1 / planar depth in units of the camera's translation; 0 for nothing."""
+        with np.errstate(invalid="ignore"):
+            w = self.model.basis(stored, ray) @ np.array(self.coefficients)
+        return np.where(np.isinf(stored), 0.0, w)
+
+
+AS_GIVEN = DepthReading()
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Device depth in words: `near` and `far` (may be infinite) in world units; `reverse`: far is at the `low` end,
+    which is 0 or −1, the other one being 1."""
+
+    near: float
+    far: float
+    reverse: bool
+    low: float
+
+    @classmethod
+    def of(cls, depth: DepthReading, stored: np.ndarray) -> Planes:
+        """Of a reading by the model DEVICE; `stored`: some of the depths."""
+        low = -1.0 if np.nanmin(stored) < -_SIGNED else 0.0
+        first, last = (depth.coefficients[0] + depth.coefficients[1] * end for end in (low, 1.0))
+        nearest, farthest = max(first, last), min(first, last)
+        far = np.inf if farthest < _INFINITE * nearest else 1 / farthest
+        return cls(1 / nearest, far, bool(last > first), low)
+
+    @property
+    def far_end(self) -> float:
+        """The stored value at the far plane: nothing is there."""
+        return self.low if self.reverse else 1.0
+
+    def reading(self) -> DepthReading:
+        first, last = (1 / self.far, 1 / self.near) if self.reverse else (1 / self.near, 1 / self.far)
+        slope = (last - first) / (1 - self.low)
+        return DepthReading(DEVICE, (last - slope, slope))
+
+
+def fit_depth(model: DepthModel, basis: np.ndarray, a: np.ndarray, b: np.ndarray, frame=None) -> DepthReading | None:
+    """Return the parameters that fit a · w = b (`a`, `b`: (N, 2), in pixels), w = `basis` · c, for most samples;
+    None if the camera does not move. With `frame` (N,) int the model is a · w = b + a constant per frame."""
+    power = (a * a).sum(-1)
+    ok = np.isfinite(basis).all(-1) & np.isfinite(b).all(-1) & (power > 0) & np.isfinite(power)
+    if ok.sum() < 16:
+        return None
+    basis, a, b, power = basis[ok], a[ok], b[ok], power[ok]
+    frame = None if frame is None else frame[ok]
+    w = (a * b).sum(-1) / power
+    start = _median_start(basis[:, 0], w, power) if model.terms == 1 else _drawn_start(basis, w, a, b)
+    return None if start is None else DepthReading(model, tuple(_polished(start, basis, a, b, frame).tolist()))
+
+
+def _median_start(basis, w, power) -> np.ndarray | None:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = w / basis
+    weight = np.sqrt(power) * np.abs(basis)
+    order = np.argsort(ratio)
+    total = np.cumsum(weight[order])
+    if not total[-1] > 0:
+        return None
+    return ratio[order][np.searchsorted(total, total[-1] / 2)][None]
+
+
+def _drawn_start(basis, w, a, b) -> np.ndarray | None:
+    """Of the lines through two samples, the one with the smallest logarithms of residuals."""
+    one, two = np.random.default_rng(7).integers(len(w), size=(2, _DRAWS))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = (w[two] - w[one]) / (basis[two, 1] - basis[one, 1])
+        lines = np.stack([w[one] - slope * basis[one, 1], slope], -1)
+    lines = lines[np.isfinite(lines).all(-1)]
+    if not len(lines):
+        return None
+    some = slice(None, None, max(1, len(w) // 200))
+    trial = basis[some] @ lines.T  # (samples, lines)
+    off = ((a[some][:, None] * trial[..., None] - b[some][:, None]) ** 2).sum(-1)
+    return lines[np.log(off + 1e-4).mean(0).argmin()]
+
+
+def _polished(start, basis, a, b, frame=None) -> np.ndarray:
+    """By iteratively reweighted least squares, with a scale that follows the residuals."""
+    found, constant = start, 0.0
+    for _ in range(6 if frame is None else 12):
+        off = ((a * (basis @ found)[:, None] - b - constant) ** 2).sum(-1)
+        at = int(0.4 * len(off))
+        weight = 1 / (1 + off / max(float(np.partition(off, at)[at]), 1e-8)) ** 2
+        left, right = basis[:, None, :] * a[:, :, None], b
+        if frame is not None:
+            left, right = left - _frame_means(left, weight, frame), b - _frame_means(b, weight, frame)
+        normal = np.einsum("n,nij,nik->jk", weight, left, left)
+        size = np.sqrt(np.diag(normal)) + 1e-300
+        try:
+            solved = np.linalg.solve(
+                normal / np.outer(size, size), np.einsum("n,nij,ni->j", weight, left, right) / size
+            )
+        except np.linalg.LinAlgError:
+            break
+        if not np.isfinite(solved).all():
+            break
+        found = solved / size
+        if frame is not None:
+            constant = _frame_means(a * (basis @ found)[:, None] - b, weight, frame)
+    return found
+
+
+def _frame_means(values: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Weighted means of `values` (N, …) over each frame, at each sample."""
+    flat = values.reshape(len(values), -1)
+    total = np.bincount(frame, weight) + 1e-300
+    means = np.stack([np.bincount(frame, weight * column) / total for column in flat.T], -1)
+    return means[frame].reshape(values.shape)

@@ -1,0 +1,232 @@
+"""Samples for the doctor: pixels of a few frames on a grid, with the images of the neighboring frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, wrong_geometry
+
+PREVIOUS, NEXT = -1, 1
+BUFFERS = ("color", "depth", "motion")  # whose rows may be stored from the bottom up
+_TEXTURED = 0.02  # least difference of encoded color between neighbors for a distinguishable place
+_SMALLEST = 8  # pixels: least size of an image
+_FAR = 1e9  # depths beyond this are nothing, as +inf
+
+
+class Clip(Protocol):
+    """Examined frames: a `Sequence`, or any object with its rendered frames."""
+
+    @property
+    def rendered(self) -> list[FrameEntry]: ...
+
+    def read(self, entry: FrameEntry) -> RenderedFrame: ...
+
+
+@dataclass
+class Look:
+    """Samples of one rendered frame.
+
+    Attributes
+    ----------
+    index : int
+        Which of the rendered frames.
+    size : (width, height), pixels
+    px : (N, 2) float64, centers of the sampled pixels
+    depth : (N,) float64, as stored
+    motion : (N, 2) float64 as stored, or None
+    color : (N, 3) float32, encoded by `encoded`
+    contrast : (N,) float32, how far the encoded color is from that of the pixels around
+    image, deep : (H, W, 3) float, linear color of the whole frame as stored, and (H, W) its depth; None where they
+        are not needed
+    camera : Camera
+    mirrored : dict, `depth`, `motion`, `color` and `contrast` at the same places of images turned upside down
+    neighbors : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
+    """
+
+    index: int
+    file: str
+    size: tuple[int, int]
+    px: np.ndarray
+    depth: np.ndarray
+    motion: np.ndarray | None
+    color: np.ndarray
+    contrast: np.ndarray
+    image: np.ndarray | None
+    deep: np.ndarray | None
+    camera: Camera
+    reset: bool
+    bad: BadPixels
+    first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
+    exposure: float = 1.0
+    mirrored: dict = field(default_factory=dict, repr=False)
+    neighbors: dict[int, Look] = field(default_factory=dict, repr=False)
+
+    @property
+    def solid(self) -> np.ndarray:
+        """(N,) bool: the pixel shows a surface, for any meaning of its depth."""
+        return np.isfinite(self.depth) & (np.abs(self.depth) < _FAR)
+
+    @property
+    def textured(self) -> np.ndarray:
+        """(N,) bool: the color distinguishes this place from others nearby."""
+        return self.contrast > _TEXTURED
+
+    def is_long(self, motion: np.ndarray) -> np.ndarray:
+        """Return `is_long` for this frame."""
+        return is_long(motion, self.size)
+
+    def camera_of(self, step: int) -> Camera:
+        return self.neighbors[step].camera
+
+
+def is_long(motion: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return (…) bool: vectors (…, 2) as long as the diagonal of an image of `size`, which were never written."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.square(motion).sum(-1) >= np.square(size).sum()
+
+
+def encoded(color: np.ndarray, exposure: float) -> np.ndarray:
+    """Linear color as it differs to the eye: (…, 3) float32, logarithmic above mid-gray."""
+    values = np.nan_to_num(np.asarray(color, np.float32) * np.float32(exposure), posinf=0.0, neginf=0.0)
+    return np.log1p(16 * np.maximum(values, 0)) / np.float32(np.log(17))
+
+
+def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int], exposure: float = 1.0) -> dict:
+    """{index: Look} of rendered frames; whole images are kept of those in `images`."""
+    entries = clip.rendered
+    wanted = sorted(set(indices))
+
+    def look(index: int) -> Look:
+        return _look(clip.read(entries[index]), index, entries[index], samples, index in images, exposure)
+
+    looks = dict(read_ahead(wanted, look, 2))
+    if not looks:
+        raise GffeError("nothing to check: no rendered frame")
+    return _linked(looks)
+
+
+def _linked(looks: dict[int, Look]) -> dict[int, Look]:
+    for index, one in looks.items():
+        before = looks.get(index - 1)
+        if before and not one.reset and before.size == one.size and min(one.size) >= _SMALLEST:
+            one.neighbors[PREVIOUS], before.neighbors[NEXT] = before, one
+    return looks
+
+
+def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
+    """`looks` at images in which the BUFFERS `rows` are turned upside down. Two of them, or three, are turned as the
+    others are and everything after that, so that the samples are those of the same points."""
+    if not rows:
+        return looks
+    if len(rows) > 1:
+        others = with_rows(looks, tuple(name for name in BUFFERS if name not in rows))
+        return _linked({index: _upside_down(look) for index, look in others.items()})
+    fields = ("color", "contrast") if rows == ("color",) else rows
+    return _linked({
+        index: replace(
+            look,
+            neighbors={},
+            image=_turned(look.image) if "color" in rows else look.image,
+            deep=_turned(look.deep) if "depth" in rows else look.deep,
+            **{name: look.mirrored[name] for name in fields},
+        )
+        for index, look in looks.items()
+    })  # fmt: skip
+
+
+def _upside_down(look: Look) -> Look:
+    px = look.px * (1, -1) + (0, look.size[1])
+    return replace(look, neighbors={}, px=px, image=_turned(look.image), deep=_turned(look.deep))
+
+
+def _turned(image: np.ndarray | None) -> np.ndarray | None:
+    return None if image is None else image[::-1]
+
+
+def grid(size: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """(x, y) indices of about `samples` pixels, evenly spread with an offset that changes from row to row."""
+    width, height = size
+    step = max(1.0, np.sqrt(width * height / samples))
+    rows = np.arange(step / 2, height, step)
+    columns = np.arange(0, width, step)
+    x = columns[None] + ((np.arange(len(rows)) * 0.618) % 1 * step)[:, None]
+    y = np.broadcast_to(rows[:, None], x.shape)
+    inside = x < width
+    return x[inside].astype(int), y[inside].astype(int)
+
+
+def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, whole: bool, exposure: float) -> Look:
+    depth, color = np.asarray(frame.depth), np.asarray(frame.color)[..., :3]
+    height, width = depth.shape
+    motion = None if frame.motion is None else np.asarray(frame.motion)
+    x, y = grid((width, height), samples)
+
+    def taken(y: np.ndarray) -> dict:
+        around = []
+        for dx, dy in ((0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)):
+            around.append(encoded(color[np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)], exposure))
+        return {
+            "depth": depth[y, x].astype(np.float64),
+            "motion": None if motion is None else motion[y, x].astype(np.float64),
+            "color": around[0],
+            "contrast": np.abs(np.stack(around[1:]) - around[0]).mean((0, 2)),
+        }
+
+    bad, first = _bad_pixels(frame)
+    return Look(
+        index=index,
+        file=entry.file,
+        size=(width, height),
+        px=np.stack([x, y], -1) + 0.5,
+        image=color if whole else None,
+        deep=depth if whole else None,
+        camera=frame.camera,
+        reset=entry.reset,
+        bad=bad,
+        first_bad=first,
+        exposure=exposure,
+        mirrored=taken(height - 1 - y),
+        **taken(y),
+    )
+
+
+def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, int]]]:
+    """Return counts of invalid values, and the position of the first one of each kind."""
+    motion = None if frame.motion is None else np.asarray(frame.motion)
+    kinds: dict[str, Any] = wrong_geometry(np.asarray(frame.depth), motion)
+    finite = np.isfinite(frame.color)
+    kinds["color"] = np.zeros(1, bool) if finite.all() else ~finite.all(-1)  # all of them at once is quicker
+    first = {}
+    for name, wrong in kinds.items():
+        if wrong.any():
+            y, x = np.unravel_index(int(wrong.argmax()), wrong.shape)
+            first[name] = (int(x), int(y))
+    return BadPixels(**{name: int(wrong.sum()) for name, wrong in kinds.items()}), first
+
+
+def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Encoded color (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is inside."""
+    image = look.image
+    assert image is not None  # kept of the looks that are asked for
+    height, width = image.shape[:2]
+    x, y = px[..., 0] - 0.5, px[..., 1] - 0.5
+    with np.errstate(invalid="ignore"):
+        inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    x, y = np.where(inside, x, 0), np.where(inside, y, 0)
+    x0, y0 = np.minimum(x.astype(np.intp), width - 2), np.minimum(y.astype(np.intp), height - 2)
+    fx, fy = (x - x0)[..., None].astype(np.float32), (y - y0)[..., None].astype(np.float32)
+
+    def tap(down: int, right: int) -> np.ndarray:
+        return image[y0 + down, x0 + right].astype(np.float32)
+
+    top = tap(0, 0) * (1 - fx) + tap(0, 1) * fx
+    bottom = tap(1, 0) * (1 - fx) + tap(1, 1) * fx
+    return encoded(top * (1 - fy) + bottom * fy, look.exposure), inside

@@ -1,0 +1,5 @@
+"""Captures of other people's programs, read as sequences of our own."""
+
+from gffe_cl.captures.formats.registry import FORMATS, Format, open_capture
+
+__all__ = ["FORMATS", "Format", "open_capture"]

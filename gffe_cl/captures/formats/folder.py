@@ -1,0 +1,325 @@
+"""Folders of EXR, PNG, NPY or NPZ images that a short `sequence.json` of `"format": "gffe-folder"` describes.
+
+The schema is in docs/formats.md.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.captures.formats.buffers import (
+    Buffer,
+    ColorBuffer,
+    DepthBuffer,
+    MotionBuffer,
+    parse_buffer,
+    parse_color,
+    parse_depth,
+    parse_motion,
+)
+from gffe_cl.captures.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
+from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json, whole_number
+from gffe_cl.captures.formats.images import Size, header_attributes, header_notes, views_of
+from gffe_cl.captures.formats.json_schema import Keys
+from gffe_cl.captures.formats.motion_conversion import inverted_flow
+from gffe_cl.captures.formats.numbering import mark_gaps
+from gffe_cl.captures.formats.png import read_png_colors
+from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry
+from gffe_cl.captures.sequence.pixel_source import ForeignPixels
+from gffe_cl.captures.sequence.reader import Sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import open_regular
+from gffe_cl.engine.core.validation import require_exposure, require_number, require_positive, shown
+
+FORMAT, VERSION = "gffe-folder", 1
+_MOST_NUMBER = 10**9
+_FIRST_BYTES = 1 << 16
+_BUFFERS = ("color", "depth", "motion")
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One frame: the number in the names of its files."""
+
+    number: int
+    entry: FrameEntry
+    camera: Any  # a FoundCamera; None where none is needed
+    before: _Frame | None  # the rendered one before it, unless it is a reset
+
+
+@dataclass
+class FolderSettings:
+    """Contents of the JSON; `cameras`: conventions of the matrices."""
+
+    size: Size
+    color: ColorBuffer
+    truth: ColorBuffer
+    depth: DepthBuffer
+    motion: MotionBuffer
+    cameras: CameraRules
+    frames: dict[str, _Frame]  # by the entry's name
+    view: str | None = None  # of files with several
+    gaps: str | None = None  # a sentence about numbers that are missing
+
+    @property
+    def has_projections(self) -> bool:
+        return any(frame.camera and frame.camera.projection is not None for frame in self.frames.values())
+
+
+def is_folder(path: Path) -> bool:
+    """Whether the `sequence.json` at `path` names this format, near its beginning; OSError if it cannot be read."""
+    with open_regular(path) as file:
+        start = file.read(_FIRST_BYTES)
+    found = re.search(rb'"format"\s*:\s*"([^"]*)"', start)
+    return bool(found) and found[1] == FORMAT.encode()
+
+
+def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
+    """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
+    need be described. Raises GffeError."""
+    made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
+    notes = _settle_view(folder, made) + _settle_colors(folder, made)
+    for frame in made.frames.values():
+        if frame.entry.kind == "ground_truth":
+            made.truth.buffer.check(folder, frame.number, made.size)
+            continue
+        made.color.buffer.check(folder, frame.number, made.size)
+        made.depth.buffer.check(folder, frame.number, made.size)
+        if frame.before:
+            source = frame.before if made.motion.to_next else frame
+            made.motion.buffer.check(folder, source.number, made.size)
+    pixels = FolderPixels(folder, made)
+    pixels.notes += notes + _header_notes(folder, made, description.fps)
+    pixels.attributes = _attributes(folder, made)
+    return Sequence(folder, description, pixels)
+
+
+def _settle_colors(folder: Path, made: FolderSettings) -> list[str]:
+    """Take the encoding of colors from the headers of PNG files where the description has none. Return sentences on
+    that, and on headers that say something else than the description."""
+    notes = []
+    for kind, name in (("rendered", "color"), ("ground_truth", "truth")):
+        frame = next((one for one in made.frames.values() if one.entry.kind == kind), None)
+        if frame is None:
+            continue
+        one: ColorBuffer = getattr(made, name)
+        file, found = one.buffer.file(frame.number), read_png_colors(one.buffer.path(folder, frame.number))
+        if found.transfer and not one.told and found.contradicts("linear", 1.0):
+            setattr(made, name, replace(one, encoding=found.transfer, gamma=found.gamma))
+            notes.append(f'{file}: the header says {found.words}, which is used ("encoding" would be used instead)')
+        elif found.profile or (one.told and found.contradicts(one.encoding, one.gamma)):
+            notes.append(f"{file}: the header says {found.words}; colors are read as {one.encoding}, as described")
+    return notes
+
+
+def _first(made: FolderSettings) -> list[_Frame]:
+    """Return a rendered frame with motion, if there is one, and the last rendered frame."""
+    rendered = [one for one in made.frames.values() if one.entry.kind == "rendered"]
+    return [next((one for one in rendered if one.before), rendered[0]), rendered[-1]] if rendered else []
+
+
+def _header_notes(folder: Path, made: FolderSettings, fps: float) -> list[str]:
+    notes = []
+    for frame in _first(made)[:1]:
+        for name in _BUFFERS:
+            buffer: Buffer = getattr(made, name).buffer
+            exact = buffer.channels if name != "color" else ()
+            for text in header_notes(
+                buffer.path(folder, frame.number), buffer.file(frame.number), exact, buffer.view, fps
+            ):
+                if text not in notes:
+                    notes.append(text)
+    return notes
+
+
+def _attributes(folder: Path, made: FolderSettings) -> dict[str, Any]:
+    """Return attributes of the colors' headers that new frames get as well."""
+    frames, buffer = _first(made), made.color.buffer
+    if not frames:
+        return {}
+    first, last = (buffer.path(folder, frame.number) for frame in frames)
+    return header_attributes(first, last, buffer.channels, buffer.view)
+
+
+def _settle_view(folder: Path, made: FolderSettings) -> list[str]:
+    """Take all buffers from one view of a stereo camera, "view" of the JSON or that of the files with fewest of them.
+    Return a sentence that names it. Raises GffeError if the files have none in common."""
+    frame = next((one for one in made.frames.values() if one.before), None) or next(iter(made.frames.values()))
+    held = {}
+    for name in _BUFFERS:
+        buffer = getattr(made, name).buffer
+        if views := views_of(buffer.path(folder, frame.number), buffer.file(frame.number)):
+            held[name] = views
+    if not held:
+        if made.view:
+            raise GffeError(f"{FILE_NAME}, view: the files hold no views, got {shown(made.view)}")
+        return []
+    common = [view for view in min(held.values(), key=len) if all(view in views for views in held.values())]
+    if made.view in common or (common and not made.view):
+        chosen = made.view or common[0]
+    else:
+        listed = "; ".join(f"{name} of {', '.join(views)}" for name, views in held.items())
+        raise GffeError(f"{FILE_NAME}: no view {made.view or 'is that'} of all buffers (the files hold {listed})")
+    for name in (*_BUFFERS, "truth"):
+        one = getattr(made, name)
+        setattr(made, name, replace(one, buffer=replace(one.buffer, view=chosen)))
+    several = sorted({view for views in held.values() for view in views})
+    return [f"{folder}: the files hold the views {', '.join(several)}; {chosen} is used"] if len(several) > 1 else []
+
+
+class FolderPixels(ForeignPixels):
+    """Frames of the capture in `folder`."""
+
+    def __init__(self, folder: Path, made: FolderSettings):
+        super().__init__()
+        self._folder, self.settings = folder, made
+        self.notes += [f"{folder}: {made.gaps}"] if made.gaps else []
+        ranges = (made.depth.range_note(one.camera) for one in made.frames.values() if one.camera)
+        self.notes += [note for note in ranges if note][:1]
+
+    def rendered(self, entry, size):
+        frame = self.settings.frames[entry.file]
+        with np.errstate(all="ignore"):  # bad pixels are survived
+            depth, motion = self._depth(frame), None
+            if frame.before:
+                motion = self._motion(frame, depth)
+        return self.color(entry, size), depth, motion
+
+    def color(self, entry, size):
+        frame = self.settings.frames[entry.file]
+        buffer = self.settings.truth if entry.kind == "ground_truth" else self.settings.color
+        with np.errstate(all="ignore"):
+            return buffer.read(self._folder, frame.number, size)
+
+    def _depth(self, frame: _Frame) -> np.ndarray:
+        return self.settings.depth.read(self._folder, frame.number, self.settings.size, frame.camera)
+
+    def _motion(self, frame: _Frame, depth: np.ndarray) -> np.ndarray:
+        said, before = self.settings.motion, frame.before
+        assert before is not None  # only resets have none
+        if said.to_next:
+            flow = said.read(self._folder, before.number, self.settings.size)
+            motion = inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)
+        else:
+            motion = said.read(self._folder, frame.number, self.settings.size)
+        if said.jitter_removed:
+            motion += np.float32(np.subtract(before.camera.jitter, frame.camera.jitter))
+        return motion
+
+
+def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSettings, Description]:
+    keys = Keys(document, FILE_NAME)
+    keys.take("format")
+    if keys.take("version", VERSION) != VERSION:
+        raise GffeError(f"{FILE_NAME}: unknown version (expected {VERSION})")
+    size = (
+        whole_number(keys.take("width"), f"{FILE_NAME}: width"),
+        whole_number(keys.take("height"), f"{FILE_NAME}: height"),
+    )
+    fps = keys.take("fps")
+    fps = None if fps is None else require_positive(fps, f"{FILE_NAME}: fps")
+    exposure = require_exposure(keys.take("exposure", 1.0), f"{FILE_NAME}: exposure")
+    cameras = Keys(keys.take("camera", {}), "camera")
+    rules, files, listed = parse_rules(cameras), _camera_files(cameras), cameras.take("list")
+    cameras.done()
+    color = keys.take("color")
+    made = FolderSettings(
+        size,
+        parse_color(color),
+        parse_color(keys.take("ground_truth", color), "ground_truth"),
+        parse_depth(keys.take("depth"), rules.convention),
+        parse_motion(keys.take("motion")),
+        rules,
+        {},
+        keys.text("view"),
+    )
+    frames = list(_frames(keys.take("frames"), fps))
+    keys.done()
+    if listed is not None and (not isinstance(listed, list) or len(listed) != len(frames)):
+        raise GffeError(f"camera, list must have a camera for each of the {len(frames)} frames")
+    previous = None
+    made.gaps = mark_gaps([(number, entry) for number, entry, _ in frames])
+    for index, (number, entry, camera) in enumerate(frames):
+        label = f"{FILE_NAME}, frame {number}, camera"
+        if camera is None and listed is not None:
+            camera = listed[index]
+        if camera is None and files is not None:
+            label = files.file(number)
+            camera = read_json(files.path(folder, number))
+        found = None
+        if camera is not None or cameras_needed:
+            found = parse_camera(camera, rules, size, label)
+            entry.display_camera = found.camera
+        _require_camera(made, found, label)
+        frame = _Frame(number, entry, found, None)
+        if entry.kind == "rendered":
+            entry.render_camera = entry.display_camera
+            entry.reset = entry.reset or previous is None
+            frame = _Frame(number, entry, found, None if entry.reset else previous)
+            previous = frame
+        made.frames[entry.file] = frame
+    return made, described(FILE_NAME, size, [entry for _, entry, _ in frames], fps, exposure)
+
+
+def _require_camera(made: FolderSettings, found: FoundCamera | None, label: str) -> None:
+    """Raise GffeError if the camera lacks data that the buffers need."""
+    if made.depth.encoding == "device" and made.depth.near is None and (found is None or found.projection is None):
+        raise GffeError(f"{label}: device depth needs a projection matrix, or near and far in depth")
+    if found is None:
+        for needs, what in (
+            (made.depth.encoding == "distance", "distances along the rays"),
+            (made.motion.to_next, "motion to the next frame"),
+            (made.motion.jitter_removed, "motion without jitter"),
+        ):
+            if needs:
+                raise GffeError(f"{label}: {what} cannot be converted without a camera")
+
+
+def _camera_files(keys: Keys) -> Buffer | None:
+    pattern = keys.text("file")
+    return None if pattern is None else parse_buffer(Keys({"file": pattern}, "camera"), ("R",))
+
+
+def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, Any]]:
+    """Return number, entry without camera, and the camera's JSON of each frame, in order of time."""
+    if isinstance(given, dict):
+        keys = Keys(given, f"{FILE_NAME}, frames")
+        first, step, count = (
+            keys.take(name, default) for name, default in (("first", 0), ("step", 1), ("count", None))
+        )
+        keys.done()
+        if fps is None:
+            raise GffeError(f"{FILE_NAME}: frames without times need fps")
+        whole_number(count, f"{FILE_NAME}, frames, count", MOST_FRAMES)
+        first = _number(first, f"{FILE_NAME}, frames, first")
+        step = whole_number(step, f"{FILE_NAME}, frames, step", _MOST_NUMBER)
+        given = [{"number": first + k * step, "time": k / fps} for k in range(count)]
+    if not isinstance(given, list) or not 0 < len(given) <= MOST_FRAMES:
+        raise GffeError(
+            f'{FILE_NAME}: frames must be {{"first": …, "count": …}} or a list of 1 to {MOST_FRAMES} frames'
+        )
+    found = [_frame(one, index) for index, one in enumerate(given)]
+    return iter(sorted(found, key=lambda one: one[1].time))
+
+
+def _frame(given: Any, index: int) -> tuple[int, FrameEntry, Any]:
+    keys = Keys(given, f"{FILE_NAME}, frames[{index}]")
+    number = _number(keys.take("number"), f"{keys.label}, number")
+    kind = keys.choice("kind", ("rendered", "ground_truth"), "rendered")
+    time = require_number(keys.take("time"), f"{keys.label}, time")
+    entry = FrameEntry(f"{'frame' if kind == 'rendered' else 'truth'}_{number:06d}.exr", time, kind, keys.flag("reset"))
+    camera = keys.take("camera")
+    keys.done()
+    return number, entry, camera
+
+
+def _number(value: Any, what: str) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MOST_NUMBER:
+        return value
+    raise GffeError(f"{what} must be a whole number from {-_MOST_NUMBER} to {_MOST_NUMBER}, got {shown(value)}")

@@ -1,0 +1,39 @@
+"""Layers of OpenEXR files: `layer.component` in one part or in parts of their own, whatever program wrote them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence as Ordered
+
+from gffe_cl.captures.sequence.exr_layout import ExrHeader
+
+Place = tuple[int, str]  # part, channel in it
+
+
+def layers_of(header: ExrHeader, view: str | None = None) -> dict[str, dict[str, Place]]:
+    """Layer (all but the last word, "" for plain channels) → component → place, in the order of the file. Of several
+    views one is taken, by default the first of `header.views`."""
+    found: dict[str, dict[str, Place]] = defaultdict(dict)
+    chosen = view or next(iter(header.views), "")
+    for index, channel, name in header.seen(view):
+        part = header.parts[index].name
+        if chosen and part.endswith(chosen):  # RenderLayer.Combined.left
+            part = part.removesuffix(chosen).rstrip("._- ")
+        whole = len(header.parts) == 1 or not part or name.startswith(f"{part}.")
+        layer, _, component = (name if whole else f"{part}.{name}").rpartition(".")
+        found[layer].setdefault(component, (index, channel))
+    return dict(found)
+
+
+def holding(layers: dict[str, dict[str, Place]], name: str, components: Ordered[str]) -> list[str]:
+    """Layers whose last word is `name` and that have all `components`."""
+    return [
+        layer
+        for layer, places in layers.items()
+        if layer.rpartition(".")[2].lower() == name.lower() and all(c in places for c in components)
+    ]
+
+
+def owner(layer: str) -> str:
+    """The view layer of a pass: `ViewLayer` of `ViewLayer.Combined`."""
+    return layer.rpartition(".")[0]

@@ -1,0 +1,125 @@
+"""Registry of all supported formats of captures, and their recognition by the files in a folder."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gffe_cl.captures.formats import blender, datasets, folder, unreal
+from gffe_cl.captures.sequence.description import FILE_NAME
+from gffe_cl.captures.sequence.output_folder import why_unfinished
+from gffe_cl.captures.sequence.reader import CAMERAS, Sequence, open_sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import follow_links as following
+from gffe_cl.engine.core.validation import require_choice, require_path
+
+
+@dataclass(frozen=True)
+class Format:
+    """A form of captures on disk."""
+
+    name: str
+    sentence: str
+    example: str  # what the folder holds
+    recognizes: Callable[[Path], bool]  # a folder that has no sequence.json, by the names of its files
+    open: Callable[[Path], Sequence]
+
+
+_JSON_FILES = (FILE_NAME, blender.FILE_NAME)
+FORMATS = {
+    one.name: one
+    for one in (
+        Format(
+            "gffe-sequence",
+            "The project's own form, which every command writes: sequence.json and one EXR per frame",
+            "sequence.json\nframe_000000.exr\ntruth_000000_0500.exr …",
+            lambda folder: False,
+            open_sequence,
+        ),
+        Format(
+            "gffe-folder",
+            "Images of any convention, EXR, PNG, NPY or NPZ, which a short sequence.json describes (docs/formats.md)",
+            'sequence.json: {"format": "gffe-folder", …}\ncolor/0000.png …\ndepth/0000.exr …\nmotion/0000.npy …',
+            lambda folder: False,
+            folder.open_folder,
+        ),
+        Format(
+            "blender",
+            "Blender (Cycles): multilayer EXR, with the cameras.json of docs/blender/export_gffe.py",
+            "cameras.json\nframe_0000.exr\nframe_0001.exr …",
+            blender.is_blender,
+            blender.open_blender,
+        ),
+        Format(
+            "unreal",
+            "Unreal's Movie Render Queue: multilayer EXR with the passes WorldDepth and MotionVectors",
+            "Shot.0000.exr\nShot.0001.exr …",
+            unreal.is_unreal,
+            unreal.open_unreal,
+        ),
+        Format(
+            "sintel",
+            "MPI Sintel: a scene's folder of colors, with folders flow, depth and camdata_left next to its parent",
+            "training/final/alley_1/frame_0001.png …\ntraining/flow/alley_1/frame_0001.flo …\n"
+            "training/depth/alley_1/frame_0001.dpt …\ntraining/camdata_left/alley_1/frame_0001.cam …",
+            datasets.is_sintel,
+            datasets.open_sintel,
+        ),
+        Format(
+            "spring",
+            "Spring: a scene's folder (needs h5py)",
+            "0001/frame_left/frame_left_0001.png …\n0001/flow_BW_left/flow_BW_left_0002.flo5 …\n"
+            "0001/disp1_left/disp1_left_0001.dsp5 …\n0001/cam_data/intrinsics.txt, extrinsics.txt",
+            datasets.is_spring,
+            datasets.open_spring,
+        ),
+        Format(
+            "tartanair",
+            "TartanAir: a trajectory's folder",
+            "P000/image_left/000000_left.png …\nP000/depth_left/000000_left_depth.npy …\n"
+            "P000/flow/000000_000001_flow.npy …\nP000/pose_left.txt",
+            datasets.is_tartanair,
+            datasets.open_tartanair,
+        ),
+    )
+}
+
+
+def open_capture(
+    path: str | os.PathLike[str], *, cameras: str = "needed", follow_links: bool | None = None
+) -> Sequence:
+    """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`:
+    which one it is follows from its files.
+
+    Everything that can be checked without decoding pixels is. Frames are read in our own conventions, whatever theirs
+    are: a `Sequence` as `open_sequence` gives it. With `cameras` "optional" those of our own form and of `gffe-folder`
+    may lack cameras, as there. With `follow_links` files of the capture may refer to files outside the folder; by
+    default they may not. Raises GffeError, also for a folder of no known form.
+    """
+    path = require_path(path, "open_capture: path")
+    require_choice(cameras, CAMERAS, "open_capture: cameras")
+    with following(follow_links):
+        return _opened(path, cameras)
+
+
+def _opened(path: Path, cameras: str) -> Sequence:
+    place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
+    try:
+        if not place.is_dir():
+            return open_sequence(path, cameras=cameras)
+        described = place / FILE_NAME
+        if described.exists():
+            opened = folder.open_folder if folder.is_folder(described) else open_sequence
+            return opened(place, cameras=cameras)
+        known = next((one for one in FORMATS.values() if one.recognizes(place)), None)
+    except OSError as error:
+        raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if known is None:
+        if why_unfinished(place):
+            return open_sequence(place)  # says so
+        raise GffeError(
+            f"{path}: no {FILE_NAME} in this folder, and no other known form (expected one of `gffe formats`)"
+        )
+    return known.open(place)

@@ -1,0 +1,1 @@
+"""Whole sequences through the pipeline (`gffe run`)."""

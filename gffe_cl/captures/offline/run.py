@@ -1,0 +1,235 @@
+"""Extrapolating a sequence, on disk or rendered meanwhile, into another one (`gffe run`)."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.captures.offline.source import Source
+from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+
+_MOST_ALPHA = 100
+_MOTION_STEPS = np.float32(1024)  # per pixel, of motion in files
+MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}
+
+
+@dataclass
+class RunReport:
+    """Summary of a run: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
+    wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
+    "network", and "codec_cpu", CPU time for reading and writing EXRs; how many frames were rendered ones, and the files
+    of those that were found to be cuts."""
+
+    extrapolated: int
+    bad_pixels: BadPixels
+    warnings: list[str]
+    milliseconds: dict[str, float]
+    seconds: dict[str, float] = field(default_factory=dict)
+    rendered: int = 0
+    cuts: list[str] = field(default_factory=list)
+
+
+def alphas_for(n: int) -> list[float]:
+    """α = j/(n+1), j = 1 … n (paper: 'Position estimation')."""
+    if not 1 <= n <= 7:
+        raise GffeError(f"-n must be 1 to 7 extrapolated frames per rendered frame, got {n}")
+    return [j / (n + 1) for j in range(1, n + 1)]
+
+
+def run_sequence(
+    source: Source,
+    output: Path,
+    device: Device,
+    options: Options,
+    alphas: list[float],
+    *,
+    predicted_camera: bool = False,
+    strict: bool = False,
+    dump_stages: bool = False,
+    compression: str = DEFAULT_COMPRESSION,
+    on_frame: Callable[[], None] = lambda: None,
+) -> RunReport:
+    """Extrapolate after every rendered frame of `source` and write the result to `output`.
+
+    The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
+    one, or `predicted_camera` asks for it, all of them are C̄. `compression` is that of new EXRs (see `SequenceWriter`).
+    `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts become resets in
+    `output`.
+
+    Raises GffeError for structural faults; then `output` is as it was before.
+    """
+    start, codec = perf_counter(), codec_seconds()
+    alphas = sorted(alphas)
+    twice = [a for a, b in zip(alphas, alphas[1:], strict=False) if a == b]
+    if twice:
+        raise GffeError(f"alpha {twice[0]:g} is given twice (expected times that differ)")
+    if not alphas or not all(0 < a <= _MOST_ALPHA for a in alphas):
+        given = ", ".join(f"{a:g}" for a in alphas) or "none"
+        raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
+    source.refuse(output)
+    size = (source.width, source.height)
+    writing = SequenceWriter(
+        output, *size, source.fps, source.exposure, generator="gffe-cl run", compression=compression,
+        attributes=source.attributes,
+    )  # fmt: skip
+    frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
+    pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
+    pipeline.exposure = source.exposure
+    started = perf_counter()
+    suffixes = _suffixes(alphas)
+    report = RunReport(0, BadPixels(), [], {})
+    timings: dict[str, float] = defaultdict(float)
+    if dump_stages:
+        pipeline.keep()
+    with writing as writer:
+        for entry, frame in frames:
+            pipeline.submit(frame)
+            report.rendered += 1
+            if pipeline.is_cut:
+                report.cuts.append(entry.file)
+                entry = replace(entry, reset=True)
+            if options.upscale:
+                writer.add(*shown_frame(entry, pipeline.present(), frame.color.dtype), owned=True)
+            else:
+                source.store(writer, entry, frame)
+            if dump_stages:
+                pipeline.present()
+            times = [frame.time + alpha * pipeline.interval for alpha in alphas]
+            cameras = None if predicted_camera else source.cameras_at(times)
+            for alpha, time, camera in zip(alphas, times, cameras or [None] * len(times), strict=True):
+                extrapolated = pipeline.extrapolate(camera, time)
+                made = FrameEntry(
+                    file=f"extrapolated_{source.number_of(entry)}_{suffixes[alpha]}.exr",
+                    time=time,
+                    kind="extrapolated",
+                    source=entry.file,
+                    alpha=alpha,
+                    display_camera=extrapolated.camera,
+                )
+                if dump_stages:
+                    dump_buffers(pipeline, writer.folder("stages") / Path(made.file).stem)
+                writer.add(
+                    made,
+                    output_channels(extrapolated, frame.camera, pipeline.shown_camera, frame.color.dtype),
+                    owned=True,
+                )
+                report.extrapolated += 1
+                on_frame()
+            for name, milliseconds in pipeline.take_timings().items():
+                timings[name] += milliseconds
+    report.bad_pixels = pipeline.bad_pixels
+    report.warnings = source.warnings() + _network_warnings(pipeline)
+    report.milliseconds = {name: total / max(report.extrapolated, 1) for name, total in timings.items()}
+    network = (timings.pop("network", 0.0) + timings.pop("network copies", 0.0)) * 1e-3
+    report.seconds = {
+        "wall": perf_counter() - start,
+        "start": started - start,
+        "kernels": sum(timings.values()) * 1e-3,
+        "network": network,
+        "codec_cpu": codec_seconds() - codec,
+    }
+    return report
+
+
+def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
+    """Return the channels of an upscaled rendered frame: as displayed, with motion between displayed images."""
+    entry = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
+    dtype = np.float32 if color_dtype == np.float32 else np.float16
+    color = shown.numpy("color").astype(dtype, copy=False)
+    return entry, named_channels(color, shown.numpy("depth"), _rounded(shown.numpy("motion")))
+
+
+def _network_warnings(pipeline: Pipeline) -> list[str]:
+    correction = pipeline.stages.get("correction")
+    if correction is None:
+        return []
+    remarks = [correction.network.remark] if correction.network.remark else []
+    if not correction.unusable_pixels:
+        return remarks
+    model, pixels = correction.network.path.name, correction.unusable_pixels
+    return remarks + [
+        f"{model}: the network gave NaN or infinity for about {pixels:,} pixels of the new frames; they keep the"
+        " extrapolated color"
+    ]
+
+
+def output_channels(
+    extrapolated: ExtrapolatedFrame, render_camera: Camera, display_camera: Camera, color_dtype=np.float16
+) -> dict[str, np.ndarray]:
+    """EXR channels of an extrapolated frame: R G B, Z, motion.x motion.y, mask.*, and `motion.display.*`
+    (pixels, into the source frame as displayed) where it was rendered through another window. Motion is rounded to
+    1/1024 px: the bits below are noise, which no compression shrinks."""
+    motion = _rounded(extrapolated.numpy("motion"))
+    dtype = np.float32 if color_dtype == np.float32 else np.float16
+    color = extrapolated.numpy("color").astype(dtype, copy=False)
+    channels = named_channels(color, extrapolated.numpy("depth"), motion)
+    channels |= {channel: extrapolated.numpy(name) for channel, name in MASKS.items()}
+    if render_camera != display_camera:
+        height, width = motion.shape[:2]
+        for axis, name in enumerate("xy"):
+            center = np.arange((width, height)[axis]) + 0.5
+            center = center[None, :] if axis == 0 else center[:, None]
+            focal = [(c.fx, c.fy)[axis] for c in (render_camera, display_camera)]
+            middle = [(c.cx, c.cy)[axis] for c in (render_camera, display_camera)]
+            shown = (motion[..., axis] + center - middle[0]) * (focal[1] / focal[0]) + middle[1]
+            channels[f"motion.display.{name}"] = _rounded((shown - center).astype(np.float32))
+    return channels
+
+
+def _rounded(motion: np.ndarray) -> np.ndarray:
+    """`motion` itself, to the next 1/1024 px."""
+    np.multiply(motion, _MOTION_STEPS, out=motion)
+    np.rint(motion, out=motion)
+    return np.multiply(motion, 1 / _MOTION_STEPS, out=motion)
+
+
+def dump_buffers(pipeline: Pipeline, folder: Path) -> None:
+    """Write every named buffer of every stage to `folder`: `<stage>.<buffer>.exr`, and `once.json` for buffers that
+    are no images."""
+    once = {}
+    try:
+        folder.mkdir()
+        for stage, spec in pipeline.named_buffers():
+            array = stage.read(spec.name)
+            if spec.grid == "once":
+                once[f"{stage.name}.{spec.name}"] = array.tolist()
+            else:
+                write_channels(folder / f"{stage.name}.{spec.name}.exr", _dump_channels(spec, array))
+        (folder / "once.json").write_text(json.dumps(once, indent=1))
+    except OSError as error:
+        raise GffeError(f"{folder}: cannot write the stage dump: {error.strerror or error}") from None
+
+
+def _dump_channels(spec: Any, array: np.ndarray) -> dict[str, np.ndarray]:
+    """Channels of a dumped buffer: its components ("Y" for a single one), numbered "1.x" … per plane."""
+    channels = {}
+    for k, plane in enumerate(array if spec.planes > 1 else array[None]):
+        prefix = f"{k + 1}." if spec.planes > 1 else ""
+        for c, component in enumerate(spec.components or ("Y",)):
+            image = plane[..., c] if spec.components else plane
+            channels[prefix + component] = image if image.dtype == np.float16 else image.astype(np.float32)
+    return channels
+
+
+def _suffixes(alphas: list[float]) -> dict[float, str]:
+    """Return α in thousandths (0.5 → `0500`), in smaller units where thousandths would be equal."""
+    for digits in range(3, 18):
+        suffixes = {alpha: f"{round(alpha * 10**digits):0{digits + 1}d}" for alpha in alphas}
+        if len(set(suffixes.values())) == len(alphas):
+            break
+    return suffixes

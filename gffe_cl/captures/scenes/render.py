@@ -1,0 +1,133 @@
+"""Rendering built-in scenes to sequences on disk (`gffe render`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.captures.scenes.sequences import smaller_renderer
+from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.captures.sequence.description import rendered_entry
+from gffe_cl.captures.sequence.encoding import EXACT, Encoding
+from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.remote_workers import Cluster, device_of_worker
+
+_MOST_SCALE = 4
+
+
+def render_sequence(
+    scene: Scene,
+    output: Path,
+    device: Device | None,
+    width: int,
+    height: int,
+    frames: int,
+    fps: float,
+    *,
+    ground_truth: bool = False,
+    per_frame: int = 1,
+    samples: int | None = None,
+    window: str = "off",
+    jitter: Jitter | None = None,
+    scale: float = 1.0,
+    encoding: Encoding = EXACT,
+    compression: str = DEFAULT_COMPRESSION,
+    cluster: Cluster | None = None,
+    on_frame: Callable[[], None] = lambda: None,
+) -> int:
+    """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
+
+    With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the rendered frame
+    before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
+    `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
+    display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
+    exact but for its camera. `compression` is that of the EXRs (see
+    `SequenceWriter`). With a `cluster` its workers render what is written here, each on the device that GFFE_DEVICE
+    chooses there; `device` may be None, and windows not adaptive, because these follow from frame to frame. `on_frame`
+    is called after every frame. Raises GffeError.
+    """
+    if frames < 1:
+        raise GffeError(f"--frames must be at least 1, got {frames}")
+    if not 0 < fps < float("inf"):
+        raise GffeError(f"--fps must be positive, got {fps:g}")
+    if per_frame < 0:
+        raise GffeError(f"-n must be at least 0 frames in between, got {per_frame}")
+    if cluster and window == "adaptive":
+        raise GffeError("--window adaptive follows from frame to frame (expected off or fixed with --scheduler)")
+    alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
+    if not 1 <= scale <= _MOST_SCALE:
+        raise GffeError(f"--scale must be 1 to {_MOST_SCALE}, got {scale:g}")
+    WindowChooser(window, (width, height), alphas)
+    jitter = jitter or Jitter()
+    samples = samples or (1 if jitter.length > 1 else 8)
+    job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
+    writing = SequenceWriter(
+        output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression
+    )
+    with writing as writer:
+        for entry, channels in _on_workers(job, frames, cluster) if cluster else _here(job, frames, device):
+            writer.add(entry, channels)
+            on_frame()
+    return frames * (1 + len(alphas) * ground_truth)
+
+
+@dataclass(frozen=True)
+class _Job:
+    scene: Scene
+    size: tuple[int, int]  # of the display
+    fps: float
+    alphas: tuple[float, ...]
+    ground_truth: bool
+    samples: int
+    window: str
+    jitter: Jitter
+    scale: float
+    encoding: Encoding
+
+    def frames(self, device: Device) -> SceneFrames:
+        renderer = smaller_renderer(device, self.scene, self.size, self.scale, self.samples)
+        is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
+        truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
+        return SceneFrames(renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths)
+
+
+def _here(job: _Job, count: int, device: Device | None) -> Iterator[tuple[FrameEntry, dict]]:
+    assert device is not None  # without a cluster
+    made, before = job.frames(device), None
+    for k, frame in enumerate(made.sequence(count, job.fps)):
+        yield from _written(job, made, k, frame, before)
+        before = frame
+
+
+def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[FrameEntry, dict]]:
+    for _, written in cluster.compute(_frame_on_worker, {str(k): (job, k) for k in range(count)}, in_order=True):
+        yield from written
+
+
+def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
+    made = job.frames(device_of_worker(None))
+    before = made.unrendered((k - 1) * (1.0 / job.fps), k - 1) if k else None
+    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before, k), before))
+
+
+def _written(
+    job: _Job, made: SceneFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
+) -> Iterator[tuple[FrameEntry, dict]]:
+    """Return the written frames for frame `k`, rendered after `before`: the frame and the truth after it."""
+    halves = made.half_motions(frame, before) if before and job.encoding.looks_up_twice else None
+    stored = job.encoding.frame(frame, job.scene.exposure, halves)
+    yield rendered_entry(k, stored, job.size), named_channels(stored.color, stored.depth, stored.motion)
+    for alpha in job.alphas if job.ground_truth else ():
+        time = (k + alpha) * (1.0 / job.fps)
+        image = made.truth(time, frame).numpy()
+        file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
+        (camera,) = job.encoding.cameras(time, made.display_camera(time))
+        entry = FrameEntry(file, time, "ground_truth", display_camera=camera)
+        yield entry, named_channels(image.color, image.depth, image.motion)

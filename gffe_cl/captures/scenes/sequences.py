@@ -1,0 +1,117 @@
+"""Frames of a built-in scene at any times, as an engine would hand them over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gffe_cl.captures.scenes.renderer import SceneImage, SceneRenderer
+from gffe_cl.captures.scenes.scene_types import Scene
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.opencl.device import Device
+
+
+def require_frames(count: int, fps: float) -> None:
+    """GffeError unless a scene can be asked for `count` rendered frames at `fps`."""
+    if count < 1 or not (0 < fps < float("inf") and 1.0 / fps < float("inf")):
+        raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
+
+
+def smaller_renderer(device: Device, scene: Scene, size: tuple[int, int], scale: float, samples: int) -> SceneRenderer:
+    """Return a renderer of `scene` that is `scale` times smaller, each way, than a display of `size`, with textures as
+    fine."""
+    width, height = (max(round(n / scale), 1) for n in size)
+    return SceneRenderer(device, scene, width, height, samples, 1 / scale)
+
+
+class SceneFrames:
+    """Frames of a scene by `renderer`: rendered frames, and the truth at any time.
+
+    Parameters
+    ----------
+    windows : WindowChooser or None
+        Chooses what each rendered frame is rendered through. None: what is shown.
+    size : (width, height) or None
+        Of the display, pixels; that of the renderer's image if None.
+    jitter : Jitter or None
+        Of rendered frames. None: none.
+    truths : SceneRenderer or None
+        Renders truth; its image has the display's size. None: `renderer`, where that has it.
+    """
+
+    def __init__(
+        self,
+        renderer: SceneRenderer,
+        windows: WindowChooser | None = None,
+        size: tuple[int, int] | None = None,
+        jitter: Jitter | None = None,
+        truths: SceneRenderer | None = None,
+    ):
+        self.renderer, self.scene = renderer, renderer.scene
+        self.render_size = (renderer.width, renderer.height)
+        self.size = size or self.render_size
+        self.windows = windows or WindowChooser("off", self.size, [])
+        self.jitter = jitter or Jitter()
+        self._truths = truths or renderer
+
+    def display_camera(self, time: float) -> Camera:
+        """Return the scene's camera at `time` (seconds), in display pixels."""
+        return self.scene.camera(time, *self.size)
+
+    def render_camera(self, shown: Camera, before: RenderedFrame | None, number: int = 0) -> Camera:
+        """Return the camera to render frame `number` with, after the rendered frame `before` (None: after a reset), so
+        that `shown` is seen."""
+        window = self.windows.choose(shown, before and before.shown_camera)
+        return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
+
+    def image(self, time: float, camera: Camera, before: RenderedFrame | None = None, number: int = 0) -> SceneImage:
+        """On the device, until the next one is rendered. Motion refers to `before`, rounded as the scene's is;
+        None: to the frame itself. `number`: for jitter."""
+        phase = number % self.jitter.length
+        other = before and before.time, before and before.camera
+        return self.renderer.render(time, camera, *other, phase=phase, motion_step=self.scene.motion_step)
+
+    def rendered(self, time: float, before: RenderedFrame | None = None, number: int = 0) -> RenderedFrame:
+        """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for jitter."""
+        shown = self.display_camera(time)
+        camera = self.render_camera(shown, before, number)
+        image = self.image(time, camera, before, number).numpy()
+        self.windows.observe(image.depth)
+        return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
+
+    def unrendered(self, time: float, number: int = 0) -> RenderedFrame:
+        """Return the cameras of frame `number` at `time`, without buffers, for another frame. Adaptive windows are
+        not supported, because they depend on earlier rendered frames."""
+        shown = self.display_camera(time)
+        return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
+
+    def half_motions(self, frame: RenderedFrame, before: RenderedFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Return motion (H, W, 2) from `frame` half way to the rendered frame `before`, and from there to `before`,
+        as in an engine that renders twice as many frames."""
+        time = (frame.time + before.time) / 2
+        camera = self.render_camera(self.display_camera(time), None)
+        halves = (frame.time, frame.camera, time, camera), (time, camera, before.time, before.camera)
+        first, second = (self.renderer.render(*half).read("motion") for half in halves)
+        return first, second
+
+    def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
+        """Return the displayed image at `time`, between rendered frames or at one; motion leads into the rendered frame
+        `before`."""
+        assert self.size == (self._truths.width, self._truths.height)
+        return self._truths.render(time, self.display_camera(time), before and before.time, before and before.camera)
+
+    def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
+        """`count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's) apart;
+        the first is a reset."""
+        fps = fps or self.scene.fps
+        require_frames(count, fps)
+        step = 1.0 / fps
+        before = None
+        for k in range(count):
+            before = self.rendered(start + k * step, before, k)
+            yield before

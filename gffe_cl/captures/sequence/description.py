@@ -1,0 +1,378 @@
+"""Content of `sequence.json`: frames and cameras, validated when read. No other file is touched here."""
+
+from __future__ import annotations
+
+import gc
+import json
+import math
+import os
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import following_links, open_regular
+from gffe_cl.engine.core.validation import (
+    MOST_SIDE,
+    require_bool,
+    require_choice,
+    require_exposure,
+    require_kind,
+    require_number,
+    require_positive,
+    require_size,
+    shown,
+)
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+
+FILE_NAME = "sequence.json"
+FORMAT, VERSION = "gffe-sequence", 1
+KINDS = ("rendered", "ground_truth", "extrapolated")
+_CAMERA = ("world_to_view", "fx", "fy", "cx", "cy")
+_MAX_BYTES = 1 << 30
+_PLAIN_NAME = re.compile(r"[\w+=@-][\w+=@. -]*", re.ASCII)
+
+
+@dataclass
+class FrameEntry:
+    """One frame of a sequence.
+
+    Parameters
+    ----------
+    file : str
+        EXR file, relative to the sequence's folder.
+    time : float
+        Seconds.
+    kind : "rendered", "ground_truth" or "extrapolated"
+    reset : bool
+        Nothing before this rendered frame may be used; always true for the first one.
+    render_size : (width, height) or None
+        Pixels of the stored images; None means the display size.
+    render_camera : Camera or None
+        In render pixels. None for frames that are not rendered.
+    display_camera : Camera or None
+        In display pixels. For rendered frames None means the frustum of the render camera; in an opened
+        sequence it is always set for them, and None elsewhere if neither JSON nor EXR header has one.
+    source : str or None
+        The rendered frame that an extrapolated one was made from.
+    alpha : float or None
+        (time − source time) / (source time − time of the rendered frame before it).
+    elsewhere : str or None
+        Path of the file where that is not in the folder; `file` is then the name of its copies.
+    """
+
+    file: str
+    time: float
+    kind: str = "rendered"
+    reset: bool = False
+    render_size: tuple[int, int] | None = None
+    render_camera: Camera | None = None
+    display_camera: Camera | None = None
+    source: str | None = None
+    alpha: float | None = None
+    elsewhere: str | None = None
+
+    @property
+    def place(self) -> str:
+        """Path of the file, seen from the folder."""
+        return self.elsewhere or self.file
+
+
+@dataclass
+class Description:
+    """Contents of `sequence.json`; sizes in pixels, times in seconds. `unfinished`: the run that wrote it was
+    interrupted, the frames are those that were finished then."""
+
+    width: int
+    height: int
+    fps: float
+    exposure: float
+    frames: list[FrameEntry]
+    unfinished: bool = False
+    known_cameras: tuple[FrameEntry, ...] = ()  # of other forms: kind "camera_only", no file
+
+
+@contextmanager
+def without_collections() -> Iterator[None]:
+    """Without Python's search for garbage, which many objects make several times as long and which finds none."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+@without_collections()
+def parse_description(text: str, name: str = FILE_NAME) -> Description:
+    """Check everything in the JSON `text`. Raises GffeError naming the file `name` and the frame."""
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise GffeError(f"{name}: not valid JSON ({' '.join(str(error).split())})") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise GffeError(f'{name}: not a sequence (expected "format": "{FORMAT}")')
+    if document.get("version") != VERSION or isinstance(document["version"], bool):
+        raise GffeError(f"{name}: unknown version {shown(document.get('version'))} (expected {VERSION})")
+    description = Description(
+        _whole(document.get("width"), name, "width"),
+        _whole(document.get("height"), name, "height"),
+        require_positive(document.get("fps"), f"{name}: fps"),
+        require_exposure(document.get("exposure", 1.0), f"{name}: exposure"),
+        [],
+        _true_or_false(document.get("unfinished", False), f"{name}: unfinished"),
+    )
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise GffeError(f"{name}: frames must be a list of at least one frame")
+    description.frames = [_parse_frame(frame, index, name) for index, frame in enumerate(frames)]
+    _require_names(description.frames, name)
+    _parse_cameras(description.frames, frames, name)
+    check_times(description.frames, name)
+    for entry in description.frames:
+        if entry.kind == "rendered":
+            entry.reset = True
+            break
+    return description
+
+
+def checked_entry(entry: FrameEntry) -> FrameEntry:
+    """Return a copy of `entry` with Python numbers. Raises GffeError for invalid values."""
+    require_kind(entry, FrameEntry, "entry")
+    check_file_name(entry.file, "entry")
+    label = f"{entry.file}: "
+    for name in ("render_camera", "display_camera"):
+        if (camera := getattr(entry, name)) is not None:
+            require_kind(camera, Camera, f"{label}{name}", "a Camera or None")
+    if entry.source is not None:
+        check_file_name(entry.source, f"{label}source")
+    size, alpha = entry.render_size, entry.alpha
+    return replace(
+        entry,
+        time=require_number(entry.time, f"{label}time"),
+        kind=require_choice(entry.kind, KINDS, f"{label}kind"),
+        reset=require_bool(entry.reset, f"{label}reset"),
+        render_size=None if size is None else require_size(size, f"{label}render_size", whole=True),
+        alpha=None if alpha is None else require_positive(alpha, f"{label}alpha"),
+    )
+
+
+def _require_names(frames: list[FrameEntry], name: str) -> None:
+    """GffeError if two files of different folders would be called the same."""
+    places: dict[str, str] = {}
+    for index, entry in enumerate(frames):
+        other = places.setdefault(entry.file, entry.place)
+        if other != entry.place:
+            label = frame_label(index, entry.place, name)
+            raise GffeError(f"{label}: would be called {entry.file} like {other} (expected names of their own)")
+
+
+def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
+    return f"{name}, frame {index} ({file})"
+
+
+def check_times(frames: list[FrameEntry], name: str = FILE_NAME) -> None:
+    """GffeError unless times increase. Extrapolated frames may coincide with others: with α ≥ 1 they reach
+    the time of the next rendered frame."""
+    last = {"any": -math.inf, "given": -math.inf}
+    for index, entry in enumerate(frames):
+        given = entry.kind != "extrapolated"
+        late = entry.time < last["any"] or (given and entry.time == last["given"])
+        if late:
+            raise GffeError(
+                f"{frame_label(index, entry.file, name)}: times must increase, got {entry.time:g} s"
+                f" after {last['any']:g} s"
+            )
+        last["any"] = entry.time
+        if given:
+            last["given"] = entry.time
+
+
+def require_one_size(frames: Iterable[FrameEntry], size: tuple[int, int], label: str) -> None:
+    """Raise GffeError, beginning with `label`, unless the rendered ones of `frames` have one size. `size`: of the
+    display, which those without a size have."""
+    first: dict[tuple[int, int], FrameEntry] = {}
+    for entry in frames:
+        if entry.kind == "rendered":
+            width, height = entry.render_size or size
+            first.setdefault((width, height), entry)
+    if len(first) > 1:
+        sizes = [f"{entry.file} is {width}×{height}" for (width, height), entry in first.items()]
+        raise GffeError(f"{label}: rendered frames must have one size ({', '.join(sizes[:2])})")
+
+
+def check_file_name(file, label: str) -> str:
+    """`file`, as Python calls it on disk, if it is a relative path inside the sequence's folder, else GffeError."""
+    if isinstance(file, str) and _PLAIN_NAME.fullmatch(file) and file != FILE_NAME:
+        return file
+    name = _on_disk(file) if isinstance(file, str) and file.strip() and "\0" not in file else None
+    if name is None or name in (".", FILE_NAME):
+        raise GffeError(f"{label}: file must be the name of an EXR file, got {shown(file)}")
+    if _leaves(name):
+        raise GffeError(f"{label}: file must stay inside the sequence's folder, got {shown(file)}")
+    return name
+
+
+def reference(file, label: str) -> tuple[str, str | None]:
+    """As `check_file_name`, for a file that is read: its name, and its path if that leaves the folder, which is a
+    GffeError unless links are followed (`gffe_cl.engine.core.files.following_links`)."""
+    if not isinstance(file, str) or not _leaves(file):
+        return check_file_name(file, label), None
+    if not following_links():
+        raise GffeError(
+            f"{label}: file must stay inside the sequence's folder, got {shown(file)} (--follow-links allows it)"
+        )
+    parts = [part for part in PurePosixPath(file).parts if part not in ("..", "/")]
+    name = re.sub(r"[\\:]|\.\.", "_", "/".join(parts))
+    return check_file_name(name, label), _on_disk(file)
+
+
+def _leaves(file: str) -> bool:
+    paths = (PurePosixPath(file), PureWindowsPath(file))
+    return any(path.anchor or ".." in path.parts for path in paths)
+
+
+def _on_disk(name: str) -> str | None:
+    """Return Python's name of the file whose name is that UTF-8 text, in any locale; None where no file can be called
+    so: half a surrogate pair has no bytes."""
+    try:
+        return os.fsdecode(name.encode("utf-8", sys.getfilesystemencodeerrors()))
+    except UnicodeError:
+        return None
+
+
+def read_text(path: Path, most: int = _MAX_BYTES) -> str:
+    """Text of a `sequence.json` in UTF-8, also after a byte order mark; GffeError if it cannot be read or has more than
+    `most` bytes."""
+    try:
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            if size > most:
+                raise GffeError(f"{path}: {size} bytes (expected a {path.name} of at most {most})")
+            return file.read().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise GffeError(f"{path.parent}: no {path.name} in this folder") from None
+    except OSError as error:
+        raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except UnicodeDecodeError:
+        raise GffeError(f"{path}: not valid JSON (not UTF-8 text)") from None
+
+
+def describe(description: Description, generator: str) -> str:
+    """The JSON text of a sequence; parse_description's inverse."""
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "generator": generator,
+        "width": description.width,
+        "height": description.height,
+        "fps": description.fps,
+        "exposure": description.exposure,
+    }
+    if description.unfinished:
+        document["unfinished"] = True
+    size = (description.width, description.height)
+    frames = [_frame_document(entry, size) for entry in description.frames]
+    return json.dumps({**document, "frames": frames}, indent=1) + "\n"
+
+
+def _frame_document(entry: FrameEntry, size) -> dict:
+    render_size = entry.render_size or size
+    document = {"file": entry.file, "time": float(entry.time), "kind": entry.kind}
+    if entry.kind == "rendered":
+        document["reset"] = bool(entry.reset)
+    if tuple(render_size) != tuple(size) or entry.kind == "rendered":
+        document["render_size"] = [int(n) for n in render_size]
+    if entry.source is not None:
+        document["source"] = entry.source
+    if entry.alpha is not None:
+        document["alpha"] = float(entry.alpha)
+    if entry.render_camera is not None:
+        document["render_camera"] = _camera_document(entry.render_camera)
+    same = tuple(render_size) == tuple(size) and entry.display_camera == entry.render_camera
+    if entry.display_camera is not None and not same:
+        document["display_camera"] = _camera_document(entry.display_camera)
+    return document
+
+
+def _camera_document(camera: Camera) -> dict:
+    fx, fy, cx, cy = camera.intrinsics
+    return {"world_to_view": camera.world_to_view.tolist(), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+
+
+def _parse_frame(frame, index, name) -> FrameEntry:
+    if not isinstance(frame, dict):
+        raise GffeError(f"{name}, frame {index}: must be an object, got {shown(frame)}")
+    file, elsewhere = reference(frame.get("file"), f"{name}, frame {index}")
+    label = frame_label(index, file, name)
+    kind = frame.get("kind")
+    if kind not in KINDS:
+        raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
+    reset = _true_or_false(frame.get("reset", False), f"{label}: reset")
+    entry = FrameEntry(file, require_number(frame.get("time"), f"{label}: time"), kind, reset, elsewhere=elsewhere)
+    if frame.get("render_size") is not None:
+        entry.render_size = _parse_size(frame["render_size"], label)
+    if frame.get("source") is not None:
+        entry.source, _ = reference(frame["source"], f"{label}, source")
+    if frame.get("alpha") is not None:
+        entry.alpha = require_positive(frame["alpha"], f"{label}: alpha")
+    return entry
+
+
+def _parse_cameras(entries: list[FrameEntry], frames: list[dict], name: str) -> None:
+    given = [
+        (index, field, frame[field])
+        for index, frame in enumerate(frames)
+        for field in ("render_camera", "display_camera")
+        if frame.get(field) is not None
+    ]
+    try:
+        matrices = [document["world_to_view"] for _, _, document in given]
+        intrinsics = [[document[n] for n in _CAMERA[1:]] for _, _, document in given]
+        cameras = Camera.many(matrices, intrinsics)
+    except (GffeError, TypeError, KeyError):  # which one it is
+        cameras = [_parse_camera(d, f"{frame_label(i, entries[i].file, name)}: {field}") for i, field, d in given]
+    for (index, field, _), camera in zip(given, cameras, strict=True):
+        setattr(entries[index], field, camera)
+
+
+def _parse_camera(document, label) -> Camera:
+    if not isinstance(document, dict) or any(name not in document for name in _CAMERA):
+        raise GffeError(f"{label} must have {', '.join(_CAMERA)}")
+    try:
+        return Camera(**{name: document[name] for name in _CAMERA})
+    except GffeError as error:
+        raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
+
+
+def _parse_size(value, label) -> tuple[int, int]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise GffeError(f"{label}: render_size must be [width, height], got {shown(value)}")
+    return _whole(value[0], label, "render_size"), _whole(value[1], label, "render_size")
+
+
+def _true_or_false(value, what) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise GffeError(f"{what} must be true or false, got {shown(value)}")
+
+
+def _whole(value, label, what) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SIDE:
+        return value
+    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {MOST_SIDE}, got {shown(value)}")
+
+
+def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:
+    """Return the entry of a rendered frame in a sequence on disk, for a display of `size`."""
+    height, width = np.shape(frame.depth)
+    render_size = (width, height) if (width, height) != size else None
+    cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, render_size=render_size, **cameras)

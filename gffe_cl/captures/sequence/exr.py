@@ -1,0 +1,213 @@
+"""Pixels of OpenEXR files: reading those of any writer, writing our own."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
+from gffe_cl.captures.sequence.openexr_stderr import quietly
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import require_moderate
+from gffe_cl.engine.core.validation import require_choice
+
+_FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
+_BYTES = {"uint32": 4, "float16": 2, "float32": 4}
+_HALVES = np.arange(256, dtype=np.float16)  # of small integers
+
+COMPRESSIONS = {  # the library's name in lower case, and its use
+    "none": "largest, quickest",
+    "rle": "quick; only even areas get smaller",
+    "zips": "as zip, line by line",
+    "zip": "16 lines at a time; small, read by every program",
+    "piz": "for grainy images",
+    "htj2k256": "two thirds of zip's time; only programs with OpenEXR 3.4 or newer read it",
+    "dwaa": "colors are approximated, everything else is exact; smallest",
+    "dwab": "as dwaa, 256 lines at a time",
+}
+DEFAULT_COMPRESSION = "zip"
+
+
+def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndarray]:
+    """Channels `names` of the EXR file at `path` as (H, W) arrays, float16, float32 or uint32 as stored.
+
+    `size` is the expected (width, height). Raises GffeError, beginning with `label`, for missing channels,
+    another size, and files that are truncated or damaged.
+    """
+    header = read_header(path, label)
+    places = require_channels(header, names, label)
+    require_size(header, names, size, label)
+    return dict(zip(names, decoded(path, header, places, label), strict=True))
+
+
+def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label: str) -> list[np.ndarray]:
+    """The channels at `places`, (part, name), of the EXR file at `path`, as `read_channels` gives them."""
+    sides = [part.size for part in header.parts]
+    nbytes = sum(
+        width * height * sum(_BYTES[kind] for kind in part.channels.values())
+        for part, (width, height) in zip(header.parts, sides, strict=True)
+    )
+    # The library decodes all parts at once, also unrequested ones.
+    require_moderate(nbytes, max((math.prod(sides[part]) for part, _ in places), default=0), label)
+
+    def decode() -> list[np.ndarray]:
+        with _counted(), OpenEXR.File(os.fsencode(path), separate_channels=True) as file:
+            parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up
+            if len(parts) != len(header.parts):
+                raise ValueError("corrupt pixel data")
+            return [parts[part][name].pixels for part, name in places]
+
+    try:
+        return quietly(decode)
+    except Exception as error:
+        reason = "; ".join(dict.fromkeys(map(_one_line, (error, *getattr(error, "__notes__", ())))))
+        raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
+
+
+def place_of(header: ExrHeader, name: str, label: str, view: str | None = None) -> tuple[int, str] | None:
+    """Return (part, channel) of the channel `name` in one view of a file, None if there is none. Raises GffeError if
+    several parts have one."""
+    places = header.candidates(name, view)
+    if len(places) > 1:
+        parts = [header.parts[index].name or f"number {index}" for index, _ in places]
+        raise GffeError(
+            f"{label}: channel '{name}' is in the parts {_one_line(', '.join(parts[:6]))}"
+            f" (expected part.channel, as in {_one_line(parts[-1])}.{name})"
+        )
+    return places[0] if places else None
+
+
+def view_note(header: ExrHeader, label: str, view: str | None = None) -> list[str]:
+    """Return a sentence about the view that is used of a file with several; nothing of others."""
+    if len(header.views) < 2:
+        return []
+    return [f"{label}: holds the views {_one_line(', '.join(sorted(header.views)))}; {view or header.views[0]} is used"]
+
+
+def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
+    """(part, channel) for each of `names`; GffeError for the first that is not there, or in several parts."""
+    places = []
+    for name in names:
+        place = place_of(header, name, label)
+        if place is None:
+            held = _one_line(", ".join(header.channels[:12])) + (", …" if len(header.channels) > 12 else "")
+            raise GffeError(f"{label}: no channel '{name}' (expected {', '.join(names)}; the file holds {held})")
+        places.append(place)
+    return places
+
+
+def require_size(header: ExrHeader, names, size, label: str) -> None:
+    """GffeError if a part that holds one of `names` is subsampled or not `size` = (width, height)."""
+    require_parts(header, [index for index, _ in require_channels(header, names, label)], size, label)
+
+
+def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
+    """Require one size and one place of parts, by their numbers, as `require_size` does of channels."""
+    indices = set(indices)
+    if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
+        windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))
+        if len({header.parts[index].size for index in indices}) == 1:
+            raise GffeError(f"{label}: the parts {windows} have several data windows (expected one)")
+    for index in sorted(indices):
+        part = header.parts[index]
+        if part.subsampled:
+            raise GffeError(f"{label}: subsampled channels are not supported")
+        if size is not None and part.size != tuple(size):
+            raise GffeError(f"{label}: {_by(part.size)} pixels, expected {_by(size)}")
+
+
+def stored_type(name: str, array, copy: bool = True) -> np.ndarray:
+    """A copy of `array`, or with `copy` off perhaps itself, in the type that channel `name` is stored in: half stays
+    half, small integers and masks become half, Z, motion and everything else float32."""
+    array = np.asarray(array)
+    floats = name.startswith(_FLOAT_CHANNELS)
+    if not floats and array.dtype in (np.uint8, np.bool_):
+        return _HALVES.take(array.view(np.uint8))  # several times as fast as a conversion
+    kept = not floats and array.dtype in (np.float16, np.uint32)
+    made = np.ascontiguousarray(array, array.dtype if kept else np.float32)
+    return made.copy() if copy and np.may_share_memory(made, array) else made
+
+
+def require_compression(name: str) -> str:
+    """`name` if it is one of `COMPRESSIONS` that the installed library has, else GffeError."""
+    require_choice(name, COMPRESSIONS, "compression")
+    if not hasattr(OpenEXR, _constant(name)):
+        raise GffeError(f"compression '{name}' needs a newer OpenEXR than {OpenEXR.OPENEXR_VERSION} (expected another)")
+    return name
+
+
+def codec_seconds() -> float:
+    """CPU time that all threads of this process have spent in the OpenEXR library so far."""
+    return _spent[0]
+
+
+_spent, _spending = [0.0], threading.Lock()
+
+
+@contextlib.contextmanager
+def _counted() -> Iterator[None]:
+    start = time.thread_time()
+    try:
+        yield
+    finally:
+        with _spending:
+            _spent[0] += time.thread_time() - start
+
+
+def _constant(compression: str) -> str:
+    return f"{'no' if compression == 'none' else compression}_COMPRESSION".upper()
+
+
+def write_channels(
+    path: Path,
+    channels: dict[str, np.ndarray],
+    attributes: dict | None = None,
+    compression: str = DEFAULT_COMPRESSION,
+) -> None:
+    """Write (H, W) arrays as one EXR file, under a temporary name until it is whole.
+
+    `attributes` are further header attributes. Raises OSError (disk full: ENOSPC), leaving nothing.
+    """
+    method = getattr(OpenEXR, _constant(compression))
+    header = {"compression": method, "type": OpenEXR.scanlineimage, **(attributes or {})}
+    part_path = partial_name(path)
+    try:
+        try:
+            # The library takes any array for a contiguous one.
+            contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
+            with _counted():
+                OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
+        except (RuntimeError, ValueError, TypeError) as error:
+            code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
+            raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None
+        try:  # the library does not notice when the last bytes do not reach the disk
+            read_header(part_path, path.name)
+        except GffeError:
+            raise OSError(errno.ENOSPC, "the file did not reach the disk whole, is it full?") from None
+        os.replace(part_path, path)
+    finally:
+        with contextlib.suppress(OSError):
+            part_path.unlink()
+
+
+def partial_name(path: Path) -> Path:
+    """Where `path` is kept until it is whole."""
+    return path.with_name(f".{path.name}.part")
+
+
+def _by(size) -> str:
+    return f"{size[0]}×{size[1]}"
+
+
+def _one_line(error) -> str:
+    text = " ".join(str(error).split())
+    return "".join(c if c.isprintable() else "?" for c in text) or type(error).__name__

@@ -1,0 +1,114 @@
+"""Standard attributes of EXR headers: which are carried on to new frames, and which are reported because nothing here
+can use them. docs/formats.md lists all of them.
+
+Those that say how pixels are stored and where (windows, compression, tiles, views, cameras) are used by the readers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart
+from gffe_cl.engine.core.errors import printable
+
+# About the colors or the shape of pixels: as true of new frames as of the given ones.
+_CARRIED = {
+    "chromaticities": tuple, "whiteLuminance": float, "adoptedNeutral": tuple, "colorInteropID": str,
+    "pixelAspectRatio": float, "renderingTransform": str, "lookModTransform": str,
+}  # fmt: skip
+# About one file or one moment, or about how pixels are stored: not true of other frames.
+_OF_ONE_FILE = (
+    "altitude", "aperture", "ascFramingDecisionList", "asShotNeutral", "capDate", "channels", "chunkCount", "comments",
+    "compression", "dataWindow", "deepImageState", "displayWindow", "dwaCompressionLevel", "envmap", "expTime", "focus",
+    "framesPerSecond", "idManifest", "imageCounter", "isoSpeed", "keyCode", "latitude", "lineOrder", "longitude",
+    "maxSamplesPerPixel", "multiView", "name", "originalDataWindow", "owner", "preview", "reelName",
+    "screenWindowCenter", "screenWindowWidth", "shutterAngle", "tStop", "tiles", "timeCode", "timecodeRate", "type",
+    "utcOffset", "version", "view", "worldToCamera", "worldToNDC", "wrapmodes", "xDensity",
+)  # fmt: skip
+_PREFIXES = ("unreal/", "camera", "lens", "sensor", "nominalFocal", "effectiveFocal", "pinholeFocal", "entrancePupil")
+_LENGTHS = {"chromaticities": 8, "adoptedNeutral": 2}
+_SQUARE = 1e-3  # of pixels' aspect
+_SAME_RATE = 0.01  # relative
+_PXR24, _B44, _B44A, _DWAA, _DWAB = 5, 6, 7, 8, 9
+_DWA_COLORS = ("R", "G", "B", "Y", "RY", "BY")  # ends of names that DWA takes for colors
+_COMPRESSIONS = {_PXR24: "pxr24", _B44: "b44", _B44A: "b44a", _DWAA: "dwaa", _DWAB: "dwab"}
+_MOST_TEXT, _MOST_ASPECT, _MOST_CHROMATICITY = 4096, 100.0, 10.0  # of attributes that are carried on
+
+
+def carried(header: ExrHeader, part: int, later: ExrHeader | None = None, view: str | None = None) -> dict[str, Any]:
+    """Return the attributes of a part that new frames get: those about its colors, and those of other programs that a
+    `later` file of the sequence has as well."""
+    given = header.parts[part].attributes
+    same = later.parts[min(part, len(later.parts) - 1)].attributes if later else {}
+    found = {}
+    for name, value in given.items():
+        theirs = name not in _OF_ONE_FILE and not name.startswith(_PREFIXES) and same.get(name) == value
+        wanted = isinstance(value, _CARRIED[name]) if name in _CARRIED else theirs
+        if wanted and _is_sound(name, value):
+            found[name] = np.array(value, np.float32) if isinstance(value, tuple) and len(value) < 8 else value
+    own = view or header.parts[part].texts.get("view") or next(iter(header.views), "")
+    if own and _is_sound("view", own):
+        found["view"] = own
+    return found
+
+
+def _is_sound(name: str, value: Any) -> bool:
+    """Return whether an attribute can be written again, and is worth it."""
+    if isinstance(value, str):
+        return 0 < len(value) <= _MOST_TEXT and "\0" not in value
+    if name == "pixelAspectRatio":
+        return abs(value - 1) > _SQUARE and 1 / _MOST_ASPECT < value < _MOST_ASPECT
+    if isinstance(value, tuple):
+        right = len(value) == _LENGTHS.get(name, len(value))
+        return right and bool(np.abs(value).max() < (_MOST_CHROMATICITY if len(value) == 8 else np.inf))
+    return bool(np.isfinite(value).all())
+
+
+def reported(
+    header: ExrHeader, label: str, exact: Iterable[tuple[int, str]] = (), fps: float | None = None
+) -> list[str]:
+    """Return sentences about what a header says and nothing here can use: `exact` channels, which hold depth or motion,
+    that were approximated, pixels that are not square, panoramas, and another frame rate than `fps`."""
+    exact = list(exact)
+    lossy = [(header.parts[index], name) for index, name in exact if _is_approximated(header.parts[index], name)]
+    found = []
+    if lossy:
+        part, names = lossy[0][0], ", ".join(dict.fromkeys(name for _, name in lossy))
+        found.append(
+            f"{label}: compression {_COMPRESSIONS[part.compression]} approximates {names}, which holds depth or motion"
+            " (expected zip, piz or none)"
+        )
+    first = header.parts[exact[0][0] if exact else 0]
+    aspect = first.attributes.get("pixelAspectRatio")
+    if isinstance(aspect, float) and not abs(aspect - 1) < _SQUARE:
+        found.append(f"{label}: pixels are not square, pixelAspectRatio is {aspect:g}: cameras are taken as given")
+    if "envmap" in first.attributes:
+        found.append(f"{label}: the header says envmap, a panorama: it is taken for a picture through a pinhole")
+    rate = frame_rate(first)
+    if fps and rate and abs(rate / fps - 1) > _SAME_RATE:
+        found.append(f"{label}: framesPerSecond is {rate:g} in the header, {fps:g} in the description, which is used")
+    return [printable(text) for text in found]
+
+
+def frame_rate(part: ExrPart, name: str = "framesPerSecond") -> float | None:
+    """Return the frame rate in the attribute `name`, None if it is missing or none."""
+    above, _, below = part.texts.get(name, "").partition("/")
+    try:
+        rate = float(above) / float(below or 1)
+    except (ValueError, ZeroDivisionError):
+        return None
+    return rate if 0 < rate < 1e6 else None
+
+
+def _is_approximated(part: ExrPart, channel: str) -> bool:
+    kind = part.channels[channel]
+    if kind == "uint32":
+        return False
+    if part.compression in (_DWAA, _DWAB):
+        return channel.rpartition(".")[2] in _DWA_COLORS
+    if part.compression in (_B44, _B44A):
+        return kind == "float16"
+    return part.compression == _PXR24 and kind == "float32"

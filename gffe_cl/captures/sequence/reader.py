@@ -1,0 +1,373 @@
+"""Reading a sequence: everything about its files is checked on opening, pixels are read on demand."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.captures.sequence import exr
+from gffe_cl.captures.sequence.checks import time_warnings, zero_motion_warning
+from gffe_cl.captures.sequence.description import (
+    FILE_NAME,
+    KINDS,
+    Description,
+    FrameEntry,
+    frame_label,
+    parse_description,
+    read_text,
+    require_one_size,
+    without_collections,
+)
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, HeaderReader
+from gffe_cl.captures.sequence.header_attributes import carried, reported
+from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras
+from gffe_cl.captures.sequence.matching import Timeline
+from gffe_cl.captures.sequence.output_folder import why_unfinished
+from gffe_cl.captures.sequence.pixel_source import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
+from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.engine.core.errors import GffeError, printable
+from gffe_cl.engine.core.files import follow_links as following
+from gffe_cl.engine.core.validation import (
+    require_choice,
+    require_kind,
+    require_list,
+    require_number,
+    require_path,
+    require_whole,
+)
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame, require_one_pose
+
+_MOST_AHEAD = 1024
+
+
+CAMERAS = ("needed", "optional")  # of rendered frames
+
+
+class Sequence:
+    """An opened sequence; made by `open_sequence`, or of another form by `open_capture`.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    width, height : int
+        Display size in pixels.
+    fps, exposure : float
+    frames : list[FrameEntry]
+        By time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
+    known_cameras : list[FrameEntry]
+        Times without a picture whose camera is known, of kind "camera_only".
+    unfinished : bool
+        Whether its writer was interrupted: the frames are those that were finished.
+
+    Raises
+    ------
+    GffeError
+        If rendered frames have several sizes. By methods: for arguments of other types, for files that changed for the
+        worse since opening, and for frames of another kind than expected.
+    """
+
+    def __init__(self, path: Path, description: Description, pixels: Pixels):
+        require_one_size(description.frames, (description.width, description.height), str(path))
+        self.path, self._pixels = path, pixels
+        self.width, self.height = description.width, description.height
+        self.fps, self.exposure = description.fps, description.exposure
+        self.frames, self.unfinished = description.frames, description.unfinished
+        self.known_cameras = list(description.known_cameras)
+        self._timeline = Timeline(self.frames + self.known_cameras, self.fps)
+        self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
+        self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
+
+    def __iter__(self) -> Iterator[RenderedFrame]:
+        """The rendered frames in order, the next ones read meanwhile on threads:
+
+        for frame in gffe.open_sequence(folder):
+            pipeline.submit(frame)
+        """
+        return (frame for _, frame in self.prefetch(self.rendered))
+
+    def __repr__(self):
+        return f"<Sequence {self.path}: {len(self.frames)} frames, {self.width}×{self.height}>"
+
+    @property
+    def rendered(self) -> list[FrameEntry]:
+        """By time."""
+        return [entry for entry in self.frames if entry.kind == "rendered"]
+
+    @property
+    def ground_truth(self) -> list[FrameEntry]:
+        """By time."""
+        return [entry for entry in self.frames if entry.kind == "ground_truth"]
+
+    @property
+    def extrapolated(self) -> list[FrameEntry]:
+        """By time."""
+        return [entry for entry in self.frames if entry.kind == "extrapolated"]
+
+    def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
+        """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. All
+        matching of frames uses this. `source`: only frames that were extrapolated from this one."""
+        if source is not None:
+            require_kind(source, str, "sequence: source", "a file name or None")
+        return self._timeline.at(*_moment(kind, time), source)
+
+    def camera_at(self, time: float) -> Camera | None:
+        """The display camera at `time` (seconds), matched as in `at`, from ground truth or a known camera."""
+        return self._timeline.camera_at(require_number(time, "sequence: time"))
+
+    def nearest(self, kind: str, time: float) -> FrameEntry | None:
+        """The frame of `kind` that is nearest in time, however far: for messages about a miss of `at`."""
+        return self._timeline.nearest(*_moment(kind, time))
+
+    def near_miss(self, kind: str, time: float) -> str | None:
+        """A sentence if `at` finds nothing, but something is so near that it was probably meant: rounded times."""
+        return self._timeline.near_miss(*_moment(kind, time))
+
+    @property
+    def settings(self) -> Any:
+        """Return the buffers' part of the capture's description, for formats with an editable one; or None."""
+        return self._pixels.settings
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """Return attributes of EXR headers that frames made of these get as well, such as the colors' primaries."""
+        return dict(self._pixels.attributes)
+
+    @property
+    def notes(self) -> list[str]:
+        """Return what the reader of the capture's form remarked when it was opened."""
+        return [printable(text) for text in self._pixels.notes]
+
+    def rendered_before(self, time: float) -> int | None:
+        """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
+        return self._timeline.rendered_before(require_number(time, "sequence: time"))
+
+    def size_of(self, entry: FrameEntry) -> tuple[int, int]:
+        """(width, height) of the images of `entry`, in pixels."""
+        return _entry(entry).render_size or (self.width, self.height)
+
+    def warnings(self) -> list[str]:
+        """Legal but suspicious: an unfinished sequence, frame times, and findings in the frames read so far."""
+        met = [f"{file}: {text}" for text, file in self._suspicions.items()]
+        outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
+        cut = [f"{outside[0]}: the display reaches beyond the rendered area (display_camera)"] if outside else []
+        few = [f"{self.path}: unfinished: its writer was interrupted after {len(self.frames)} frames"]
+        times = time_warnings(self.rendered, self.fps)
+        said = (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
+        return [printable(text) for text in said]
+
+    def _covers_display(self, entry: FrameEntry) -> bool:
+        """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
+        width, height = self.size_of(entry)
+        display, render = entry.display_camera, entry.render_camera
+        if render is None or display is None:
+            return True
+        corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
+        scale = np.array([render.fx / display.fx, render.fy / display.fy])
+        at = (corners - (display.cx, display.cy)) * scale + (render.cx, render.cy)
+        return bool((at >= -0.5).all() and (at <= (width + 0.5, height + 0.5)).all())
+
+    def read(self, entry: FrameEntry) -> RenderedFrame:
+        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
+        (H, W, 2) float32 or None; and the overlays that it brings. Raises GffeError if the file changed for the worse
+        since opening."""
+        if _entry(entry).kind != "rendered":
+            raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
+        size = self.size_of(entry)
+        color, depth, motion, overlays = self._pixels.read(entry, size)
+        camera: Any = entry.render_camera  # None if `open_sequence` was called for a sequence without cameras
+        previous = self._previous.get(entry.file)
+        if previous and not entry.reset and camera and previous.render_camera:
+            text = zero_motion_warning(motion, depth, camera, previous.render_camera)
+            if text:
+                self._suspicions.setdefault(text, entry.file)
+        shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
+        return RenderedFrame(
+            color,
+            depth,
+            motion,
+            camera,
+            entry.time,
+            display_camera=None if shown_as_rendered else entry.display_camera,
+            reset=entry.reset,
+            overlays=overlays,
+        )
+
+    def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Channels of any frame by name, (H, W) each, in the type stored (float16, float32 or uint32)."""
+        size = self.size_of(entry)
+        return self._pixels.channels(entry, require_list(names, str, "sequence: names", "a list of texts"), size)
+
+    def read_color(self, entry: FrameEntry) -> np.ndarray:
+        """Linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
+        return self._pixels.color(entry, self.size_of(entry))
+
+    def exr_file(self, entry: FrameEntry) -> Path | None:
+        """The EXR file that holds the frame in our own form; None in captures of another one."""
+        return self._pixels.exr_file(_entry(entry))
+
+    def prefetch(self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2) -> Iterator[tuple]:
+        """Yield (entry, read(entry)) in order, reading the next `ahead` frames on threads.
+
+        `read` defaults to `self.read`. Errors are raised when their frame's turn comes; leaving the loop
+        stops the threads.
+        """
+        entries = require_list(entries, FrameEntry, "sequence: entries", "a list of FrameEntry")
+        reading = self.read if read is None else require_kind(read, Callable, "sequence: read", "a function or None")
+        return read_ahead(entries, reading, require_whole(ahead, "sequence: ahead", 0, _MOST_AHEAD))
+
+
+def _entry(entry: FrameEntry) -> FrameEntry:
+    return require_kind(entry, FrameEntry, "sequence: entry")
+
+
+def _moment(kind: str, time: float) -> tuple[str, float]:
+    return require_choice(kind, (*KINDS, "camera_only"), "sequence: kind"), require_number(time, "sequence: time")
+
+
+def open_sequence(
+    path: str | os.PathLike[str],
+    *,
+    cameras: str = "needed",
+    mend: Callable[[str], str] | None = None,
+    follow_links: bool | None = None,
+) -> Sequence:
+    """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
+
+    JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
+    channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
+    None then), which nothing but calibration can work on. `mend` converts the JSON text before it is used. With
+    `follow_links` the JSON may name files outside the folder; by default it may not. Raises GffeError.
+    """
+    path = require_path(path, "open_sequence: path")
+    require_choice(cameras, CAMERAS, "open_sequence: cameras")
+    if mend is not None:
+        require_kind(mend, Callable, "open_sequence: mend", "a function or None")
+    with following(follow_links):
+        return _opened(path, cameras, mend)
+
+
+@without_collections()
+def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequence:
+    try:
+        if not path.exists():
+            raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
+        json_path = path / FILE_NAME if path.is_dir() else path
+        folder = json_path.parent
+        unfinished = None if json_path.exists() else why_unfinished(folder)
+    except OSError as error:
+        raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if unfinished:
+        raise GffeError(f"{folder}: {unfinished}")
+    text = read_text(json_path)
+    if mend is not None:
+        text = require_kind(mend(text), str, "open_sequence: the result of mend", "a text")
+    description = parse_description(text, json_path.name)
+
+    # On one thread: the system calls are so short that threads only wait for each other.
+    reader, passed = HeaderReader(), set()
+    rendered: list[tuple[ExrHeader, str]] = []  # the headers of rendered frames, and their files
+    for index, entry in enumerate(description.frames):
+        header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
+        if entry.kind == "rendered":
+            rendered[1:] = [(header, entry.file)]
+        alike = header.layout, entry.kind, entry.reset, entry.render_size
+        if alike not in passed:
+            _check_channels(entry, header)
+        _complete_cameras(entry, header, description, index, json_path.name, cameras == "needed")
+        if alike not in passed:
+            size = entry.render_size or (description.width, description.height)
+            exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+            if entry.kind == "rendered":
+                require_whole_overlays(header, entry.file, size == (description.width, description.height))
+        if header.layout:
+            passed.add(alike)
+    pixels = OwnPixels(folder)
+    if rendered:
+        (first, _), (last, file) = rendered[0], rendered[-1]
+        exact = [place for name in ("Z", *MOTION) if (place := last.find(name))]
+        pixels.notes += exr.view_note(last, file) + reported(last, file, exact, description.fps)
+        color = first.find("R")
+        assert color is not None  # as checked
+        pixels.attributes = carried(first, color[0], last)
+    return Sequence(folder, description, pixels)
+
+
+def _check_channels(entry, header):
+    if entry.kind != "rendered":
+        exr.require_channels(header, COLOR, entry.file)
+        return
+    # Half a motion vector is a fault even where none is allowed.
+    names = RENDERED if not entry.reset or any(header.find(n) for n in MOTION) else RENDERED[:4]
+    for name in names:
+        if exr.place_of(header, name, entry.file) is None:
+            needed = f"rendered frames need {', '.join(RENDERED)}"
+            raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
+
+
+def _lacks_camera(entry) -> bool:
+    """Whether the JSON leaves out the camera that the EXR header may have."""
+    return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
+
+
+def _complete_cameras(entry, header, description, index, json_name, needed):
+    """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
+    size = (description.width, description.height)
+    part = header.parts[header.find("R")[0]]
+    rendered = entry.kind == "rendered"
+    if rendered and entry.render_camera is not None:
+        _complete_overscan(entry, part, size)
+    try:
+        if _lacks_camera(entry) and has_camera(part):
+            _take_header_cameras(entry, part, size)
+        if not rendered or (entry.render_camera is None and not needed):
+            return
+        if entry.render_camera is None:
+            raise GffeError("no render_camera, and no worldToCamera and worldToNDC in the EXR header")
+        if entry.display_camera is None:
+            entry.display_camera = _same_frustum(entry, size)
+        if entry.display_camera is not entry.render_camera:
+            require_one_pose(entry.render_camera, entry.display_camera)
+    except GffeError as error:
+        raise GffeError(f"{frame_label(index, entry.file, json_name)}: {str(error).removeprefix('frame: ')}") from None
+
+
+def _take_header_cameras(entry, part, size):
+    try:
+        render, display = header_cameras(part)
+    except GffeError as error:
+        raise GffeError(f"EXR header, {error}") from None
+    x0, y0, x1, y1 = part.display_window
+    display = display.scaled(size[0] / (x1 - x0 + 1), size[1] / (y1 - y0 + 1))
+    if entry.kind == "rendered":
+        entry.render_camera = render
+        entry.render_size = entry.render_size or part.size
+    entry.display_camera = entry.display_camera or display
+
+
+def _complete_overscan(entry, part, size):
+    """Render size and display camera that the JSON leaves out, where the stored image is more or less than the display
+    window of its EXR header."""
+    x0, y0, x1, y1 = part.display_window
+    shown = (x1 - x0 + 1, y1 - y0 + 1)
+    left, top = part.data_window[0] - x0, part.data_window[1] - y0
+    if shown == part.size and not (left or top):
+        return
+    entry.render_size = entry.render_size or part.size
+    if entry.display_camera is None and tuple(entry.render_size) == part.size:
+        camera = entry.render_camera
+        whole = replace(camera, cx=camera.cx + left, cy=camera.cy + top)
+        entry.display_camera = whole.scaled(size[0] / shown[0], size[1] / shown[1])
+
+
+def _same_frustum(entry, size):
+    render_size = entry.render_size or size
+    if tuple(render_size) == size:
+        return entry.render_camera
+    return entry.render_camera.scaled(size[0] / render_size[0], size[1] / render_size[1])

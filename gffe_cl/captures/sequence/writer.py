@@ -1,0 +1,320 @@
+"""Writing a sequence: all of it, or nothing new after an error; after Ctrl-C the frames that were finished."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gffe_cl.captures.sequence import exr
+from gffe_cl.captures.sequence.description import (
+    KINDS,
+    Description,
+    FrameEntry,
+    check_file_name,
+    checked_entry,
+    describe,
+    parse_description,
+    require_one_size,
+)
+from gffe_cl.captures.sequence.header_camera import camera_attributes
+from gffe_cl.captures.sequence.output_folder import GENERATOR, OutputFolder
+from gffe_cl.captures.sequence.pixel_source import OVERLAY_CHANNELS
+from gffe_cl.captures.sequence.read_ahead import usable_cores
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import (
+    require_array,
+    require_bool,
+    require_exposure,
+    require_kind,
+    require_list,
+    require_path,
+    require_positive,
+    require_size,
+    require_whole,
+)
+from gffe_cl.engine.frame.rendered_frame import Overlays
+
+_WAITING = 2  # frames, besides those that are being compressed
+_MOST_THREADS = 1024
+_MOST_BYTES = 2 << 30  # of frames under way
+
+
+class SequenceWriter:
+    """Writes a sequence into the folder `path`; a context manager.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder. It is created; an earlier output of gffe-cl in it is replaced, anything else stays.
+    width, height : int
+        Display size in pixels.
+    fps, exposure : float
+        Exposure from 1e-6 to 1e6.
+    threads : int or None
+        EXRs are compressed on so many threads, by default one for each processor core; `add` waits while many more
+        frames than that are under way.
+    generator : str
+        Who writes; only an earlier output of the same generator is replaced.
+    attributes : dict or None
+        Further attributes of the EXRs' headers, such as `Sequence.attributes`.
+    compression : str
+        Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
+
+    Notes
+    -----
+    Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
+    until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
+    finished and marks it as unfinished; where there was an earlier output that stays, and the new frames are in
+    `path`/gffe-unfinished until the next run; a note of the exception names them. Left by any other exception,
+    everything is as before. Errors of the threads surface in the next `add`, `link`, or on leaving.
+    All of them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is
+    writing to.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        width: int,
+        height: int,
+        fps: float,
+        exposure: float = 1.0,
+        threads: int | None = None,
+        generator: str = GENERATOR,
+        compression: str = exr.DEFAULT_COMPRESSION,
+        attributes: dict[str, Any] | None = None,
+    ):
+        self.path = require_path(path, "writer: path")
+        size = require_size((width, height), "writer: width and height", whole=True)
+        fps, exposure = require_positive(fps, "writer: fps"), require_exposure(exposure, "writer: exposure")
+        self._description = Description(*size, fps, exposure, [])
+        self._generator = require_kind(generator, str, "writer: generator", "a text")
+        self._folder = OutputFolder(self.path, generator)
+        self._pending: deque = deque()
+        self._times: set[float] = set()
+        self._bytes = 0  # of the channels under way
+        self._compression = exr.require_compression(compression)
+        self._threads = (
+            usable_cores() if threads is None else require_whole(threads, "writer: threads", 1, _MOST_THREADS)
+        )
+        self._pool: ThreadPoolExecutor | None = None
+        self._kept: str | None = None
+        self._further = dict(require_kind(attributes or {}, dict, "writer: attributes", "a dict or None"))
+        self._size, self._first = size, None  # of the display; the first rendered frame
+
+    def __enter__(self) -> SequenceWriter:
+        self._folder.open()
+        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="gffe-write")
+        return self
+
+    def add(self, entry: FrameEntry, channels: dict[str, np.ndarray], *, owned: bool = False) -> None:
+        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns, or later
+        if they, and the dict, are `owned` by the writer from now on, which empties it.
+
+        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
+        entry's render size, else the display size. Raises GffeError for another shape or type, and entries that could
+        not be read again.
+        """
+        entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
+        require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
+        if not require_list(channels, str, "writer: names of channels", "texts"):
+            raise GffeError(f"{entry.file}: no channels (expected at least R, G and B)")
+        if entry.kind == "rendered" and entry.render_camera is None:
+            raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
+        width, height = self._size_of(entry)
+        if entry.kind == "rendered":
+            self._first = self._first or entry
+            require_one_size((self._first, entry), self._size, str(self.path))
+        for name, array in channels.items():
+            require_array(array, f"{entry.file}: channel '{name}'", height, width, kinds="biuf")
+        given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
+        attributes, nbytes = (
+            self._further | self._attributes(entry),
+            sum(np.asarray(array).nbytes for array in given.values()),
+        )
+
+        def write(path: Path) -> None:
+            stored = {name: exr.stored_type(name, given.pop(name), copy=False) for name in list(given)}
+            exr.write_channels(path, stored, attributes, self._compression)
+
+        self._submit(entry, write, nbytes)
+
+    def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
+        """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
+        source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
+        self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
+
+    def folder(self, name: str) -> Path:
+        """Where to write other files of this run, which come to `path`/name together with the frames."""
+        return self._folder.folder(check_file_name(name, str(self.path)))
+
+    def __exit__(self, kind, error, trace) -> None:
+        interrupted = isinstance(error, KeyboardInterrupt)
+        failed = error is not None and not interrupted
+        try:
+            _undisturbed(lambda: self._end(failed, interrupted))
+        except KeyboardInterrupt as late:
+            error = late
+            raise
+        finally:
+            if isinstance(error, KeyboardInterrupt) and self._kept:
+                error.add_note(self._kept)
+            self._end_threads()
+
+    def _end(self, failed: bool, interrupted: bool) -> None:
+        try:
+            if failed:
+                self._stop()
+                self._folder.discard()
+            else:
+                self._finish(interrupted)
+        except BaseException:
+            self._stop()
+            self._folder.discard()
+            raise
+
+    def _finish(self, interrupted: bool) -> None:
+        while self._pending:
+            try:
+                self._pending[0][0].result()
+            except (GffeError, OSError):
+                if not interrupted:
+                    raise
+            self._pending.popleft()
+        frames = sorted(self._description.frames, key=lambda entry: (entry.time, KINDS.index(entry.kind), entry.file))
+        if not frames:
+            self._folder.discard()
+            if not interrupted:
+                raise GffeError(f"{self.path}: no frame was written (expected at least one)")
+            return
+        document = describe(replace(self._description, frames=frames, unfinished=interrupted), self._generator)
+        parse_description(document)  # do not write files that would not open again
+        folder = self._folder.keep(document, [entry.file for entry in frames], interrupted)
+        finished = f"{len(frames)} finished frames are in {folder}" if interrupted else f"{folder} is complete"
+        stays = "" if folder == self.path else f", {self.path} stays as it was"
+        self._kept = finished + stays
+
+    def _end_threads(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _stop(self) -> None:
+        self._end_threads()
+        self._pending.clear()
+
+    def _submit(self, entry: FrameEntry, write: Callable[[Path], None], nbytes: int = 0) -> None:
+        if self._pool is None:
+            raise GffeError(f"{self.path}: not open (use `with SequenceWriter(…) as writer:`)")
+        while self._pending and (self._pending[0][0].done() or self._is_busy(nbytes)):
+            future, held = self._pending.popleft()
+            self._bytes -= held
+            future.result()
+        if entry.kind != "extrapolated" and entry.time in self._times:
+            raise GffeError(f"{entry.file}: time {entry.time:g} s (expected one of its own)")
+        path = self._folder.claim(entry.file)
+        if entry.kind != "extrapolated":
+            self._times.add(entry.time)
+
+        def job():
+            try:
+                write(path)
+            except OSError as error:
+                raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
+            self._description.frames.append(entry)
+
+        self._pending.append((self._pool.submit(job), nbytes))
+        self._bytes += nbytes
+
+    def _is_busy(self, nbytes: int) -> bool:
+        return len(self._pending) >= self._threads + _WAITING or self._bytes + nbytes > _MOST_BYTES
+
+    def _size_of(self, entry) -> tuple[int, int]:
+        return entry.render_size or (self._description.width, self._description.height)
+
+    def _attributes(self, entry) -> dict:
+        """Camera and windows. The display window is the display where the stored image is a crop or an
+        overscan of it in whole pixels; else both windows are the stored image."""
+        size = (self._description.width, self._description.height)
+        stored = self._size_of(entry)
+        if entry.render_camera is None:
+            return camera_attributes(entry.display_camera, *stored) if entry.display_camera else {}
+        render, display = entry.render_camera, entry.display_camera
+        if display is not None:
+            offset = (display.cx - render.cx, display.cy - render.cy)
+            left, top = (round(n) for n in offset)
+            same_scale = np.allclose((render.fx, render.fy), (display.fx, display.fy), rtol=1e-9)
+            same_pose = np.array_equal(render.world_to_view, display.world_to_view)
+            if same_scale and same_pose and np.abs(np.subtract(offset, (left, top))).max() < 1e-6:
+                windows = {"dataWindow": _box(left, top, *stored), "displayWindow": _box(0, 0, *size)}
+                return {**camera_attributes(display, *size), **windows}
+        return camera_attributes(render, *stored)
+
+
+def named_channels(
+    color: ArrayLike,
+    depth: ArrayLike | None = None,
+    motion: ArrayLike | None = None,
+    overlays: Overlays | None = None,
+) -> dict[str, np.ndarray]:
+    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays. Raises
+    GffeError for other shapes."""
+    color = require_array(color, "color", None, None, (3, 4))
+    channels = dict(zip("RGB", np.moveaxis(color[..., :3], -1, 0), strict=True))
+    if depth is not None:
+        channels["Z"] = require_array(depth, "depth", *color.shape[:2])
+    if motion is not None:
+        channels["motion.x"], channels["motion.y"] = np.moveaxis(
+            require_array(motion, "motion", *color.shape[:2], 2), -1, 0
+        )
+    if overlays is not None:
+        require_kind(overlays, Overlays, "overlays", "Overlays or None")
+    for field, names in OVERLAY_CHANNELS.items():
+        array = getattr(overlays, field, None)
+        if array is not None:
+            shape = (None, None, len(names)) if len(names) > 1 else (None, None)
+            planes = np.moveaxis(np.atleast_3d(require_array(array, f"overlays: {field}", *shape, kinds="biuf")), -1, 0)
+            halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
+            channels |= dict(zip(names, halves, strict=True))
+    return channels
+
+
+def _undisturbed(work: Callable[[], None]) -> None:
+    """Do `work` on a thread, where Ctrl-C does not reach it; KeyboardInterrupt comes through when it is done."""
+    interrupt = None
+    with ThreadPoolExecutor(1, thread_name_prefix="gffe-end") as pool:
+        future = pool.submit(work)
+        while not future.done():
+            try:
+                wait([future])
+            except KeyboardInterrupt as error:
+                interrupt = error
+    future.result()
+    if interrupt:
+        raise interrupt
+
+
+def _box(left, top, width, height):
+    return (np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32))
+
+
+def _link_or_copy(source: Path, path: Path) -> None:
+    part_path = exr.partial_name(path)
+    try:
+        part_path.unlink(missing_ok=True)
+        try:
+            os.link(source, part_path)
+        except OSError:
+            shutil.copyfile(source, part_path)
+        os.replace(part_path, path)
+    finally:  # renaming one link over another of the same file leaves both
+        with contextlib.suppress(OSError):
+            part_path.unlink()

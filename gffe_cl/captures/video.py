@@ -1,0 +1,36 @@
+"""Videos of display values (`gffe demo`, the viewer)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError when the encoder fails."""
+    import imageio_ffmpeg
+
+    frames = iter(frames)
+    first = next(frames)
+    try:
+        writer = imageio_ffmpeg.write_frames(
+            str(path),
+            (first.shape[1], first.shape[0]),
+            fps=cast(int, fps),  # its stub takes no fractions, ffmpeg does
+            codec="libx264",
+            macro_block_size=1,
+            ffmpeg_log_level="error",
+            output_params=["-crf", "16", "-preset", "fast", "-movflags", "+faststart"],
+        )
+        writer.send(None)
+        writer.send(np.ascontiguousarray(first))
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+        writer.close()
+    except (OSError, RuntimeError) as error:
+        raise GffeError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None

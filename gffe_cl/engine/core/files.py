@@ -1,0 +1,205 @@
+"""Files that are whole or not there at all, files that are files, and which files other files may refer to."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+from typing import BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: no lock there
+    fcntl = None
+
+from gffe_cl.engine.core.errors import GffeError
+
+_OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+_MOST_SMALL, _MOST_PER_PIXEL, _MOST = 64 << 20, 512, 4 << 30  # bytes that an image may decode to
+_anywhere = False  # of this process
+_anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=None)  # of one call
+
+
+def following_links() -> bool:
+    """Whether references inside the files that are opened now may leave their folder; docs/formats.md has the rules.
+
+    Paths in JSON files and HDF5 links are references. Links of the file system are always followed: the user made them.
+    """
+    here = _anywhere_here.get()
+    return _anywhere if here is None else here
+
+
+@contextmanager
+def follow_links(allowed: bool | None) -> Iterator[None]:
+    """Settle `following_links` for this block and thread; None leaves it as it is."""
+    token = _anywhere_here.set(following_links() if allowed is None else allowed)
+    try:
+        yield
+    finally:
+        _anywhere_here.reset(token)
+
+
+def follow_links_everywhere(allowed: bool) -> None:
+    """Settle `following_links` for this process, wherever `follow_links` does not."""
+    global _anywhere
+    _anywhere = allowed
+
+
+def open_regular(path: Path | str) -> BinaryIO:
+    """Open for reading; OSError unless it is a regular file. Pipes and devices, which may never end or never begin, are
+    not waited for."""
+    return open(path, "rb", buffering=0, opener=lambda path, flags: descriptor_of(path, flags)[0])
+
+
+def descriptor_of(path: Path | str, flags: int = os.O_RDONLY) -> tuple[int, int]:
+    """As `open_regular`: a file descriptor and the size in bytes."""
+    descriptor = os.open(path, flags | _OPENING)
+    status = os.fstat(descriptor)
+    try:
+        _require_regular(status)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor, status.st_size
+
+
+def read_bounded(path: Path | str, most: int) -> bytes:
+    """Return the content of a regular file of at most `most` bytes. Raises OSError for any other."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise OSError(errno.EFBIG, f"{size} bytes, expected at most {most}")
+        return file.read(size)
+
+
+def require_readable(path: Path, label: str) -> None:
+    """GffeError, beginning with `label`, unless the file at `path` is there and a regular one."""
+    try:
+        _require_regular(os.stat(path))
+    except FileNotFoundError:
+        raise GffeError(f"{label}: no such file in {path.parent}") from None
+    except (OSError, ValueError) as error:
+        raise GffeError(f"{label}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+
+
+def _require_regular(status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+        raise OSError(errno.EINVAL, f"is {kind}, expected a regular file")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary path that replaces the file `path` when the block ends. After an exception `path` is unchanged.
+
+    A pipe or a device (`/dev/stdout`) is written to directly.
+    """
+    path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` as UTF-8, whole or not at all; names of files that are not UTF-8 appear in it with escapes."""
+    with replacing(path) as part:
+        part.write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def model_source(path: Path | str) -> str | bytes:
+    """Return the argument for onnxruntime for the model at `path`: the name if it is UTF-8, else the bytes."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeError:
+        return Path(path).read_bytes()
+    return str(path)
+
+
+@contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Make the folder `path` and its parents; after an exception those that were made are removed, if they are empty.
+    Raises OSError."""
+    missing = []
+    while not path.is_dir():
+        missing.append(path)
+        path = path.parent
+    try:
+        for folder in reversed(missing):
+            folder.mkdir(exist_ok=True)
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def only_process(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for it out of `folder`, which is made, during the block. GffeError if one is there,
+    or if nothing can be written. The lock ends with its process."""
+    path = folder / ".lock"
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(made_folder(folder))
+            file = stack.enter_context(open(path, "a"))
+            ours = lock(file) and os.path.samestat(os.fstat(file.fileno()), os.stat(path))
+        except OSError as error:
+            raise GffeError(f"{folder}: cannot be written to ({error.strerror or error})") from None
+        if not ours:
+            raise GffeError(f"{folder}: another process is writing into it (expected its end)")
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def lock(file, shared: bool = False) -> bool:
+    """Return whether the lock of this file was free. Then this process holds it until the file is closed. On file
+    systems without locks the result is always true."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+    return True
+
+
+def require_output_file(path: Path, option: str) -> Path:
+    """`path`; GffeError, naming the `option`, unless a report or picture may be written there: into a folder that
+    exists, and not over a file of a sequence."""
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise GffeError(f"{option} {path}: must be a file in a folder that exists")
+    if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _is_exr(path):
+        raise GffeError(f"{option} {path}: is a file of a sequence (expected another file)")
+    return path
+
+
+def _is_exr(path: Path) -> bool:
+    with suppress(OSError), open_regular(path) as file:
+        return file.read(len(_EXR_MAGIC)) == _EXR_MAGIC
+    return False
+
+
+def require_moderate(nbytes: int, pixels: int, label: str) -> None:
+    """GffeError, beginning with `label`, where decoding would take more than an image of so many pixels can need: 512
+    bytes for each, as in 128 channels of floats, but 64 MiB for small ones and 4 GiB at most."""
+    most = min(max(_MOST_SMALL, _MOST_PER_PIXEL * pixels), _MOST)
+    if nbytes > most:
+        raise GffeError(
+            f"{label}: {nbytes / 2**20:.4g} MiB to decode (expected at most {most / 2**20:.4g} MiB for {pixels} pixels)"
+        )

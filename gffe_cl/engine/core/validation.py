@@ -1,0 +1,232 @@
+"""Checks of input values: from files, scripts, the command line and Python callers. Each range is defined once, and
+all messages have one form: the name, the expected value, and the actual one."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal, overload
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError
+
+EXPOSURES = (1e-6, 1e6)
+FRAME_RATES = (1e-6, 1e6)
+MOST_SEED = 2**32 - 1
+MOST_SIDE = 1 << 16  # pixels
+SIDES = (1e-9, 1e9)  # where they need not be whole
+LARGEST = 1e300
+NUMBERS = (int, float, np.integer, np.floating)
+
+
+def scalar(value: Any) -> Any:
+    """Return `value`; NumPy scalars and arrays without dimensions as Python numbers."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def is_number(value: Any) -> bool:
+    """Whether `value` is a finite number: no bool, no text, nothing over 1e300."""
+    value = scalar(value)
+    return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-LARGEST < value < LARGEST)
+
+
+def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
+    """Return `value` as a float. Raises a GffeError that begins with `what` unless it is a finite number, or
+    `infinite` and +inf."""
+    if is_number(value) or (infinite and isinstance(scalar(value), NUMBERS) and scalar(value) == math.inf):
+        return float(value)
+    bounds = f" from {-LARGEST:g} to {LARGEST:g}" if _is_finite(value) else ""
+    raise GffeError(f"{what} must be a {'' if infinite else 'finite '}number{bounds}, got {_shown_number(value)}")
+
+
+def require_positive(value: Any, what: str, *, infinite: bool = False) -> float:
+    number = require_number(value, what, infinite=infinite)
+    if number <= 0:
+        raise GffeError(f"{what} must be greater than 0, got {number:g}")
+    return number
+
+
+def require_exposure(value: Any, what: str = "exposure") -> float:
+    """The factor on linear color before display as a float; GffeError unless it is a number from 1e-6 to 1e6.
+
+    Beyond that everything is black or white, and what is measured on display values means nothing.
+    """
+    return require_within(value, what, *EXPOSURES)
+
+
+def require_frame_rate(value: Any, what: str = "fps") -> float:
+    """Frames per second as a float; GffeError unless it is a number from 1e-6 to 1e6."""
+    return require_within(value, what, *FRAME_RATES)
+
+
+def require_within(value: Any, what: str, low: float, high: float) -> float:
+    """`value` as a float; GffeError unless it is a number from `low` to `high`."""
+    if is_number(value) and low <= float(value) <= high:
+        return float(value)
+    raise GffeError(f"{what} must be a finite number from {low:g} to {high:g}, got {_shown_number(value)}")
+
+
+def require_whole(value: Any, what: str, low: float = -math.inf, high: float = math.inf) -> int:
+    """`value` as an int; GffeError unless it is an integer, of Python or NumPy, from `low` to `high`."""
+    number = scalar(value)
+    if isinstance(number, int) and not isinstance(number, bool) and low <= number <= high:
+        return number
+    upto = f" to {high}" if high < math.inf else " on"
+    bounds = f" from {low}{upto}" if low > -math.inf else ""
+    raise GffeError(f"{what} must be a whole number{bounds}, got {shown(value)}")
+
+
+@overload
+def require_size(value: Any, what: str = "size", *, whole: Literal[True]) -> tuple[int, int]: ...
+@overload
+def require_size(value: Any, what: str = "size", *, whole: Literal[False] = False) -> tuple[float, float]: ...
+def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tuple[float, float]:
+    """Width and height of an image in pixels; GffeError unless they are two positive numbers, or `whole` ones, up to
+    65536."""
+    try:
+        width, height = value
+        if whole:
+            return require_whole(width, what, 1, MOST_SIDE), require_whole(height, what, 1, MOST_SIDE)
+        return require_within(width, what, *SIDES), require_within(height, what, *SIDES)
+    except (GffeError, TypeError, ValueError):
+        kind = f"whole pixels from 1 to {MOST_SIDE}" if whole else "pixels"
+        raise GffeError(f"{what} must be (width, height) in {kind}, got {shown(value)}") from None
+
+
+def require_seed(value: Any, what: str = "seed") -> int:
+    """Return the seed of a random variation. Raises GffeError unless it is a whole number from 0 to 2³² − 1."""
+    return require_whole(value, what, 0, MOST_SEED)
+
+
+def require_bool(value: Any, what: str) -> bool:
+    """`value` as a bool; GffeError for everything but the truth values of Python and NumPy."""
+    given = scalar(value)
+    if isinstance(given, bool):
+        return given
+    raise GffeError(f"{what} must be True or False, got {shown(value)}")
+
+
+def require_choice(value: Any, choices: Iterable[str], what: str) -> str:
+    """`value`; GffeError unless it is one of the texts `choices`."""
+    choices = tuple(choices)
+    if isinstance(value, str) and value in choices:
+        return value
+    raise GffeError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
+
+
+def require_kind(value: Any, kind: Any, what: str, expected: str = "") -> Any:
+    """Return `value`. Raises GffeError unless it is a `kind`; the message calls that `expected`."""
+    if isinstance(value, kind):
+        return value
+    raise GffeError(f"{what} must be {expected or f'a {kind.__name__}'}, got {shown(value)}")
+
+
+def require_path(value: Any, what: str) -> Path:
+    """`value` as a path; GffeError unless it is a text or path-like, and one that a file can have."""
+    if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and "\0" not in os.fspath(value):
+        return Path(value)
+    raise GffeError(f"{what} must be a path, got {shown(value)}")
+
+
+def require_list(value: Any, kind: type, what: str, expected: str) -> list:
+    """Return `value` as a list. Raises GffeError unless all items are of the type `kind`. A text is no list."""
+    try:
+        found = [None] if isinstance(value, str | bytes) else list(value)
+    except TypeError:
+        found = [None]
+    if all(isinstance(one, kind) for one in found):
+        return found
+    raise GffeError(f"{what} must be {expected}, got {shown(value)}")
+
+
+def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.ndarray:
+    """`value` as an array of real numbers (of the `kinds` of NumPy's types). GffeError unless that has the `shape`: of
+    each axis its length, several lengths or None for any; with an ellipsis in front, of the last axes only."""
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError, RuntimeError):  # rows of several lengths, or no array at all
+        array = None
+    if array is None or array.dtype.kind not in "biufc":
+        raise GffeError(f"{what} must be an array of numbers, got {shown(value)}")
+    lengths = shape[1:] if shape[:1] == (...,) else shape
+    last = array.shape[array.ndim - len(lengths) :] if len(lengths) < len(shape) else array.shape
+    fits = len(last) == len(lengths) and all(
+        want is None or (n in want if isinstance(want, tuple) else n == want)
+        for n, want in zip(last, lengths, strict=True)
+    )
+    if not fits:
+        raise GffeError(f"{what} must have shape {_shape_words(shape)}, got {array.shape}")
+    if array.dtype.kind not in kinds:
+        expected = {"f": "floating point", "iuf": "real numbers"}.get(kinds, "numbers or truth values")
+        raise GffeError(f"{what} must be {expected}, got {array.dtype}")
+    return array
+
+
+def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
+    """(count,) float64; GffeError unless `value` holds so many finite numbers."""
+    array = require_array(value, what, count).astype(np.float64)
+    if not (np.abs(array) < LARGEST).all():
+        bounds = f" from {-LARGEST:g} to {LARGEST:g}" if np.isfinite(array).all() else ""
+        raise GffeError(f"{what} must be {count} finite numbers{bounds}, got {shown(array.tolist())}")
+    return array
+
+
+def as_float32(array: np.ndarray) -> np.ndarray:
+    """Return `array` as C-contiguous float32, without a copy if it is that already. Values that are too large become
+    infinite."""
+    with np.errstate(over="ignore"):
+        return np.asarray(array, np.float32, order="C")
+
+
+def _shape_words(shape: tuple) -> str:
+    """A shape of `require_array` as it is written in docstrings: (4, 6, 3 or 4)."""
+    axes = iter(("N",) * 9 if len(shape) != 2 else ("H", "W"))
+    words = []
+    for want in shape:
+        free = next(axes)
+        words.append(
+            "…" if want is ... else free if want is None else " or ".join(map(str, want)) if isinstance(want, tuple)
+            else str(want)
+        )  # fmt: skip
+    return f"({', '.join(words)})"
+
+
+def _is_finite(value: Any) -> bool:
+    value = scalar(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < math.inf
+
+
+def _shown_number(value: Any) -> str:
+    """Return the text for a value that is not the number that it should be, as `shown` does for others."""
+    return f"{shown(value)} (out of range)" if _is_finite(value) else shown(value)
+
+
+def shown(value: Any) -> str:
+    """Return a short text of `value` for a message: JSON where that is possible, the type for arrays and objects."""
+    value = scalar(value)
+    if value is None:
+        return "nothing"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and type {value.dtype}"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return "a number too large"
+    if not isinstance(value, bool | int | float | str | list | tuple | dict):
+        return _kind_words(value)
+    try:
+        text = json.dumps(value, default=_kind_words)
+    except (ValueError, TypeError, RecursionError):  # more digits than Python turns into text; keys that are no text
+        return "a number too large" if isinstance(value, int) else _kind_words(value)
+    return text if len(text) <= 60 else text[:59] + "…"
+
+
+def _kind_words(value: Any) -> str:
+    name = type(value).__name__
+    return f"a{'n' * (name[:1].lower() in 'aeiou')} {name}"

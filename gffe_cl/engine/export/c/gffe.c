@@ -1,0 +1,474 @@
+/* The order of things, and the state between frames (gffe_cl/engine/pipeline/pipeline.py). */
+#include "gffe.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gffe_internal.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+gffe_options gffe_default_options(int width, int height) {
+    gffe_options made;
+    memset(&made, 0, sizeof made);
+    made.width = width;
+    made.height = height;
+    made.fps = 30;
+    made.int64_atomics = -1;
+    made.shared_memory = -1;
+    return made;
+}
+
+static gffe_status decide_cut(gffe *g);
+
+static int is_side(int n) { return n >= 1 && n <= GFFE_MOST_PIXELS; }
+
+static gffe_status check_options(gffe *g) {
+    const gffe_options *options = &g->options;
+    if (!is_side(options->width) || !is_side(options->height))
+        return gffe_fail(g, GFFE_INVALID, "options: width and height must be 1 to %d, got %d and %d", GFFE_MOST_PIXELS,
+                         options->width, options->height);
+    if (!is_side(g->step.source[0]) || !is_side(g->step.source[1]))
+        return gffe_fail(g, GFFE_INVALID, "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
+                         GFFE_MOST_PIXELS, options->render_width, options->render_height);
+    if (!(options->fps >= GFFE_LEAST_FRAME_RATE && options->fps <= GFFE_MOST_FRAME_RATE))
+        return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, %g to %g, got %g", GFFE_LEAST_FRAME_RATE,
+                         GFFE_MOST_FRAME_RATE, options->fps);
+    if (options->lanes != 0 && options->lanes != 1 && options->lanes != 8)
+        return gffe_fail(g, GFFE_INVALID, "options: lanes must be 0, 1 or 8, got %d", options->lanes);
+    if (options->int64_atomics < -1 || options->int64_atomics > 1)
+        return gffe_fail(g, GFFE_INVALID, "options: int64_atomics must be -1, 0 or 1, got %d", options->int64_atomics);
+    if (options->shared_memory < -1 || options->shared_memory > 1)
+        return gffe_fail(g, GFFE_INVALID, "options: shared_memory must be -1, 0 or 1, got %d", options->shared_memory);
+    if (options->network && !GFFE_CORRECTS_SHADING)
+        return gffe_fail(g, GFFE_INVALID, "options: there is a network, but it was exported without (gffe export --scn)");
+    return GFFE_OK;
+}
+
+static gffe_status check_queue(gffe *g, cl_context context, cl_command_queue queue) {
+    cl_command_queue_properties properties = 0;
+    cl_context its = NULL;
+    cl_int error;
+    if (!context || !queue) return gffe_fail(g, GFFE_INVALID, "gffe_create: needs a context and a queue, got NULL");
+    error = clGetCommandQueueInfo(queue, CL_QUEUE_CONTEXT, sizeof its, &its, NULL);
+    if (error == CL_SUCCESS)
+        error = clGetCommandQueueInfo(queue, CL_QUEUE_DEVICE, sizeof g->device, &g->device, NULL);
+    if (error == CL_SUCCESS)
+        error = clGetCommandQueueInfo(queue, CL_QUEUE_PROPERTIES, sizeof properties, &properties, NULL);
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "gffe_create: asking about the queue");
+    if (its != context) return gffe_fail(g, GFFE_INVALID, "gffe_create: the queue is of another context");
+    if (properties & CL_QUEUE_OUT_OF_ORDER_EXEC_MODE_ENABLE)
+        return gffe_fail(g, GFFE_INVALID, "gffe_create: the queue works out of order (expected one that works in order)");
+    clRetainContext(context);
+    clRetainCommandQueue(queue);
+    g->context = context;
+    g->queue = queue;
+    return GFFE_OK;
+}
+
+gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_options *options, gffe **made) {
+    gffe *g = made ? (gffe *)calloc(1, sizeof *g) : NULL;
+    gffe_status status;
+    if (!made) return GFFE_INVALID;
+    *made = g;
+    if (!g) return GFFE_OUT_OF_MEMORY;
+    if (!options) return gffe_fail(g, GFFE_INVALID, "gffe_create: needs options (gffe_default_options)");
+    g->options = *options;
+    g->counts = -1;
+    g->step.exposure = 1;
+    g->step.target[0] = options->width;
+    g->step.target[1] = options->height;
+    g->step.source[0] = options->render_width ? options->render_width : options->width;
+    g->step.source[1] = options->render_height ? options->render_height : options->height;
+    status = check_options(g);
+    if (!status) status = check_queue(g, context, queue);
+    return status ? status : gffe_open(g);
+}
+
+void gffe_destroy(gffe *g) {
+    int k;
+    if (!g) return;
+    if (g->queue) clFinish(g->queue);
+    if (g->counted) clReleaseEvent(g->counted);
+    for (k = g->memory ? 2 * g->plan->buffer_count - 1 : -1; k >= 0; --k)
+        if (g->memory[k]) clReleaseMemObject(g->memory[k]);
+    for (k = 0; g->kernels && k < gffe_kernel_count; ++k)
+        if (g->kernels[k]) clReleaseKernel(g->kernels[k]);
+    for (k = 0; g->programs && k < gffe_program_count; ++k)
+        if (g->programs[k]) clReleaseProgram(g->programs[k]);
+    gffe_drop_overlays(g);
+    if (g->no_motion) clReleaseMemObject(g->no_motion);
+    if (g->queue) clReleaseCommandQueue(g->queue);
+    if (g->context) clReleaseContext(g->context);
+    free(g->places);
+    free(g->memory);
+    free(g->kernels);
+    free(g->programs);
+    free(g);
+}
+
+const char *gffe_message(const gffe *g) { return g ? g->message : "there is no gffe: NULL was given, or the host has no memory"; }
+
+int gffe_is_cut(gffe *g) { return g && !decide_cut(g) && g->is_cut; }
+
+double gffe_interval(gffe *g) {
+    if (!g || !g->is_ready || decide_cut(g)) return 0;
+    return g->step.time_count > 1 ? g->step.times[0] - g->step.times[1] : 1.0 / g->options.fps;
+}
+
+gffe_status gffe_set_exposure(gffe *g, double exposure) {
+    const gffe_status status = gffe_need(g, g, "gffe");
+    if (status) return status;
+    if (!(exposure >= GFFE_LEAST_EXPOSURE && exposure <= GFFE_MOST_EXPOSURE))
+        return gffe_fail(g, GFFE_INVALID, "exposure must be %g to %g, got %g", GFFE_LEAST_EXPOSURE, GFFE_MOST_EXPOSURE,
+                         exposure);
+    g->step.exposure = exposure;
+    return GFFE_OK;
+}
+
+static gffe_status check_time(gffe *g, double time, const char *call) {
+    if (fabs(time) < GFFE_LARGEST) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s: time %g s must be finite, and below %g s", call, time, GFFE_LARGEST);
+}
+
+/* ---- rendered frames ---------------------------------------------------------------------------------- */
+
+/* Zeros where a reset comes without motion. */
+static gffe_status need_no_motion(gffe *g) {
+    const size_t nbytes = 8 * (size_t)g->step.source[0] * (size_t)g->step.source[1];
+    const cl_uchar zero = 0;
+    cl_int error = CL_SUCCESS;
+    if (g->no_motion) return GFFE_OK;
+    g->no_motion = clCreateBuffer(g->context, CL_MEM_READ_WRITE, nbytes, NULL, &error);
+    if (g->no_motion) error = clEnqueueFillBuffer(g->queue, g->no_motion, &zero, 1, 0, nbytes, 0, NULL, NULL);
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "a buffer for a frame without motion");
+}
+
+static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
+                               const gffe_camera *display, double time, int reset) {
+    const char *fault = gffe_camera_fault(camera);
+    gffe_status status;
+    if (!fault) fault = gffe_camera_fault(display);
+    if (fault) return gffe_fail(g, GFFE_INVALID, "frame: %s", fault);
+    status = check_time(g, time, "frame");
+    if (status) return status;
+    if (g->step.time_count && !reset && time <= g->step.times[0])
+        return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be after the previous rendered frame's (%g s)", time,
+                         g->step.times[0]);
+    if (!gffe_have_one_pose(camera, display))
+        return gffe_fail(g, GFFE_INVALID,
+                         "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
+    status = gffe_check_buffer(g, color, "color", GFFE_RENDERED_COLOR);
+    if (!status) status = gffe_check_buffer(g, depth, "depth", GFFE_RENDERED_DEPTH);
+    if (!status && !motion && !reset)
+        return gffe_fail(g, GFFE_INVALID, "frame at %g s: motion is missing (only reset frames may lack it)", time);
+    if (!status) {
+        status = motion ? gffe_check_buffer(g, motion, "motion", GFFE_RENDERED_MOTION) : need_no_motion(g);
+    }
+    return status;
+}
+
+/* The frame becomes the current one, and the current one the frame before. */
+static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
+    const cl_mem given[3] = {color, depth, motion};
+    int k;
+    for (k = 0; k < 3; ++k) {
+        if (g->memory[GFFE_PREVIOUS_COLOR + 2 * k]) clReleaseMemObject(g->memory[GFFE_PREVIOUS_COLOR + 2 * k]);
+        g->memory[GFFE_PREVIOUS_COLOR + 2 * k] = g->memory[2 * k];
+        clRetainMemObject(given[k]);
+        g->memory[2 * k] = given[k];
+    }
+}
+
+/* Decision by the counts of samples (gffe_cl/engine/stages/scene_cuts.py). */
+static int is_cut(const cl_int *counts, int jumped) {
+    const double valid = counts[GFFE_VALID], inside = counts[GFFE_INSIDE], compared = counts[GFFE_COMPARED];
+    double depth;
+    if (valid < GFFE_CUT_LEAST_SAMPLES) return 0;
+    if (inside < GFFE_CUT_LEAST_OVERLAP * valid || (jumped && counts[GFFE_PASSED] > valid / 2)) return 1;
+    if (compared < GFFE_CUT_LEAST_SAMPLES / 4) return 0; /* it is all sky, before and now */
+    depth = counts[GFFE_DEPTH_RIGHT] / compared;
+    if (counts[GFFE_WITH_CONTRAST] < GFFE_CUT_LEAST_CONTRASTS)
+        return depth < (GFFE_CUT_DEPTH_SURE + GFFE_CUT_DEPTH_UNSURE) / 2;
+    return depth < GFFE_CUT_DEPTH_SURE ||
+           (depth < GFFE_CUT_DEPTH_UNSURE &&
+            counts[GFFE_CONTRAST_RIGHT] / (double)counts[GFFE_WITH_CONTRAST] < GFFE_CUT_CONTRAST_RIGHT);
+}
+
+/* Counts samples of the rendered frame, and copies the counts to the host, which does not wait. */
+static gffe_status look_for_cut(gffe *g) {
+    const int had_step = g->has_step;
+    const double before = g->camera_step;
+    double here[3], there[3];
+    gffe_status status;
+    cl_int error;
+    int k;
+    g->has_step = g->is_cut = 0;
+    if (!GFFE_CUT_DETECTION || !g->has_previous) return GFFE_OK;
+    gffe_position(&g->step.cameras[GFFE_FRAME], here);
+    gffe_position(&g->step.cameras[GFFE_PREVIOUS], there);
+    for (k = 0; k < 3; ++k) here[k] = here[k] - there[k];
+    g->camera_step = gffe_length(here);
+    g->jumped = had_step && g->camera_step > GFFE_CUT_TELEPORT * before;
+    g->has_step = 1;
+    status = gffe_run(g, GFFE_CUT, 0);
+    if (status) return status;
+    error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_FALSE, 0, sizeof g->cut_counts, g->cut_counts, 0,
+                                NULL, &g->counted);
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "reading the samples of a cut");
+    error = clFlush(g->queue);
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "reading the samples of a cut");
+}
+
+static void forget(gffe *g) {
+    g->step.time_count = g->path_count = g->has_previous = 0;
+    g->step.cameras[GFFE_PREVIOUS] = g->step.cameras[GFFE_FRAME];
+    g->step.cameras[GFFE_PREVIOUS_DISPLAY] = g->step.cameras[GFFE_FRAME_DISPLAY];
+}
+
+/* Puts time and camera at the head of the known ones since the last reset. */
+static void remember(gffe *g, double time) {
+    gffe_step *step = &g->step;
+    int k;
+    if (step->time_count < GFFE_MOST_TIMES) ++step->time_count;
+    for (k = step->time_count - 1; k > 0; --k) step->times[k] = step->times[k - 1];
+    step->times[0] = time;
+    if (g->path_count < GFFE_POSES) ++g->path_count;
+    for (k = g->path_count - 1; k > 0; --k) {
+        g->path[k] = g->path[k - 1];
+        g->path_times[k] = g->path_times[k - 1];
+    }
+    g->path_times[0] = time;
+    g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
+}
+
+/* Waits for the counts, decides whether the rendered frame is a cut, and works on it again as on a reset if it is. */
+static gffe_status decide_cut(gffe *g) {
+    cl_int sums[GFFE_COUNTED] = {0}, error;
+    size_t size[2];
+    int k, row;
+    if (!g->counted) return GFFE_OK;
+    error = clWaitForEvents(1, &g->counted);
+    clReleaseEvent(g->counted);
+    g->counted = NULL;
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "waiting for the samples of a cut");
+    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
+    for (row = 0; row < (int)size[1]; ++row)
+        for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += g->cut_counts[row][k];
+    g->is_cut = is_cut(sums, g->jumped);
+    if (!g->is_cut) return GFFE_OK;
+    g->has_step = 0;
+    forget(g);
+    remember(g, g->step.times[0]);
+    return gffe_run(g, GFFE_RENDERED_FIRST, 0);
+}
+
+/* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/engine/frame/jitter.py). */
+static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) {
+    const double x = size[0] / 2.0, y = size[1] / 2.0;
+    gffe_camera made = *camera;
+    if (fabs(camera->cx - x) <= 1 && fabs(camera->cy - y) <= 1) {
+        made.cx = x;
+        made.cy = y;
+    }
+    return made;
+}
+
+gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
+                        const gffe_camera *display_camera, double time, int reset) {
+    return gffe_submit_after(g, color, depth, motion, camera, display_camera, time, reset, 0, NULL, NULL);
+}
+
+gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
+                              const gffe_camera *display_camera, double time, int reset, cl_uint count,
+                              const cl_event *wait_for, cl_event *done) {
+    gffe_step *step;
+    gffe_camera shown;
+    gffe_status status = gffe_need(g, camera, "camera");
+    if (done) *done = NULL;
+    if (status) return status;
+    step = &g->step;
+    if (!display_camera) {
+        shown = GFFE_UPSCALES ? without_jitter(camera, step->source) : *camera;
+        if (step->source[0] != step->target[0] || step->source[1] != step->target[1])
+            shown = gffe_scaled(camera, (double)step->target[0] / step->source[0],
+                                (double)step->target[1] / step->source[1]);
+        display_camera = &shown;
+    }
+    status = check_frame(g, color, depth, motion, camera, display_camera, time, reset);
+    if (!status) status = decide_cut(g);
+    if (!status) status = gffe_wait_for(g, count, wait_for);
+    if (status) return status;
+    take_frame(g, color, depth, motion ? motion : g->no_motion);
+    step->cameras[GFFE_PREVIOUS] = step->cameras[GFFE_FRAME];
+    step->cameras[GFFE_PREVIOUS_DISPLAY] = step->cameras[GFFE_FRAME_DISPLAY];
+    step->cameras[GFFE_FRAME] = *camera;
+    step->cameras[GFFE_FRAME_DISPLAY] = *display_camera;
+    g->has_previous = g->has_frame && !reset;
+    g->has_frame = 1;
+    status = gffe_take_overlays(g);
+    if (!status) status = look_for_cut(g);
+    if (status) return status;
+    if (!g->has_previous) forget(g);
+    remember(g, time);
+    gffe_swap(g, 0);
+    status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
+    return status ? status : gffe_mark(g, done);
+}
+
+/* ---- extrapolated and presented frames ---------------------------------------------------------------- */
+
+/* Checks that there is a rendered frame, and decides whether it is a cut. */
+static gffe_status need_frame(gffe *g, const void *made) {
+    const gffe_status status = gffe_need(g, made, "made");
+    if (status) return status;
+    return g->has_frame ? decide_cut(g) : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
+}
+
+gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
+    const gffe_status status = need_frame(g, made);
+    const char *fault;
+    if (status) return status;
+    fault = gffe_predict_camera_at(g->step.times[0] + alpha * gffe_interval(g), g->path, g->path_times, g->path_count,
+                                   GFFE_CAMERA_ORDER, made);
+    return fault ? gffe_fail(g, GFFE_INVALID, "%s", fault) : GFFE_OK;
+}
+
+static cl_mem memory_of(const gffe *g, const char *name) {
+    const int reference = gffe_reference(g, name);
+    return reference < 0 ? NULL : g->memory[reference];
+}
+
+static void hand_out(const gffe *g, gffe_frame *made) {
+    const cl_mem corrected = memory_of(g, "correction.color"), upscaled = memory_of(g, "upscaling.color");
+    const cl_mem sharpened = memory_of(g, "sharpening.color");
+    made->gae = memory_of(g, "frame.color");
+    made->color = sharpened ? sharpened : upscaled ? upscaled : corrected ? corrected : made->gae;
+    made->depth = memory_of(g, "frame.depth");
+    made->motion = memory_of(g, "frame.motion");
+    made->dynamic = memory_of(g, "frame.dynamic");
+    made->disoccluded = memory_of(g, "frame.disoccluded");
+    made->filled_by = memory_of(g, "frame.filled_by");
+    made->camera = g->step.cameras[GFFE_TARGET_CAMERA];
+    made->time = g->step.time;
+    made->alpha = g->step.alpha;
+}
+
+gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made) {
+    return gffe_extrapolate_after(g, camera, time, made, 0, NULL, NULL);
+}
+
+gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
+                                   const cl_event *wait_for, cl_event *done) {
+    gffe_step *step;
+    gffe_camera predicted;
+    gffe_status status = need_frame(g, made);
+    const char *fault;
+    double alpha;
+    int occasion, corrected;
+    if (done) *done = NULL;
+    if (status) return status;
+    status = check_time(g, time, "extrapolate");
+    if (status) return status;
+    step = &g->step;
+    alpha = (time - step->times[0]) / gffe_interval(g);
+    if (!(alpha >= 0))
+        return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is before the last rendered frame's (%g s)", time,
+                         step->times[0]);
+    if (!(alpha <= GFFE_MOST_ALPHA))
+        return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is more than %g intervals after %g s", time,
+                         GFFE_MOST_ALPHA, step->times[0]);
+    if (!camera) {
+        status = gffe_predict_camera(g, alpha, &predicted);
+        if (status) return status;
+        camera = &predicted;
+    }
+    fault = gffe_camera_fault(camera);
+    if (fault) return gffe_fail(g, GFFE_INVALID, "extrapolate: %s", fault);
+    status = gffe_wait_for(g, count, wait_for);
+    if (status) return status;
+    step->cameras[GFFE_TARGET_CAMERA] = *camera;
+    step->time = time;
+    step->alpha = alpha;
+    occasion = g->has_previous ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
+    corrected = g->has_previous && g->options.network ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
+    status = gffe_run(g, occasion, 0);
+    if (!status) status = gffe_run(g, corrected, GFFE_OF_CORRECTION);
+    if (!status) status = gffe_run(g, occasion, GFFE_AFTER_CORRECTION);
+    if (status) return status;
+    hand_out(g, made);
+    status = gffe_compose(g, GFFE_COMPOSE, made);
+    return status ? status : gffe_mark(g, done);
+}
+
+static int is_shown_whole(const gffe *g, int camera, int display) {
+    const gffe_camera *a = &g->step.cameras[camera], *b = &g->step.cameras[display];
+    return g->step.source[0] == g->step.target[0] && g->step.source[1] == g->step.target[1] && a->fx == b->fx &&
+           a->fy == b->fy && a->cx == b->cx && a->cy == b->cy;
+}
+
+/* Resamples the rendered frame, with all of its depth, to its display camera. */
+static gffe_status resample(gffe *g, gffe_frame *made) {
+    const cl_mem depth = g->memory[GFFE_RENDERED_DEPTH];
+    gffe_status status = GFFE_OK;
+    if (!memory_of(g, "presentation.motion")) status = gffe_allocate(g, GFFE_LATE); /* the last of them */
+    if (status) return status;
+    g->memory[GFFE_RENDERED_DEPTH] = g->memory[GFFE_SHOWN_DEPTH];
+    status = gffe_run(g, g->has_previous ? GFFE_PRESENT : GFFE_PRESENT_FIRST, 0);
+    g->memory[GFFE_RENDERED_DEPTH] = depth;
+    made->color = memory_of(g, "presentation.color");
+    made->depth = memory_of(g, "presentation.depth");
+    made->motion = memory_of(g, "presentation.motion");
+    return status;
+}
+
+gffe_status gffe_present(gffe *g, gffe_frame *made) { return gffe_present_after(g, made, 0, NULL, NULL); }
+
+gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done) {
+    gffe_status status = need_frame(g, made);
+    int sharpened;
+    if (done) *done = NULL;
+    if (!status) status = gffe_wait_for(g, count, wait_for);
+    if (status) return status;
+    sharpened = memory_of(g, "sharpening.rendered") != NULL;
+    memset(made, 0, sizeof *made);
+    made->camera = g->step.cameras[GFFE_FRAME_DISPLAY];
+    made->time = g->step.times[0];
+    made->color = g->memory[GFFE_RENDERED_COLOR];
+    made->depth = g->memory[GFFE_SHOWN_DEPTH];
+    made->motion = g->memory[GFFE_RENDERED_MOTION];
+    if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY) ||
+        (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
+        status = resample(g, made);
+    if (GFFE_UPSCALES) made->color = memory_of(g, sharpened ? "sharpening.rendered" : "upscaling.history");
+    if (!status) status = gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
+    return status ? status : gffe_mark(g, done);
+}
+
+gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
+    gffe_status status = gffe_need(g, name, "name");
+    const gffe_buffer *buffer;
+    size_t size[2];
+    int reference;
+    if (!status) status = gffe_need(g, found, "found");
+    if (!status) status = decide_cut(g);
+    if (status) return status;
+    reference = gffe_reference(g, name);
+    if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)
+        return gffe_fail(g, GFFE_INVALID, "there is no buffer '%.60s' (gffe_buffer_name lists them)", name);
+    buffer = &g->plan->buffers[reference / 2];
+    gffe_grid_size(&g->step, buffer->grid, buffer->level, size);
+    found->memory = g->memory[reference];
+    found->width = size[0];
+    found->height = size[1];
+    found->planes = (size_t)buffer->planes;
+    found->bytes_per_pixel = (size_t)buffer->bytes;
+    return GFFE_OK;
+}
+
+const char *gffe_buffer_name(const gffe *g, int number) {
+    return !g || !g->is_ready || number < 0 || number >= g->plan->buffer_count ? NULL : g->plan->buffers[number].name;
+}

@@ -1,0 +1,155 @@
+/* Sizes, and the values that kernels are given. */
+#include <math.h>
+#include <string.h>
+
+#include "gffe_internal.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+static size_t rounded_up(size_t n, size_t side) { return (n + side - 1) / side; }
+
+size_t gffe_aligned(const gffe_step *step, size_t n) { return rounded_up(n, step->alignment) * step->alignment; }
+
+size_t gffe_level_start(const gffe_step *step, int level) {
+    size_t start = 0;
+    int k;
+    for (k = 0; k < level; ++k) {
+        const size_t side = (size_t)1 << k;
+        start += gffe_aligned(step, rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
+    }
+    return start;
+}
+
+void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
+    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS || grid == GFFE_RESIDUALS
+        || grid == GFFE_LEVEL;
+    const int *image = on_source ? step->source : step->target;
+    size_t side[2] = {1, 1};
+    int k;
+    if (grid == GFFE_ONCE || grid == GFFE_LEVELS) {
+        size[0] = grid == GFFE_ONCE ? 1 : gffe_level_start(step, level);
+        size[1] = 1;
+        return;
+    }
+    if (grid == GFFE_CUT_SAMPLES) {
+        size[0] = GFFE_CUT_SAMPLES_X;
+        size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
+        return;
+    }
+    if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
+    if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
+    if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
+    if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
+    if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
+    if (grid == GFFE_NETWORK) side[0] = side[1] = (size_t)GFFE_NETWORK_TEXEL << level;
+    if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
+        side[0] = GFFE_BLOCK_WIDTH;
+        side[1] = GFFE_BLOCK_HEIGHT;
+    }
+    for (k = 0; k < 2; ++k) {
+        size[k] = rounded_up((size_t)image[k], side[k]);
+        if (grid == GFFE_NETWORK) {
+            const size_t multiple = (size_t)GFFE_NETWORK_MULTIPLE >> level;
+            size[k] = rounded_up(size[k], multiple) * multiple;
+        }
+    }
+    if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
+}
+
+/* Until one texel is left of the target; at least one. */
+static int halvings(const gffe_step *step) {
+    const int longer = step->target[0] > step->target[1] ? step->target[0] : step->target[1];
+    int n = 1;
+    while (longer > 1 << n) ++n;
+    return n;
+}
+
+size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
+    size_t size[2];
+    gffe_grid_size(step, buffer->grid, buffer->level, size);
+    if (buffer->grid == GFFE_MIP && buffer->level > halvings(step)) return 0;
+    return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
+}
+
+/* Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8 (gffe_cl/engine/stages/prediction.py). */
+static void polynomial(const gffe_step *step, int most, float *weights) {
+    int order, i, k;
+    memset(weights, 0, (size_t)most * 8 * sizeof *weights);
+    for (order = 1; order <= most && order < step->time_count; ++order)
+        for (i = 1; i <= order; ++i) {
+            const double node = step->times[i] - step->times[0];
+            double weight = 1;
+            for (k = 0; k <= order; ++k) {
+                const double other = step->times[k] - step->times[0];
+                if (k != i) weight *= (step->time - step->times[0] - other) / (node - other);
+            }
+            weights[8 * (order - 1) + i - 1] = (float)weight;
+        }
+}
+
+static float camera_step(const gffe_step *step) {
+    double here[3], before[3];
+    int k;
+    gffe_position(&step->cameras[GFFE_FRAME], here);
+    gffe_position(&step->cameras[GFFE_PREVIOUS], before);
+    for (k = 0; k < 3; ++k) here[k] = here[k] - before[k];
+    return (float)gffe_length(here);
+}
+
+static void color_law(double exposure, float *made) {
+    const double gain = GFFE_MU * exposure / GFFE_HEADROOM, scale = log1p(GFFE_MU);
+    made[0] = (float)gain;
+    made[1] = (float)(1 / scale);
+    made[2] = (float)(1 / gain);
+    made[3] = (float)scale;
+}
+
+static void level_starts(const gffe_step *step, int levels, cl_int *made) {
+    int k;
+    for (k = 0; k < GFFE_MAX_LEVELS; ++k) made[k] = (cl_int)gffe_level_start(step, k + 1 < levels ? k + 1 : levels);
+}
+
+static void grid_sides(const gffe_step *step, int grid, cl_int *width, cl_int *height) {
+    size_t size[2];
+    gffe_grid_size(step, grid, 0, size);
+    *width = (cl_int)size[0];
+    *height = (cl_int)size[1];
+}
+
+/* As gffe_cl/engine/stages/frame_block.py does. */
+void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
+    const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
+    const gffe_camera *target = &step->cameras[GFFE_TARGET_CAMERA], *display = &step->cameras[GFFE_FRAME_DISPLAY];
+    int k;
+    memcpy(block, gffe_facts, sizeof *block);
+    if (block->levels > 0) level_starts(step, block->levels, block->level_starts.s);
+    grid_sides(step, GFFE_SOURCE, &block->source_width, &block->source_height);
+    grid_sides(step, GFFE_TARGET, &block->target_width, &block->target_height);
+    grid_sides(step, GFFE_NETWORK, &block->network_width, &block->network_height);
+    grid_sides(step, GFFE_CELLS, &block->cells_width, &block->cells_height);
+    gffe_reprojection(source, previous, (float *)&block->to_previous);
+    gffe_reprojection(previous, source, (float *)&block->from_previous);
+    gffe_mapping(display, source, block->to_render.s);
+    gffe_mapping(source, display, block->to_display.s);
+    gffe_mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY], block->to_previous_display.s);
+    for (k = 0; k < 2; ++k) block->pixel_size.s[k] = 1 / block->to_render.s[k];
+    block->camera_step = camera_step(step);
+    block->has_previous = step->time_count > 1;
+    block->interval_ratio = 1;
+    if (step->time_count > 2)
+        block->interval_ratio = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
+    block->exposure = (float)step->exposure;
+    block->code_offset = (float)(block->code_offset / sqrt(step->exposure));
+    block->alpha = (float)step->alpha;
+    color_law(step->exposure, block->color_law.s);
+    if (block->order > step->time_count - 1) block->order = step->time_count - 1;
+    for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
+    if (!is_new) return;
+    gffe_reprojection(source, target, (float *)&block->to_target);
+    gffe_reprojection(target, source, (float *)&block->to_source);
+    gffe_reprojection(target, previous, (float *)&block->target_to_previous);
+    gffe_zoom(source, target, block->zoom.s);
+    polynomial(step, GFFE_MOST_TIMES - 1, (float *)block->polynomial);
+}

@@ -1,0 +1,274 @@
+"""Recorder of the stages' launches: the stages run while nothing is enqueued.
+
+Launches name their grids, and numbers that change from frame to frame are members of the frame block. So the same is
+launched for images of any size and in all circumstances: `record` compares several.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import OVERLAYS
+from gffe_cl.engine.inference.network import default_model, load_network
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import stages_of
+from gffe_cl.engine.stages.base import Board, FrameBlocks, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec, DeviceFrame, Sizes
+from gffe_cl.engine.stages.composition import Composition
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.scene_cuts import SceneCuts
+from gffe_cl.engine.stages.upscaling import Upscaling
+
+MOST_PIXELS = 16384  # each way, of the images that C takes
+# Rendered and extrapolated images: tiny, and as large as C takes them, for there are levels that others do not have.
+_SIZES = ((51, 29), (67, 39)), ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
+_LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects",)  # that frames bring
+_SMALL = 4096  # bytes of a buffer that may hold something from the start
+
+
+@dataclass(frozen=True)
+class Given:
+    """An argument of a launch, by its `name` there: the name of a `buffer`, the bytes of a `constant`, or the frame
+    block."""
+
+    name: str
+    buffer: str | None = None
+    constant: bytes | None = None
+    is_frame_block: bool = False
+
+
+@dataclass(frozen=True)
+class Operation:
+    """Enqueued operation: `kind` is "LAUNCH" of a `kernel` over a `grid` with `arguments`, "FILL" of a buffer with a
+    `byte`, as many of its texels as `grid` has, "COPY" from `source`, or "NETWORK", where the network runs."""
+
+    kind: str
+    stage: str
+    kernel: str = ""
+    grid: str = "once"
+    arguments: tuple[Given, ...] = ()
+    buffer: str = ""
+    byte: int = 0
+    source: str = ""
+
+    def buffers(self) -> set[str]:
+        """The names of all that it reads or writes."""
+        return {name for name in (self.buffer, self.source, *(given.buffer for given in self.arguments)) if name}
+
+
+@dataclass
+class Plan:
+    """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
+    without a previous frame, and also "extrapolated", "present", "cut", "leave_out" and "compose"; the `buffers` by
+    their full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the
+    stages in order."""
+
+    operations: dict[str, list[Operation]]
+    buffers: dict[str, BufferSpec]
+    initial: dict[str, bytes]
+    lent: set[str]
+    stages: dict[str, Any]
+    facts: Mapping[str, Any]
+
+
+class _Tape:
+    """The `Recorder` of one rehearsal's stages."""
+
+    def __init__(self):
+        self.operations: list[Operation] = []
+        self.names: dict[int, str] = {}
+
+    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
+        arguments = []
+        for argument in stage.program.arguments[kernel.name]:
+            value = argument.packed(values[argument.name])
+            if isinstance(value, cl.Buffer):
+                arguments.append(Given(argument.name, buffer=self._name(value)))
+            elif argument.type == "Frame":
+                arguments.append(Given(argument.name, is_frame_block=True))
+            else:
+                arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
+        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, tuple(arguments)))
+
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
+        self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=self._name(buffer), byte=byte))
+
+    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+        self.operations.append(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of)))
+
+    def network(self, stage: Stage) -> None:
+        self.operations.append(Operation("NETWORK", stage.name))
+
+    def take(self) -> list[Operation]:
+        taken, self.operations = self.operations, []
+        return taken
+
+    def _name(self, buffer: cl.Buffer) -> str:
+        return self.names[id(buffer)]
+
+
+class _Rehearsal:
+    """The stages of one size, with a tape."""
+
+    def __init__(self, device: Device, options: Options, sizes: Sizes, int64: bool):
+        self.sizes, self.tape = sizes, _Tape()
+        self.board = Board(device, sizes, options, int64)
+        chosen = {stage.name: stage for stage in stages_of(options)}
+        self.stages: dict[str, Any] = {
+            name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
+            for name, stage in chosen.items()
+        }
+        self.board.lend()
+        others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
+        others[FrameBlocks.name] = self.board.blocks
+        self.all = self.stages | others
+        for stage in self.all.values():
+            stage.recorder = self.tape
+        if correction := self.stages.get(ShadingCorrection.name):
+            correction.infer = lambda: self.tape.network(correction)
+            if options.scn_model or default_model():
+                correction.upload("head", load_network(options.scn_model or default_model()).head)
+
+    def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
+        """Return the operations of each occasion, in one set of circumstances."""
+        step, composition = self._step(number, first), self.all[Composition.name]
+        rendered = replace(step, camera=None)
+        shown = self.board.device.buffer(1)
+        self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
+        self._learn_names()
+        self.tape.names[id(shown)] = "shown.color"
+        composition.swap()  # `take` swaps, too
+        composition.take({name: composition.buffer[name] for name in OVERLAYS}, self._shown(step.frame))
+        found = {"leave_out": self.tape.take()}
+        composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
+        for occasion, work in (
+            ("rendered", lambda: self._take_rendered(rendered)),
+            ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
+            ("present", lambda: self._present(rendered)),
+            ("cut", lambda: self._count_samples(rendered)),
+            ("compose", lambda: composition.compose(shown, step.alpha)),
+            ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
+        ):
+            self.board.blocks.forget()
+            work()
+            found[occasion] = self.tape.take()
+        return found
+
+    def _shown(self, frame: DeviceFrame) -> DeviceFrame:
+        """Return the frame with its full depth. For other stages, overlays fixed in place are removed from it."""
+        shown = replace(frame, depth=self.board.device.buffer(1))
+        self.tape.names[id(shown.depth)] = "shown.depth"
+        return shown
+
+    def _present(self, step: Step) -> None:
+        self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
+
+    def _take_rendered(self, step: Step) -> None:
+        for stage in self.stages.values():
+            if stage.name != SceneCuts.name:
+                stage.rendered(step)
+
+    def _count_samples(self, step: Step) -> None:
+        if detection := self.stages.get(SceneCuts.name):
+            detection.rendered(step)
+
+    def _step(self, number: int, first: bool) -> Step:
+        """Circumstances of which no two have a number in common."""
+        rng = np.random.default_rng([number, first])
+        frame, previous = (self._frame(rng) for _ in range(2))
+        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
+        time = times[0] + rng.uniform(0.01, 0.1)
+        camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
+        return Step(frame, None if first else previous, times, camera, time, alpha, exposure)
+
+    def _frame(self, rng: np.random.Generator) -> DeviceFrame:
+        pose = self._camera(rng).world_to_view
+        render, display = (self._camera(rng, pose) for _ in range(2))
+        return DeviceFrame.allocate(self.board.device, (1, 1), render, display, 0.0)
+
+    @staticmethod
+    def _camera(rng: np.random.Generator, pose: np.ndarray | None = None) -> Camera:
+        camera = Camera.from_pose(*rng.normal(size=(3, 3)), *rng.uniform(20, 900, 4))
+        return camera if pose is None else replace(camera, world_to_view=pose)
+
+    def _learn_names(self) -> None:
+        """Record the names of all buffers. Without a previous frame, its buffers are the rendered frame's."""
+        owners = {"frame": self.board.frame} | self.all
+        named = {f"{owner}.{name}": b for owner, own in owners.items() for name, b in own.buffer.items()}
+        named |= {f"{name}.{b}'": buffer for name, stage in self.all.items() for b, buffer in stage.before.items()}
+        named |= {f"overlays.{name}": self.all[Composition.name].buffer[name] for name in OVERLAYS}
+        for frame in ("previous", "rendered"):
+            for name in ("color", "depth", "motion"):
+                named[f"{frame}.{name}"] = getattr(getattr(self.board, frame), name)
+        self.tape.names = {id(buffer): name for name, buffer in named.items()}
+
+
+def record(device: Device, options: Options, int64: bool) -> Plan:
+    """Return the operations of a pipeline with these options; `int64`: with 64-bit atomics.
+
+    Raises GffeError where that depends on the size of images or changes from frame to frame.
+    """
+    rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
+    operations = {}
+    for first in (True, False):
+        performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
+        for occasion in performed[0]:
+            takes = [taken[occasion] for taken in performed]
+            operations[occasion + "_first" * first] = _require_agreement(takes, rehearsals)
+    buffers = {
+        f"{owner.name}.{spec.name}": spec
+        for rehearsal in rehearsals
+        for owner in (rehearsal.board.frame, *rehearsal.all.values())
+        for spec in owner.buffers
+    }
+    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
+    return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
+
+
+def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
+    """The operations that every rehearsal enqueues, but for those on buffers that images of its size do not have."""
+    whole = max(takes, key=len)
+    for take, rehearsal in zip(takes, rehearsals, strict=True):
+        has = set(rehearsal.tape.names.values())
+        expected = [operation for operation in whole if operation.buffers() <= has]
+        if take != expected:
+            raise GffeError(
+                f"export: {_difference(take, expected)} depends on the image or the frame, which C does not have"
+                " (expected numbers that change to be members of the frame block, kernels/frame.h)"
+            )
+    return whole
+
+
+def _difference(take: list[Operation], expected: list[Operation]) -> str:
+    """Where two lists differ: operations that only one of them has; else an argument."""
+    taken, wanted = ([replace(operation, arguments=()) for operation in each] for each in (take, expected))
+    if taken != wanted:
+        taken, wanted = Counter(taken), Counter(wanted)
+        only = (taken - wanted) + (wanted - taken)
+        return ", ".join(dict.fromkeys(f"{o.stage}.{o.kernel or o.kind.lower()}" for o in only))
+    made, other = next(pair for pair in zip(take, expected, strict=True) if pair[0] != pair[1])
+    name = next(a.name for a, b in zip(made.arguments, other.arguments, strict=True) if a != b)
+    return f"kernels/{made.stage}.cl, {made.kernel}: argument '{name}'"
+
+
+def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
+    """Return the initial values of small buffers that are not zero."""
+    found = {}
+    for name, stage in rehearsal.stages.items():
+        for spec in stage.buffers:
+            if spec.grid == "once" and not spec.part_of and spec.nbytes(rehearsal.sizes) <= _SMALL:
+                values = np.empty(spec.nbytes(rehearsal.sizes), np.uint8)
+                cl.enqueue_copy(stage.device.queue, values, stage.buffer[spec.name])
+                if values.any():
+                    found[f"{name}.{spec.name}"] = values.tobytes()
+    return found

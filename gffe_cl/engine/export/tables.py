@@ -1,0 +1,351 @@
+"""The C tables from a recording: text of kernels, buffers, and launches on each occasion."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from gffe_cl.engine.core import validation
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
+from gffe_cl.engine.frame import camera, camera_prediction, window
+from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
+from gffe_cl.engine.inference.model_interface import MULTIPLE
+from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
+from gffe_cl.engine.opencl.program import expand
+from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
+from gffe_cl.engine.stages import correction, mu_law, scene_cuts
+from gffe_cl.engine.stages.base import FrameBlocks, Kernel, NearestStage, Stage
+from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
+from gffe_cl.engine.stages.frame_block import FRAME
+
+OCCASIONS = (
+    "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
+    "compose", "compose_rendered",
+)  # fmt: skip
+# Inputs from callers, and their displayed part: name, grid and bytes.
+GIVEN = {
+    **{
+        f"{frame}.{name}": ("SOURCE", nbytes)
+        for frame in ("rendered", "previous")
+        for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
+    },
+    "shown.color": ("TARGET", 8),
+    "shown.depth": ("SOURCE", 4),
+    "overlays.fixed_mask": ("SOURCE", 1),
+    "overlays.effects": ("SOURCE", 8),
+    "overlays.effects_motion": ("SOURCE", 8),
+    "overlays.ui": ("TARGET", 8),
+}
+_GRIDS = (
+    "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
+    "cells", "network",
+)  # fmt: skip
+_CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
+_FLAGS = {"LANES": "GFFE_TAKES_LANES", "RUN": "GFFE_TAKES_RUN", "EXACT_DIVISION": "GFFE_TAKES_EXACT_DIVISION"}
+_HEADER = "/* Made by `gffe export`; not to be edited. */\n"
+
+
+def config(options: Options) -> str:
+    """Return gffe_config.h: constants from Python's modules, and the options."""
+    numbers = {
+        "MOST_PIXELS": MOST_PIXELS,
+        "DOWNSAMPLING": texel_of("downsampled")[0],
+        "TILE": texel_of("tiles")[0],
+        "TILE_GROUP": TILE_GROUP,
+        "RESIDUAL_STRIDE": texel_of("residuals")[0],
+        "BLOCK_WIDTH": BLOCK[0],
+        "BLOCK_HEIGHT": BLOCK[1],
+        "CELL": texel_of("cells")[0],
+        "NETWORK_TEXEL": texel_of("network")[0],
+        "NETWORK_MULTIPLE": MULTIPLE,
+        "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
+        "MAX_LEVELS": MAX_LEVELS,
+        "MOST_TIMES": MAX_ORDER + 1,
+        "LARGEST": validation.LARGEST,
+        "LEAST_FRAME_RATE": validation.FRAME_RATES[0],
+        "MOST_FRAME_RATE": validation.FRAME_RATES[1],
+        "LEAST_EXPOSURE": validation.EXPOSURES[0],
+        "MOST_EXPOSURE": validation.EXPOSURES[1],
+        "LEAST_SIDE": validation.SIDES[0],
+        "MOST_SIDE": validation.SIDES[1],
+        "MOST_ALPHA": camera.MOST_ALPHA,
+        "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,
+        "MOST_FOCAL": camera.MOST_FOCAL,
+        "MOST_DISTANCE": camera.MOST_DISTANCE,
+        "SAME_POSE": SAME_POSE,
+        "CAMERA_ORDER": options.camera_order or 0,
+        "POSES": camera_prediction.POSES,
+        "JUMP": camera_prediction.JUMP,
+        "LEAST_CHANGE": camera_prediction.LEAST,
+        "FORGETTING": camera_prediction.FORGETTING,
+        "RIDGE": camera_prediction.RIDGE,
+        "MAX_ENLARGEMENT": window.MAX_ENLARGEMENT,
+        "WINDOW_MARGIN": window.MARGIN,
+        "MOST_OF_WINDOW": window.MOST,
+        "HORIZON": window.HORIZON,
+        "AT_REST": window.AT_REST,
+        "NEAR_SAMPLES": window.NEAR_SAMPLES,
+        "NEAR_QUANTILE": window.NEAR_QUANTILE,
+        "MU": mu_law.MU,
+        "HEADROOM": mu_law.HEADROOM,
+        "CUT_DETECTION": int(options.cut_detection),
+        "CORRECTS_SHADING": int(options.corrects_shading),
+        "UPSCALES": int(options.upscale > 0),
+        "CUT_SAMPLES_X": CUT_SAMPLES[0],
+        "CUT_SAMPLES_Y": CUT_SAMPLES[1],
+        "CUT_LEAST_SAMPLES": scene_cuts.LEAST_SAMPLES,
+        "CUT_LEAST_OVERLAP": scene_cuts.LEAST_OVERLAP,
+        "CUT_DEPTH_SURE": scene_cuts.DEPTH_SURE,
+        "CUT_DEPTH_UNSURE": scene_cuts.DEPTH_UNSURE,
+        "CUT_CONTRAST_RIGHT": scene_cuts.CONTRAST_RIGHT,
+        "CUT_LEAST_CONTRASTS": scene_cuts.LEAST_CONTRASTS,
+        "CUT_TELEPORT": scene_cuts.TELEPORT,
+    }
+    lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
+    counted = ", ".join(f"GFFE_{name.upper()}" for name in scene_cuts.COUNTED)
+    lines.append(f"enum {{ {counted}, GFFE_COUNTED }}; /* of the samples of a cut */")
+    lines.append(_frame_block())
+    guard = '#ifndef GFFE_CONFIG_H\n#define GFFE_CONFIG_H\n\n#include "gffe.h"\n\n'
+    return _HEADER + guard + "\n".join(lines) + "\n\n#endif\n"
+
+
+class Tables:
+    """gffe_tables.c of two plans: without and with 64-bit atomics."""
+
+    def __init__(self, plans: tuple[Plan, Plan]):
+        self.plans = plans
+        self.launched = sorted(
+            {
+                (operation.stage, operation.kernel)
+                for plan in plans
+                for operations in plan.operations.values()
+                for operation in operations
+                if operation.kind == "LAUNCH"
+            }
+        )
+        self.programs = sorted({stage for stage, _ in self.launched})
+        self.constants = bytearray(4)  # words; there is at least one
+        self._counts: list[tuple[int, int]] = []  # of each plan's buffers and initial contents
+
+    def text(self) -> str:
+        parts = [_HEADER + '#include "gffe_internal.h"\n', *map(self._source, self.programs), self._programs()]
+        parts += [_lines("gffe_int64_source", INT64_SOURCE), _lines("gffe_division_source", DIVISION_SOURCE)]
+        parts.append(_table("gffe_kernel", "gffe_kernels", map(self._kernel, self.launched)))
+        parts.append(f"const int gffe_kernel_count = {len(self.launched)};\n")
+        plans = [self._plan(number, plan) for number, plan in enumerate(self.plans)]
+        parts += [_words("gffe_constants", bytes(self.constants)), _words("gffe_facts", _facts(self.plans[0]))]
+        parts += plans
+        parts.append(_table("gffe_plan", "gffe_plans", self._plan_rows()))
+        return "\n".join(parts)
+
+    # ---- kernels ---------------------------------------------------------------------------------------
+
+    def _stage(self, name: str) -> Stage:
+        return self.plans[1].stages[name]
+
+    def _source(self, name: str) -> str:
+        return _lines(f"source_{name}", expand(f"{name}.cl"), static=True)
+
+    def _programs(self) -> str:
+        rows = []
+        for name in self.programs:
+            text = expand(f"{name}.cl")
+            flags = [flag for choice, flag in _FLAGS.items() if choice in text]
+            flags += ["GFFE_TAKES_INT64"] * isinstance(self._stage(name), NearestStage)
+            count = len(text.splitlines())
+            rows.append(f'"{name}", source_{name}, {count}, {" | ".join(flags) or "0"}')
+        return _table("gffe_program", "gffe_programs", rows) + f"const int gffe_program_count = {len(rows)};\n"
+
+    def _kernel(self, launched: tuple[str, str]) -> str:
+        stage = self._stage(launched[0])
+        kernel: Kernel = next(kernel for kernel in stage.kernels if kernel.name == launched[1])
+
+        def number(value: int | str) -> str:
+            if isinstance(value, str):
+                return _CHOICES.get(value) or str(int(stage.program.constants[value]))
+            return str(value)
+
+        steps = ", ".join(map(number, kernel.step))
+        return f'{self.programs.index(launched[0])}, "{kernel.name}", {steps}, {number(kernel.group or 0)}'
+
+    # ---- plans -----------------------------------------------------------------------------------------
+
+    def _plan(self, number: int, plan: Plan) -> str:
+        buffers = _Buffers(plan)
+        rows = [buffers.row(name) for name in buffers.names]
+        parts = [_table("gffe_buffer", f"buffers_{number}", rows, static=True)]
+        arguments: list[str] = []
+        for occasion in OCCASIONS:
+            operations = plan.operations[occasion]
+            made = [
+                self._operation(operation, buffers, _part(operation, occasion, plan), arguments)
+                for operation in operations
+            ]
+            parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0, 0"], True))
+        parts.insert(1, _table("gffe_argument", f"arguments_{number}", arguments, static=True))
+        initial = []
+        for name, content in plan.initial.items():
+            initial.append(f"{buffers.names.index(name)}, {self._constant(content)}, {len(content)}")
+        parts.append(_table("gffe_initial", f"initial_{number}", initial or ["0, 0, 0"], static=True))
+        self._counts.append((len(buffers.names), len(initial)))
+        return "\n".join(parts)
+
+    def _plan_rows(self) -> list[str]:
+        rows = []
+        for number, (plan, (buffers, initial)) in enumerate(zip(self.plans, self._counts, strict=True)):
+            lists = ", ".join(f"{{{occasion}_{number}, {len(plan.operations[occasion])}}}" for occasion in OCCASIONS)
+            own = f"buffers_{number}, {buffers}, arguments_{number}, initial_{number}, {initial}"
+            rows.append(f"{own}, {{{lists}}}")
+        return rows
+
+    def _operation(self, operation: Operation, buffers: _Buffers, part: str, arguments: list[str]) -> str:
+        first = len(arguments)
+        arguments += [self._argument(given, buffers) for given in operation.arguments]
+        kernel = self.launched.index((operation.stage, operation.kernel)) if operation.kernel else 0
+        grid, level = _grid(operation.grid)
+        target = buffers.reference(operation.buffer) if operation.buffer else "0"
+        other = buffers.reference(operation.source) if operation.source else str(operation.byte)
+        kind = "RUN_NETWORK" if operation.kind == "NETWORK" else operation.kind
+        return f"GFFE_{kind}, {part}, {kernel}, {grid}, {level}, {first}, {target}, {other}"
+
+    def _argument(self, given: Given, buffers: _Buffers) -> str:
+        if given.buffer is not None:
+            return f"GFFE_BUFFER, {buffers.reference(given.buffer)}, 0"
+        if given.is_frame_block:
+            return "GFFE_FRAME_BLOCK, 0, 0"
+        assert given.constant is not None  # values other than buffers and the frame block
+        return f"GFFE_CONSTANT, {self._constant(given.constant)}, {len(given.constant)}"
+
+    def _constant(self, content: bytes) -> int:
+        """Where `content` is among the constants, in words."""
+        content = content.ljust(-(-len(content) // 4) * 4, b"\0")
+        for start in range(0, len(self.constants) - len(content) + 1, 4):
+            if self.constants[start : start + len(content)] == content:
+                return start // 4
+        self.constants += content
+        return (len(self.constants) - len(content)) // 4
+
+
+def _part(operation: Operation, occasion: str, plan: Plan) -> str:
+    """Return whether an operation belongs to shading correction, which C may omit, or depends on it."""
+    name, stages = correction.ShadingCorrection.name, list(plan.stages)
+    if operation.stage == name:
+        return "GFFE_OF_CORRECTION"
+    if operation.stage == FrameBlocks.name:
+        return "0"
+    after = occasion.startswith("extrapolated") and name in stages
+    return "GFFE_AFTER_CORRECTION" if after and stages.index(operation.stage) > stages.index(name) else "0"
+
+
+def _grid(name: str) -> tuple[str, int]:
+    """The C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c has its size."""
+    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip|network)(\d+)", name)):
+        return f"GFFE_{found[1].upper()}", int(found[2])
+    if name not in _GRIDS:
+        raise GffeError(
+            f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
+        )
+    return f"GFFE_{name.upper()}", 0
+
+
+class _Buffers:
+    """The plan's buffers in C: those that launches name, those for callers, and memory that contains them. Parts
+    come after their wholes."""
+
+    def __init__(self, plan: Plan):
+        self.plan = plan
+        named = {
+            name.removesuffix("'")
+            for operations in plan.operations.values()
+            for operation in operations
+            for name in operation.buffers()
+        }
+        layers = {f"composition.{name}" for name in OVERLAYS}  # C takes those of its caller
+        specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
+        specs = {name: spec for name, spec in specs.items() if name not in layers}
+        self.memory = {whole for name, spec in specs.items() if (whole := _whole(name, spec)) and whole not in specs}
+        self.specs = specs | {name: plan.buffers[name] for name in self.memory}
+        self.names = [*GIVEN, *sorted(self.specs, key=self._depth)]
+
+    def reference(self, name: str) -> str:
+        """Return a buffer's reference: twice its number, plus one for the previous frame's."""
+        return str(2 * self.names.index(name.removesuffix("'")) + name.endswith("'"))
+
+    def row(self, name: str) -> str:
+        """Of C's table."""
+        if name in GIVEN:
+            grid, nbytes = GIVEN[name]
+            return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
+        spec, whole = self.specs[name], _whole(name, self.specs[name])
+        grid, level = _grid(spec.grid)
+        flags = ["GFFE_KEPT"] * spec.kept + ["GFFE_MAPPED"] * spec.mapped
+        late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"]}
+        flags += late.get(name.partition(".")[0], []) + ["GFFE_MEMORY"] * (name in self.memory)
+        flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
+        planes = 1 if name in self.memory else spec.planes
+        number = self.names.index(whole) if whole else -1
+        numbers = f"{grid}, {level}, {spec.bytes_per_pixel}, {planes}, {number}"
+        return f'"{name}", {numbers}, {" | ".join(flags) or "0"}, {self._use(name)}'
+
+    def _depth(self, name: str) -> int:
+        whole = _whole(name, self.specs[name])
+        return 1 + self._depth(whole) if whole else 0
+
+    def _use(self, name: str) -> str:
+        """The numbers of the first and the last stage that use a buffer within an extrapolation, if it holds nothing
+        else: the last of all, if it is of interest afterwards."""
+        spec, stages = self.specs[name], list(self.plan.stages)
+        if not spec.transient:
+            return "-1, -1"
+        lists = (self.plan.operations[occasion] for occasion in ("extrapolated", "extrapolated_first"))
+        used = [stages.index(o.stage) for operations in lists for o in operations if name in o.buffers()]
+        used = used or [stages.index(name.partition(".")[0])]
+        return f"{min(used)}, {max(used) if spec.scratch else len(stages)}"
+
+
+def _whole(name: str, spec: BufferSpec) -> str | None:
+    """The buffer in which one lies."""
+    return f"{name.partition('.')[0]}.{spec.part_of}" if spec.part_of else None
+
+
+def _lines(name: str, text: str, static: bool = False) -> str:
+    """A text as an array of lines: long literals are not for every compiler."""
+    rows = [json.dumps(line + "\n", ensure_ascii=True) for line in text.splitlines()]
+    kind = "static const char *const" if static else "const char *const"
+    count = "" if static else f"const int {name}_count = {len(rows)};\n"
+    return f"{kind} {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n{count}"
+
+
+def _words(name: str, content: bytes) -> str:
+    words = np.frombuffer(content, np.uint32)
+    rows = [", ".join(f"{word}u" for word in words[k : k + 8]) for k in range(0, len(words), 8)]
+    return f"const cl_uint {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n"
+
+
+def _facts(plan: Plan) -> bytes:
+    """Return a frame block with the values that depend neither on the frame nor on the size."""
+    block = np.zeros((), FRAME)
+    for name in plan.facts.keys() - {"level_starts"}:
+        block[name] = plan.facts[name]
+    return block.tobytes()
+
+
+def _frame_block() -> str:
+    """The struct of frame.h in C."""
+    lines = []
+    for name in FRAME.names or ():
+        dtype = FRAME[name]
+        base, shape = (np.dtype(np.float32), (len(dtype.names), 4)) if dtype.names else dtype.subdtype or (dtype, ())
+        kind = "cl_int" if base.kind == "i" else "cl_float"
+        vector, count = str(shape[-1]) if shape else "", f"[{shape[0]}]" if len(shape) > 1 else ""
+        lines.append(f"    {kind}{vector} {name}{count};")
+    return "typedef struct gffe_frame_block {\n" + "\n".join(lines) + "\n} gffe_frame_block;"
+
+
+def _table(kind: str, name: str, rows: Iterable[str], static: bool = False) -> str:
+    body = ",\n".join(f"    {{{row}}}" for row in rows)
+    return f"{'static ' * static}const {kind} {name}[] = {{\n{body}\n}};\n"

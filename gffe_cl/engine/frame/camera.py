@@ -1,0 +1,422 @@
+"""Poses and pinholes.
+
+Conventions: `world_to_view` is a rigid 4×4 matrix for column vectors; the view axes are x right, y down,
+z forward; the projection is an off-center pinhole in pixels, the center of pixel (i, j) being
+(i + 0.5, j + 0.5). All arithmetic here is float64; kernels only ever see view → view transforms.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gffe_cl.engine.core import validation
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame import conventions, vectors
+
+RIGIDITY_TOLERANCE = 1e-3
+MOST_FOCAL = 1e9
+MOST_DISTANCE = 1e15
+MOST_ALPHA = 1e6  # intervals
+_FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
+_QUIETLY = np.errstate(all="ignore")  # cameras that overflow are reported as invalid
+_VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    Parameters
+    ----------
+    world_to_view : (4, 4) float64
+        Rigid transform (a mirrored one too: left-handed worlds); x right, y down, z forward.
+    fx, fy : float
+        Focal lengths in pixels, > 0.
+    cx, cy : float
+        Principal point in pixels from the top left corner; jitter is part of it.
+
+    Raises
+    ------
+    GffeError
+        If the matrix is not 4×4, not finite or not rigid, or the projection is singular.
+    """
+
+    world_to_view: np.ndarray
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self):
+        intrinsics = [validation.require_number(getattr(self, name), f"camera: {name}") for name in _FIELDS[1:]]
+        matrix = _matrix(self.world_to_view)
+        intrinsics = np.array(intrinsics, np.float64)
+        _check(matrix[None], intrinsics[None])
+        matrix.setflags(write=False)
+        self.__dict__.update(zip(_FIELDS, (matrix, *intrinsics.tolist()), strict=True))
+
+    @classmethod
+    def many(cls, world_to_views: list, intrinsics: list) -> list[Camera]:
+        """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy). Faster than one by one. Raises GffeError
+        if any is invalid, without naming it."""
+        try:
+            types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
+            types |= set(map(type, chain.from_iterable(intrinsics)))
+            if not types <= {int, float}:
+                raise TypeError
+            matrices = np.array(world_to_views, np.float64).reshape(-1, 4, 4)
+            numbers = np.array(intrinsics, np.float64).reshape(len(matrices), 4)
+        except (TypeError, ValueError, OverflowError):
+            raise GffeError("camera: expected 4×4 matrices and fx, fy, cx, cy of numbers") from None
+        if len(matrices):
+            _check(matrices, numbers)
+        matrices.setflags(write=False)
+        cameras = []
+        for matrix, (fx, fy, cx, cy) in zip(matrices, numbers.tolist(), strict=True):
+            camera = object.__new__(cls)
+            camera.__dict__.update(world_to_view=matrix, fx=fx, fy=fy, cx=cx, cy=cy)
+            cameras.append(camera)
+        return cameras
+
+    def __eq__(self, other):
+        return (
+            isinstance(other, Camera)
+            and np.array_equal(self.world_to_view, other.world_to_view)
+            and self.intrinsics == other.intrinsics
+        )
+
+    __hash__ = None  # pyright: ignore[reportAssignmentType]  # how Python says that it has none
+
+    @classmethod
+    @_QUIETLY
+    def look_at(
+        cls, position: ArrayLike, target: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
+    ) -> Camera:
+        """Return the camera at `position` that looks at `target` (world units). `up` is a world direction. Raises
+        GffeError if no such camera exists."""
+        position = validation.require_vector(position, "camera: position")
+        return cls.from_pose(
+            position, validation.require_vector(target, "camera: target") - position, up, fx, fy, cx, cy
+        )
+
+    @classmethod
+    @_QUIETLY
+    def from_pose(
+        cls, position: ArrayLike, direction: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
+    ) -> Camera:
+        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalized. Raises GffeError
+        unless each is three finite numbers, and for `up` parallel to `direction`."""
+        place = validation.require_vector(position, "camera: position").tolist()
+        forward = _normalized(validation.require_vector(direction, "camera: direction"), "direction")
+        right = vectors.cross(forward, validation.require_vector(up, "camera: up").tolist())
+        right = _normalized(right, "up (parallel to the direction)")
+        down = vectors.cross(forward, right)
+        matrix = np.eye(4)
+        matrix[:3, :3] = (right, down, forward)
+        matrix[:3, 3] = [-x for x in vectors.times((right, down, forward), place)]
+        return cls(matrix, fx, fy, cx, cy)
+
+    @classmethod
+    def from_opengl(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
+        """Camera from OpenGL's matrices; off-center projections, jitter, reversed and infinitely far planes included.
+
+        Parameters
+        ----------
+        view : (4, 4), or 16 numbers
+            World → view space, as handed to the shaders.
+        projection : (4, 4), or 16 numbers
+            View → clip space. Which way the view axes point follows from it; normalized device coordinates go up.
+        size : (width, height) of the image, pixels
+        layout : "auto", "row-major" or "column-major"
+            "row-major": `view[0]` is the first row of the matrix that column vectors are multiplied with, and the
+            translation is in the last column. "column-major": `view[0]` is its first column, as OpenGL and glm keep it
+            in memory; the same thing is a matrix for row vectors (v·M) written in rows, as of DirectXMath and Unreal.
+            "auto" tells them by the row or column 0 0 0 1 of the view and 0 0 ±1 0 of the projection.
+
+        Raises
+        ------
+        GffeError
+            If that is no rigid view and pinhole, or fits another layout.
+
+        Notes
+        -----
+        With P for column vectors: fx = abs(P₀₀) W/2, fy = abs(P₁₁) H/2, cx = (1 + P₀₂/P₃₂) W/2,
+        cy = (1 − P₁₂/P₃₂) H/2; x, y, z of the view are turned to right, down, forward by the signs of P₀₀, P₁₁, P₃₂.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
+
+    @classmethod
+    def from_direct3d(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
+        """Camera from Direct3D's matrices, left- or right-handed; parameters and formula of `from_opengl`.
+
+        DirectXMath's row-vector matrices are "column-major". It is also for Vulkan with a viewport of negative height.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
+
+    @classmethod
+    def from_vulkan(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
+        """Camera from Vulkan's matrices, whose normalized device coordinates go down; parameters of `from_opengl`.
+
+        cy = (1 + P₁₂/P₃₂) H/2, the rest as there. OpenGL-like views with `projection[1][1] *= -1` are right, too.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=False))
+
+    @classmethod
+    def from_unity(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
+        """Camera from Unity's `camera.worldToCameraMatrix` and `camera.projectionMatrix`; parameters of `from_opengl`.
+
+        `GL.GetGPUProjectionMatrix(…)` is as good: that it may be upside down, for textures, is seen. `m.GetRow(0)`
+        first is "row-major", the memory of a `Matrix4x4` "column-major". `projectionMatrix` holds the jitter,
+        `nonJitteredProjectionMatrix` does not. Unity's world is left-handed, so `world_to_view` is mirrored.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
+
+    @classmethod
+    def from_unreal(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
+        """Camera from Unreal's `FViewMatrices`, view and projection (jittered or not); parameters of `from_opengl`.
+
+        An `FMatrix` is for row vectors, so `M[0]` first is "column-major". World units stay centimeters: take depth in
+        centimeters, too. Unreal's world is left-handed, so `world_to_view` is mirrored.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
+
+    @classmethod
+    @_QUIETLY
+    def from_unreal_pose(
+        cls, location: ArrayLike, rotation: ArrayLike, fov: float, size: tuple[float, float]
+    ) -> Camera:
+        """Camera from an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal field of
+        view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). The unit stays.
+
+        Raises GffeError for fields of view that are not between 0° and 180°.
+        """
+        if not 0 < validation.require_number(fov, "camera: fov") < 180:
+            raise GffeError(f"camera: fov must be between 0 and 180 degrees, got {fov}")
+        width, height = validation.require_size(size)
+        focal = width / 2 / np.tan(np.radians(fov) / 2)
+        location = validation.require_vector(location, "camera: location")
+        angles = validation.require_vector(rotation, "camera: rotation (pitch, yaw, roll)")
+        return cls(conventions.unreal_view(location, *angles), focal, focal, width / 2, height / 2)
+
+    @property
+    def intrinsics(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy in pixels."""
+        return (self.fx, self.fy, self.cx, self.cy)
+
+    @cached_property
+    def rows(self) -> list[list[float]]:
+        """The rows of `world_to_view`."""
+        return self.world_to_view.tolist()
+
+    @cached_property
+    def inverse(self) -> tuple[list[list[float]], list[float]]:
+        """Rotation and translation, view → world space."""
+        return vectors.view_inverse(self.rows)
+
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) world position."""
+        return np.array(self.inverse[1])
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) world direction of view."""
+        return self.world_to_view[2, :3].copy()
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) world direction of the top of the image."""
+        return -self.world_to_view[1, :3]
+
+    @property
+    def view_to_world(self) -> np.ndarray:
+        """(4, 4) float64, the inverse of `world_to_view`."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = vectors.view_inverse(self.world_to_view.tolist())
+        return matrix
+
+    @_QUIETLY
+    def project(self, world_pos: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """World positions (..., 3) → pixel positions (..., 2) and view depths (...). Raises GffeError for another
+        shape."""
+        world_pos = validation.require_array(world_pos, "camera: world_pos", ..., 3).astype(np.float64)
+        view_pos = world_pos @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
+        depth = view_pos[..., 2]
+        x = self.fx * view_pos[..., 0] / depth + self.cx
+        y = self.fy * view_pos[..., 1] / depth + self.cy
+        return np.stack([x, y], -1), depth
+
+    @_QUIETLY
+    def unproject(self, px: ArrayLike, depth: ArrayLike) -> np.ndarray:
+        """Pixel positions (..., 2) and view depths (...) → world positions (..., 3). Raises GffeError for other
+        shapes."""
+        px = validation.require_array(px, "camera: px", ..., 2).astype(np.float64)
+        depth = validation.require_array(depth, "camera: depth", *px.shape[:-1]).astype(np.float64)
+        view_pos = np.stack(
+            [(px[..., 0] - self.cx) / self.fx * depth, (px[..., 1] - self.cy) / self.fy * depth, depth], -1
+        )
+        matrix = self.view_to_world
+        return view_pos @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def view_matrix(self, api: str) -> np.ndarray:
+        """(4, 4) float64, column vectors: world → the view space that `projection_matrix` of the same `api` takes.
+
+        "opengl": x right, y up, z backward; "direct3d": x right, y up, z forward; "vulkan": x right, y down, z forward.
+        For row vectors (v·M) transpose it. Raises GffeError for an unknown api.
+        """
+        validation.require_choice(api, _VIEW_AXES, "camera: api")
+        return np.diag([*_VIEW_AXES[api], 1.0]) @ self.world_to_view
+
+    def projection_matrix(
+        self, api: str, width: float, height: float, near: float, far: float = np.inf, reverse_depth: bool = False
+    ) -> np.ndarray:
+        """(4, 4) float64, column vectors: view space of `view_matrix(api)` → clip space.
+
+        Off-center (jitter and windows included), for an image of `width` × `height` pixels. Depth from `near` to
+        `far` (world units, `far` may be infinite) becomes, after division by w, −1 … 1 for "opengl" and 0 … 1 for
+        "direct3d" and "vulkan"; with `reverse_depth` 1 … 0 for all (OpenGL: glClipControl(…, GL_ZERO_TO_ONE)).
+
+        Raises GffeError for an unknown api, an empty image, or planes not within 0 < near < far.
+        """
+        validation.require_choice(api, _VIEW_AXES, "camera: api")
+        near = validation.require_number(near, "camera: near")
+        far = validation.require_number(far, "camera: far", infinite=True)
+        if not 0 < near < far:
+            raise GffeError(f"camera: expected 0 < near < far, got {near:g} and {far:g}")
+        width, height = validation.require_size((width, height), "camera: image")
+        reverse_depth = validation.require_bool(reverse_depth, "camera: reverse_depth")
+        ends = (1.0, 0.0) if reverse_depth else (-1.0, 1.0) if api == "opengl" else (0.0, 1.0)
+        scale = (ends[1] - ends[0] * near / far) / (1 - near / far)  # clip z = scale · z + offset
+        offset = (ends[0] - scale) * near
+        matrix = np.array(
+            [
+                [2 * self.fx / width, 0, 2 * self.cx / width - 1, 0],
+                [0, 2 * self.fy / height, 2 * self.cy / height - 1, 0],
+                [0, 0, scale, offset],
+                [0, 0, 1, 0],
+            ]
+        )
+        if api != "vulkan":
+            matrix[1] *= -1  # normalized device coordinates go up
+        return matrix @ np.diag([*_VIEW_AXES[api], 1.0])
+
+    def to_view_of(self, other: Camera) -> np.ndarray:
+        """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
+        validation.require_kind(other, Camera, "camera: other")
+        rows = vectors.view_to_view(self.rows, self.inverse, other.rows)
+        return np.array([*rows, [0.0, 0.0, 0.0, 1.0]])
+
+    def scaled(self, scale_x: float, scale_y: float) -> Camera:
+        """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels. Raises GffeError
+        for factors that are not positive."""
+        scale_x, scale_y = (
+            validation.require_positive(s, f"camera: scale_{a}") for s, a in ((scale_x, "x"), (scale_y, "y"))
+        )
+        return replace(self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y)
+
+    def moved(self, offset: ArrayLike) -> Camera:
+        """The same camera after the whole world has moved by `offset` (3,) world units."""
+        matrix = self.world_to_view.copy()
+        matrix[:3, 3] -= matrix[:3, :3] @ validation.require_vector(offset, "camera: offset")
+        return replace(self, world_to_view=matrix)
+
+
+def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
+    """C̄ = C_t + α (C_t − C_{t−1}), the predicted camera at t + α.
+
+    Per pose vector (position, direction, up), re-orthonormalized; fx and fy are predicted in the same way; cx and cy
+    stay. Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give
+    cameras without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up
+    to a million, either way.
+    """
+    validation.require_kind(previous, Camera, "camera: previous")
+    validation.require_kind(current, Camera, "camera: current")
+    alpha = validation.require_within(alpha, "camera: alpha", -MOST_ALPHA, MOST_ALPHA)
+
+    def ahead(a, b):
+        return b + alpha * (b - a)
+
+    direction = ahead(previous.direction, current.direction)
+    ups = (ahead(previous.up, current.up), current.up, -current.direction)  # the last two cannot both be parallel to it
+    least = 1e-6 * vectors.length(direction.tolist())
+    fitting = (up for up in ups if vectors.length(vectors.cross(direction.tolist(), up.tolist())) > least)
+    up = next(fitting, current.up)  # without a direction none fits: no camera
+    predicted = Camera.from_pose(
+        ahead(previous.position, current.position),
+        direction,
+        up,
+        max(ahead(previous.fx, current.fx), current.fx * 0.1),
+        max(ahead(previous.fy, current.fy), current.fy * 0.1),
+        current.cx,
+        current.cy,
+    )
+    if np.array_equal(previous.world_to_view, current.world_to_view):
+        return replace(predicted, world_to_view=current.world_to_view)
+    if vectors.determinant(current.world_to_view[:3, :3].tolist()) < 0:  # left-handed world
+        matrix = predicted.world_to_view.copy()
+        matrix[0] *= -1
+        predicted = replace(predicted, world_to_view=matrix)
+    return predicted
+
+
+def _matrix(given) -> np.ndarray:
+    """(4, 4) float64, a copy of `given`; GffeError unless that is of numbers."""
+    array = validation.require_array(given, "camera: world_to_view", 4, 4)
+    if not _all_numbers(given):
+        raise GffeError("camera: world_to_view must be real numbers, got truth values")
+    return array.astype(np.float64)
+
+
+def _all_numbers(given) -> bool:
+    """Whether rows given as lists hold no truth values, which arrays take for numbers."""
+    if isinstance(given, np.ndarray):
+        return True
+    return bool not in {type(value) for row in given if isinstance(row, list | tuple) for value in row}
+
+
+def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
+    """Raise GffeError if any camera is invalid: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
+    if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
+        raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
+    rotations = matrices[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
+    if not off <= RIGIDITY_TOLERANCE:
+        raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
+    if np.abs(matrices[:, 3] - (0, 0, 0, 1)).max() > 1e-9:
+        raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
+    focal, least = intrinsics[:, :2], intrinsics[:, :2].min()
+    if least <= 0:
+        raise GffeError(f"camera: singular projection, fx and fy must be positive, got {_both(focal)}")
+    if focal.max() > MOST_FOCAL or least < 1 / MOST_FOCAL:
+        raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {_both(focal)}")
+    if np.abs(intrinsics[:, 2:]).max() > MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > MOST_DISTANCE:
+        raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
+
+
+def _both(focal: np.ndarray) -> str:
+    return f"{focal[0, 0]:g} and {focal[0, 1]:g}"
+
+
+def _normalized(vector, name) -> list[float]:
+    components = np.asarray(vector, np.float64).tolist()
+    length = vectors.length(components)
+    if not math.isfinite(length) or length < 1e-12:
+        raise GffeError(f"camera: {name} has no length")
+    return [x / length for x in components]

@@ -1,0 +1,301 @@
+"""Buffers of a frame, on the host.
+
+A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer`, `pyopencl.array.Array`, or integer handles)
+of the pipeline's context; device buffers are used in place. Layouts on the device: color half ×4, depth float,
+motion float ×2, row-major.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import (
+    as_float32,
+    require_array,
+    require_bool,
+    require_kind,
+    require_number,
+    require_size,
+)
+from gffe_cl.engine.frame.camera import Camera
+
+HALF_MAX = 65504.0
+DEPTH_MOST = 1e37  # beyond, squares and products overflow: nothing is there, as with +inf
+DEPTH_LEAST = float(np.finfo(np.float32).tiny)  # below, devices disagree: denormal numbers
+SAME_POSE = 1e-6
+BYTES_PER_PIXEL = (8, 4, 8)  # of color, depth and motion on the device
+KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
+
+
+@dataclass
+class Overlays:
+    """Layers that lie over the picture and are not warped; NumPy arrays or device buffers, each of them optional.
+
+    Colors are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
+    shown. The frame's own color has neither effects nor user interface in it; pixels of `fixed_mask` it has.
+
+    Parameters
+    ----------
+    fixed_mask : (H, W) bool or uint8, render pixels
+        Where the rendered picture stays in its place on the display: first-person hands and weapons, cockpits. It
+        should cover their antialiased edges. Behind them nothing is known. On the device uchar.
+    effects : (H, W, 4) float RGBA, render pixels
+        Smoke, fire, particles, lens flares: without depth, over all but the user interface. On the device half ×4.
+    effects_motion : (H, W, 2) float32, pixels, like the frame's motion
+        Along which the effects go on; None: they stay in place. On the device float ×2.
+    ui : (H, W, 4) float RGBA, display pixels
+        User interface, as it is in this frame. On the device half ×4.
+    """
+
+    fixed_mask: Any = None
+    effects: Any = None
+    effects_motion: Any = None
+    ui: Any = None
+
+
+OVERLAYS = tuple(layer.name for layer in fields(Overlays))
+
+
+@dataclass
+class RenderedFrame:
+    """One finished frame of the renderer at time t.
+
+    Parameters
+    ----------
+    color : (H, W, 3 or 4) float, linear scene-referred RGB; or a device buffer of half ×4. Device buffers are
+        pyopencl's, or integer handles (`cl_mem`) of the device's context, retained while the pipeline uses them.
+    depth : (H, W) float32, planar view-space z in world units, +inf for sky; or a device buffer of float
+    motion : (H, W, 2) float32, pixels: (position in the previous rendered frame) − (position here); or a
+        device buffer of float ×2. May be None on a reset frame.
+    camera : Camera
+        What was rasterized (the render camera), in pixels of these arrays.
+    time : float
+        Seconds.
+    display_camera : Camera or None
+        What is shown; None if it is the render camera.
+    reset : bool
+        Nothing before this frame may be used (scene cut, teleport, start).
+    overlays : Overlays or None
+        What is not to be warped with the picture.
+
+    Notes
+    -----
+    The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
+    """
+
+    color: Any
+    depth: Any
+    motion: Any
+    camera: Camera
+    time: float
+    display_camera: Camera | None = None
+    reset: bool = False
+    overlays: Overlays | None = None
+    # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
+    _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
+
+    def pack(self) -> HostArrays:
+        """Deprecated: `Pipeline.submit` converts arrays itself. Returns the result of `pack_frame`."""
+        warnings.warn("RenderedFrame.pack is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
+        return host_arrays(self).packed()
+
+    @property
+    def shown_camera(self) -> Camera:
+        """The display camera if there is one, else the render camera."""
+        return self.display_camera or self.camera
+
+
+def checked_frame(frame: RenderedFrame) -> RenderedFrame:
+    """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
+    require_kind(frame, RenderedFrame, "frame")
+    require_kind(frame.camera, Camera, "frame: camera")
+    if frame.display_camera is not None:
+        require_kind(frame.display_camera, Camera, "frame: display_camera", "a Camera or None")
+    if frame.overlays is not None:
+        require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
+    time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
+    checked = replace(frame, time=time, reset=reset)
+    checked._known_bad = frame._known_bad
+    return checked
+
+
+def require_motion(frame: RenderedFrame) -> Any:
+    """The frame's motion; GffeError if it has none and is no reset."""
+    if frame.motion is None and not require_bool(frame.reset, "frame: reset"):
+        time = require_number(frame.time, "frame: time")
+        raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
+    return frame.motion
+
+
+def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: tuple[int, int]) -> Camera:
+    """Return the camera of displayed frames, in pixels of a display of `size`. The default is the rendered frustum."""
+    if frame.display_camera or render_size == size:
+        return frame.display_camera or frame.camera
+    return frame.camera.scaled(*(s / r for r, s in zip(render_size, size, strict=True)))
+
+
+def require_one_pose(render: Camera, display: Camera) -> None:
+    """GffeError unless both cameras stand in one place and look one way: a window is a part of an image."""
+    turned = np.abs(render.world_to_view[:3, :3] - display.world_to_view[:3, :3]).max()
+    apart = np.abs(render.world_to_view[:3, 3] - display.world_to_view[:3, 3]).max()
+    if turned > SAME_POSE or apart > SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):
+        raise GffeError("frame: display_camera must have the pose of the render camera (expected equal world_to_view)")
+
+
+def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
+    """Return whether the rendered image is displayed pixel for pixel, if both have one size."""
+    return camera.intrinsics == display_camera.intrinsics
+
+
+@dataclass
+class BadPixels:
+    """How many pixels of a frame could not be taken at face value (they are survived, not errors)."""
+
+    color: int = 0  # NaN or infinite; NaN counts as 0
+    clamped: int = 0  # magnitude over 65504, clamped
+    depth: int = 0  # NaN, ≤ 0 or denormal: neither splatted nor collected
+    motion: int = 0  # NaN or infinite: dynamic without history
+    far: int = 0  # depth that is finite but beyond 1e37, taken as sky
+    long: int = 0  # motion as long as the image's diagonal, which no pixel can have: taken as NaN
+
+    def __add__(self, other: BadPixels) -> BadPixels:
+        return BadPixels(*(getattr(self, n) + getattr(other, n) for n in self.__dataclass_fields__))
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, n) for n in self.__dataclass_fields__)
+
+    def __str__(self) -> str:
+        words = {
+            "color": "NaN or infinite color",
+            "clamped": "color over 65504",
+            "depth": "invalid depth (NaN, ≤ 0 or denormal)",
+            "motion": "NaN or infinite motion",
+            "far": "depth beyond 1e37, taken as sky",
+            "long": "motion longer than the image's diagonal, taken as unknown",
+        }
+        return ", ".join(f"{getattr(self, n)} × {text}" for n, text in words.items() if getattr(self, n))
+
+
+def wrong_geometry(depth: np.ndarray, motion: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Return which pixels are bad by depth (H, W) and motion (H, W, 2), bool (H, W) for each such field of
+    `BadPixels`."""
+    wrong = {"depth": ~(depth >= DEPTH_LEAST), "far": np.isfinite(depth) & (depth > DEPTH_MOST)}
+    if motion is None:
+        return wrong
+    finite = np.isfinite(motion).all(-1)
+    return wrong | {"motion": ~finite, "long": finite & is_long(motion)}
+
+
+def is_long(motion: np.ndarray) -> np.ndarray:
+    """Return where motion (H, W, 2) is as long as the diagonal of its image, or longer: (H, W) bool. Such vectors lead
+    out of the image from every pixel, so they were never written, or are no motion."""
+    height, width = motion.shape[:2]
+    x, y = motion[..., 0], motion[..., 1]
+    with np.errstate(over="ignore", invalid="ignore"):
+        return x * x + y * y >= np.float32(width) * np.float32(width) + np.float32(height) * np.float32(height)
+
+
+@dataclass(frozen=True)
+class HostArrays:
+    """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
+
+    color (H, W, 3 or 4) float16 or float32, linear RGB, of which a fourth channel is not used; depth (H, W) float32,
+    world units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
+    """
+
+    color: np.ndarray
+    depth: np.ndarray
+    motion: np.ndarray | None
+    known_bad: BadPixels | None = None
+
+    @property
+    def bad(self) -> BadPixels:
+        """The count of bad pixels. The host counts unless they are known: `Upload` is faster."""
+        if self.known_bad is not None:
+            return self.known_bad
+        rgb = self.color[..., :3]
+        finite = np.isfinite(rgb)
+        wrong = {"color": (~finite).any(-1), "clamped": (finite & (np.abs(rgb) > HALF_MAX)).any(-1)}
+        wrong |= wrong_geometry(self.depth, self.motion)
+        return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in wrong.items()})
+
+    def in_device_layout(self) -> HostArrays:
+        """Return the arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth channel, missing
+        motion as 0."""
+        rgb = np.clip(np.nan_to_num(self.color[..., :3], posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
+        color = color_of_planes(rgb[..., c] for c in range(3)).base
+        motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
+        return replace(self, color=color, motion=motion)
+
+    def packed(self) -> HostArrays:
+        """Result of `pack_frame`."""
+        return replace(self.in_device_layout(), known_bad=self.bad)
+
+
+def pack_frame(frame: RenderedFrame, height: int, width: int) -> HostArrays:
+    """Deprecated: `Pipeline.submit` converts arrays itself. Returns them in device layout, with a count of bad pixels.
+
+    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
+    """
+    warnings.warn("pack_frame is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
+    return host_arrays(frame, height, width).packed()
+
+
+def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> HostArrays:
+    """Check a frame's NumPy arrays, by default for the size of its depth. Arrays that `Upload` can take are not copied.
+
+    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
+    """
+    require_kind(frame, RenderedFrame, "frame")
+    if height is None:
+        height, width = require_array(frame.depth, "frame: depth", None, None, kinds="f").shape
+    width, height = require_size((width, height), "frame: size", whole=True)
+    color = require_array(frame.color, "frame: color", height, width, (3, 4), kinds="f")
+    depth = as_float32(require_array(frame.depth, "frame: depth", height, width, kinds="f"))
+    motion = require_motion(frame)
+    if motion is not None:
+        motion = as_float32(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
+        motion = np.require(motion, requirements="A")
+    return HostArrays(_uploadable(color), np.require(depth, requirements="A"), motion, frame._known_bad)
+
+
+def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) float16 from three images (H, W), as the device wants them: a fourth channel, which is not seen, is 0.
+    `host_arrays` takes it without a copy."""
+    first, *others = planes
+    color = np.zeros((*first.shape, 4), np.float16)
+    for c, plane in enumerate((first, *others)):  # several times as fast as all at once
+        color[..., c] = plane
+    return color[..., :3]
+
+
+def _uploadable(color: np.ndarray) -> np.ndarray:
+    """`color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array, that
+    array, of which nothing is copied."""
+    if color.dtype.itemsize > 4:
+        color = _rounded_to_odd(color)
+    color = color.astype(color.dtype.newbyteorder("="), copy=False)
+    whole = color.base
+    if isinstance(whole, np.ndarray) and whole.shape == (*color.shape[:2], 4) and whole.flags.c_contiguous:
+        same_texels = color.dtype == whole.dtype and color.strides == whole.strides
+        if same_texels and color.ctypes.data == whole.ctypes.data:
+            return np.require(whole, requirements="A")
+    return np.require(color, requirements=["C", "A"])
+
+
+def _rounded_to_odd(values: np.ndarray) -> np.ndarray:
+    """Return float32 that rounds to the same float16 as the more precise `values`: rounded toward 0, with an odd
+    last bit unless exact. Finite values stay finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounded = values.astype(np.float32)
+        too_large, inexact = np.abs(rounded) > np.abs(values), rounded != values
+    bits = rounded.view(np.uint32)
+    bits -= too_large
+    bits |= inexact
+    return rounded

@@ -1,0 +1,386 @@
+"""Choosing and opening OpenCL devices.
+
+Only devices that probing found to work are opened (`probing`); what it found is kept for later processes
+(`device_cache`). The default is the fastest in the probe, GPU or CPU; `GFFE_DEVICE` overrides it.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+from mmap import PAGESIZE
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.validation import require_bool, require_kind, require_whole, shown
+from gffe_cl.engine.opencl import device_cache
+from gffe_cl.engine.opencl.handles import adopted
+from gffe_cl.engine.opencl.probing import (
+    DeviceInfo,
+    describe,
+    probe,
+    quiet_builds,
+    try_exact_division,
+    try_int64_atomics,
+)
+from gffe_cl.engine.opencl.runtimes import hide_vendors, prepare_runtimes, why_no_platform
+
+__all__ = [
+    "HOW_TO_GET_ONE",
+    "Device",
+    "DeviceInfo",
+    "best_of",
+    "list_devices",
+    "open_device",
+    "open_info",
+    "quiet_builds",
+]
+
+HOW_TO_GET_ONE = (
+    f"install one with {how_to_install('intel')} (x86-64 CPU, no root), "
+    "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver"
+)
+_WHERE_IT_IS = (
+    "see `gffe devices --refresh`; where a program uses pyopencl before gffe_cl,"
+    " call gffe_cl.prepare_runtimes() first of all"
+)
+_ABOUT_AS_FAST = 1.5  # times slower: the default among such devices must not depend on noise
+_crashing: dict[str, DeviceInfo] = {}  # vendors that are hidden, by the name of their `.icd` file
+
+
+def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
+    """The devices that `wanted` means: an index ("0:1"), a kind ("gpu"), part of the platform's name or
+    version ("intel", "pocl"), or else part of the device's name ("xeon")."""
+    wanted = wanted.strip().lower()
+    if not any(letter.isalpha() for letter in wanted):
+        return [info for info in infos if info.index == wanted]
+    for texts in (
+        lambda info: (info.index, info.kind),
+        lambda info: f"{info.platform} {info.version}".lower(),
+        lambda info: info.name.lower(),
+    ):
+        found = [info for info in infos if wanted in texts(info)]
+        if found:
+            return found
+    return []
+
+
+@dataclass
+class Opened:
+    """State that all `Device`s of one OpenCL device share in this process. Drivers keep some KiB of every loaded
+    program, even after release, so reopening a device reuses it."""
+
+    context: cl.Context
+    programs: dict = field(default_factory=dict)  # built so far, by program.build
+    int64_atomics: bool | None = None  # None: not tried yet
+    exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
+    process: int = field(default_factory=os.getpid)  # a driver's threads do not live on in forked children
+
+
+_opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
+# Of contexts that others made, by the handles of context and device, as long as a `Device` uses them.
+_adopted: WeakValueDictionary[tuple[int, int], Opened] = WeakValueDictionary()
+
+
+class Device:
+    """An opened OpenCL device: context, in-order queue, capabilities.
+
+    Attributes
+    ----------
+    info : DeviceInfo
+    context : pyopencl.Context
+    queue : pyopencl.CommandQueue
+        Works in order. It has profiling, unless it came from an engine without.
+    profiles : bool
+        Whether the queue has profiling; without there are no timings of kernels.
+    alignment : int
+        Bytes: kernels can use host memory in place that begins at a multiple of it.
+    works_in_host_memory : bool
+        Whether kernels can use NumPy arrays where they are: on CPUs.
+    shares_memory : bool
+        Whether host and device share memory: CPUs and integrated GPUs.
+    allocated : int
+        Bytes of the buffers made by `buffer` so far.
+    opened : Opened
+        What it has in common with others; a context of its own if it is made without.
+
+    Notes
+    -----
+    Made by `open_device`, or by `Device.from_context` in an engine's own context.
+    """
+
+    def __init__(
+        self,
+        cl_device: cl.Device,
+        info: DeviceInfo,
+        opened: Opened | None = None,
+        queue: cl.CommandQueue | None = None,
+    ):
+        self.info = require_kind(info, DeviceInfo, "device: info")
+        self.cl_device = require_kind(cl_device, cl.Device, "device: cl_device", "a pyopencl.Device (see open_device)")
+        if opened is not None:
+            require_kind(opened, Opened, "device: opened")
+        self.opened = opened or Opened(cl.Context([cl_device]))
+        self.context = self.opened.context
+        self.allocated = 0
+        self.programs = self.opened.programs
+        if queue is not None:
+            require_kind(queue, cl.CommandQueue, "device: queue")
+        self._queue = queue or _profiling_queue(self.context, cl_device)
+        self.profiles = bool(self._queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+
+    @classmethod
+    def from_context(cls, context: Any, queue: Any = None) -> Device:
+        """Use the OpenCL context and queue of an engine: its buffers can be submitted, and its events waited for.
+
+        Parameters
+        ----------
+        context : pyopencl.Context or int
+            Or the handle (`cl_context`). The context is retained as long as the device, or something made with it, is
+            in use; the caller keeps its own reference.
+        queue : pyopencl.CommandQueue, int or None
+            Or the handle (`cl_command_queue`): a queue of this context that works in order, with or without profiling.
+            All work is enqueued there. None: a new queue with profiling, in a context of one device; then order the
+            work by events (`wait_for` of `Pipeline.submit`, `event` of the frames made).
+
+        Raises
+        ------
+        GffeError
+            For a queue that works out of order or belongs to another context, for a context of several devices without
+            a queue, and where the driver fails. A number that is no handle cannot be recognized: drivers crash on it.
+
+        Notes
+        -----
+        The device is not probed in a child process, as the engine uses it already.
+        """
+        context = adopted(context, cl.Context, "from_context: context")
+        try:
+            queue = _checked_queue(context, queue)
+            found = queue.device
+            key = context.int_ptr, found.int_ptr
+            opened = _adopted.get(key)
+            if opened is None:
+                opened = _adopted[key] = Opened(context)
+            _require_process(opened, found.name.strip())
+            info = describe("–", found.platform, found)
+            if opened.exact_division is None:
+                opened.exact_division = try_exact_division(context, queue)
+        except cl.Error as error:
+            raise GffeError(f"from_context: the driver fails: {' '.join(str(error).split())[:200]}") from None
+        info.works, info.exact_division = True, opened.exact_division
+        return cls(found, info, opened, queue)
+
+    def __repr__(self):
+        return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"
+
+    @property
+    def queue(self) -> cl.CommandQueue:
+        """The in-order queue. Raises GffeError in a forked child if the device was opened before the fork."""
+        self.require_process()
+        return self._queue
+
+    def require_process(self) -> None:
+        """Raise GffeError in a forked child if the device was opened before the fork: drivers wait forever there."""
+        _require_process(self.opened, self.info.name)
+
+    @cached_property
+    def lanes(self) -> int:
+        """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`."""
+        return int(os.environ.get("GFFE_LANES") or (8 if self.info.kind == "cpu" else 1))
+
+    @cached_property
+    def exact_division(self) -> bool:
+        """Whether plain division is correctly rounded here; else kernels correct it (`divide` of common.h)."""
+        return self.info.exact_division
+
+    @cached_property
+    def int64_atomics(self) -> bool:
+        """Whether a 64-bit atomic minimum builds and gives the right answer here."""
+        if self.opened.int64_atomics is None:
+            self.opened.int64_atomics = try_int64_atomics(self.context, self.queue)
+        return self.opened.int64_atomics
+
+    @cached_property
+    def memory(self) -> int:
+        """Bytes of device memory, as the driver reports them."""
+        return int(self.cl_device.global_mem_size)
+
+    @cached_property
+    def alignment(self) -> int:
+        """Bytes: kernels can use host memory in place that begins at a multiple of it (`empty`)."""
+        return max(int(self.cl_device.mem_base_addr_align) // 8, 1)
+
+    @cached_property
+    def works_in_host_memory(self) -> bool:
+        """Whether kernels can use NumPy arrays where they are: on CPUs."""
+        return self.info.kind == "cpu" and self.alignment <= PAGESIZE
+
+    @cached_property
+    def shares_memory(self) -> bool:
+        """Whether host and device share memory, so that mapping copies nothing: as the driver reports, or
+        `GFFE_SHARED_MEMORY` (0 or 1)."""
+        forced = os.environ.get("GFFE_SHARED_MEMORY")
+        return bool(int(forced) if forced else self.cl_device.host_unified_memory)
+
+    def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+        """A new NumPy array, not initialized, that begins at a multiple of `alignment`, so that `Pipeline.submit` can
+        use it with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
+        try:
+            dtype = np.dtype(dtype)
+            if dtype.hasobject:
+                raise TypeError("Python objects cannot lie on a device")
+            wanted = np.broadcast_shapes(shape)
+            nbytes = math.prod(wanted) * dtype.itemsize
+            memory = np.empty(nbytes + self.alignment, np.uint8)
+            start = -memory.ctypes.data % self.alignment
+            return memory[start : start + nbytes].view(dtype).reshape(wanted)
+        except (TypeError, ValueError, MemoryError, OverflowError) as error:
+            raise GffeError(f"empty: no array of shape {shown(shape)}: {str(error)[:120]}") from None
+
+    def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
+        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it without a
+        copy, if host and device share memory. Raises GffeError if that is no number of bytes, or the device cannot
+        allocate them."""
+        size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
+        mapped = require_bool(mapped, "device: mapped")
+        self.require_process()
+        try:
+            for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
+            made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)
+            self.allocated += size
+            return made
+        except cl.Error as error:
+            raise GffeError(f"{self.info.name}: cannot allocate {nbytes / 2**20:.0f} MiB: {error}") from None
+
+
+def list_devices(refresh: bool = False) -> list[DeviceInfo]:
+    """Return every OpenCL device with the result of probing it. Probing happens with `refresh`, or if no result is
+    stored for the installed drivers. Never raises for a broken driver: its devices have `works == False`. A driver
+    that crashes or hangs while its devices are listed is one entry with the name of its `.icd` file."""
+    return _list_devices(require_bool(refresh, "list_devices: refresh"))[0]
+
+
+def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
+    """The devices, and whether they were known without probing."""
+    prepare_runtimes()
+    key = device_cache.fingerprint()
+    known = None if refresh else device_cache.recall(key)
+    probed = known or probe()
+    if known is None:
+        device_cache.keep(key, probed)
+    elif probed.crashing:
+        hide_vendors(set(probed.crashing))
+    _crashing.update(probed.crashing)
+    return probed.devices + list(_crashing.values()), known is not None
+
+
+def open_device(wanted: str | None = None) -> Device:
+    """Open the device that matches `wanted` (see `select`), or the default one.
+
+    Raises GffeError if no device works or none matches, or `wanted` is no text.
+    """
+    if wanted is not None:
+        require_kind(wanted, str, "open_device: wanted", 'a text such as "0:1", "gpu" or "intel"')
+    wanted = wanted or os.environ.get("GFFE_DEVICE") or None
+    infos, known = _list_devices(refresh=False)
+    try:
+        return open_info(_choose(infos, wanted))
+    except GffeError:
+        if not known or any(opened.process != os.getpid() for opened in _opened.values()):
+            raise
+    return open_info(_choose(list_devices(refresh=True), wanted))
+
+
+def _choose(infos: list[DeviceInfo], wanted: str | None) -> DeviceInfo:
+    working = [info for info in infos if info.works]
+    if not working:
+        raise none_works(infos)
+    chosen = working if wanted is None else select(working, wanted)
+    if not chosen:
+        raise GffeError(
+            f"no working device matches '{wanted}' (there is: "
+            + ", ".join(f"{info.index} {info.platform} / {info.name}" for info in working)
+            + ")"
+        )
+    return best_of(chosen)
+
+
+def none_works(infos: list[DeviceInfo], kind: str | None = None) -> GffeError:
+    """Return the error for devices of which none works."""
+    reason = None if infos else why_no_platform()
+    if reason:
+        return GffeError(f"no OpenCL device runs a kernel: {reason}")
+    seen = "; ".join(f"{info.name}: {info.problem}" for info in infos)
+    what = f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel"
+    return GffeError(f"{what} ({seen or 'no OpenCL platform found'}): {HOW_TO_GET_ONE}")
+
+
+def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
+    """The default among devices that work: the fastest in the probe, whatever its kind. Of those that are about as fast
+    a GPU comes first, which leaves the CPU to the network, and PoCL last; then the first in the list."""
+    fastest = max(info.megapixels_per_second for info in infos)
+    near = [info for info in infos if info.megapixels_per_second * _ABOUT_AS_FAST >= fastest]
+    return min(near, key=lambda info: (info.kind != "gpu", "pocl" in info.version.lower()))
+
+
+def open_info(info: DeviceInfo) -> Device:
+    """Open a device that `list_devices` returned. Opening it again shares context and kernels until a driver error
+    loses them. Raises GffeError if it is not there or cannot be opened."""
+    platform, device = (int(part) for part in info.index.split(":"))
+    if known := _opened.get(info.index):
+        _require_process(known, info.name)
+    try:
+        found = cl.get_platforms()[platform].get_devices()[device]
+        told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
+        if told != (info.name, info.version, info.driver):
+            raise GffeError(f"device {info.index} is {told[0]}, not {info.name} ({_WHERE_IT_IS})")
+        made = Device(found, info, _opened.get(info.index))
+        _opened[info.index] = made.opened
+        return made
+    except IndexError:
+        raise GffeError(f"{info.name} ({info.platform}): there is no device {info.index} ({_WHERE_IT_IS})") from None
+    except cl.Error as error:
+        raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error} ({_WHERE_IT_IS})") from None
+
+
+def _require_process(opened: Opened, name: str) -> None:
+    """Raise GffeError if another process, of which this one was forked, has opened the device."""
+    if opened.process != os.getpid():
+        raise GffeError(
+            f"{name}: the device was opened before this process was forked (expected multiprocessing's start method"
+            " 'spawn', or a device that only the child opens)"
+        )
+
+
+def _profiling_queue(context: cl.Context, device: cl.Device) -> cl.CommandQueue:
+    return cl.CommandQueue(context, device, cl.command_queue_properties.PROFILING_ENABLE)
+
+
+def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
+    """The queue that `Device.from_context` works with."""
+    if queue is None:
+        if len(context.devices) != 1:
+            raise GffeError(f"from_context: the context has {len(context.devices)} devices (expected a queue of one)")
+        return _profiling_queue(context, context.devices[0])
+    queue = adopted(queue, cl.CommandQueue, "from_context: queue")
+    if queue.context != context:
+        raise GffeError("from_context: the queue belongs to another OpenCL context")
+    if queue.properties & cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE:
+        raise GffeError(
+            "from_context: the queue works out of order (expected one that works in order, or queue=None and events)"
+        )
+    return queue
+
+
+def forget_opened(device: Device) -> None:
+    """Make the next call open the OpenCL device again, because its context may be unusable."""
+    known: Any
+    for known in (_opened, _adopted):
+        for key in [key for key, opened in known.items() if opened is device.opened]:
+            del known[key]

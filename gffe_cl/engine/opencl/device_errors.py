@@ -1,0 +1,50 @@
+"""Explanation of a device's failure to the user: no memory left, or lost (reset, unplugged, driver gone)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+
+import pyopencl as cl
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.opencl.device import Device, forget_opened
+
+_CODES = cl.status_code
+_MEMORY = {
+    _CODES.MEM_OBJECT_ALLOCATION_FAILURE, _CODES.OUT_OF_RESOURCES, _CODES.OUT_OF_HOST_MEMORY,
+    _CODES.INVALID_BUFFER_SIZE,
+}  # fmt: skip
+
+
+@contextmanager
+def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> Iterator[None]:
+    """Turn driver errors within the block `work` into a GffeError of one line with a remedy. `footprint` is the text
+    about sizes and memory."""
+    try:
+        yield
+    except cl.Error as error:
+        forget_opened(device)
+        advice = (
+            "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"
+            if error.code in _MEMORY
+            else "is lost, or its driver has failed (expected it to answer)"
+        )
+        reason = " ".join(str(error).split())[:120]
+        raise GffeError(
+            f"{device.info.name}: {work} failed: {reason}; {footprint()}: the device {advice};"
+            " open the device and a new pipeline to go on"
+        ) from error
+
+
+def telling_device_faults(method: Callable) -> Callable:
+    """Decorate a method of an object with `device` and `_footprint()` with `device_faults`."""
+
+    @wraps(method)
+    def wrapped(self, *arguments, **more):
+        self.device.require_process()
+        with device_faults(self.device, method.__name__.strip("_"), self._footprint):
+            return method(self, *arguments, **more)
+
+    return wrapped

@@ -1,0 +1,258 @@
+"""Building kernels from `kernels/*.cl`, and launching them by the names of their arguments.
+
+Includes are expanded here, with `#line`, so that every build error names the real file and line and the
+driver's build cache sees the whole text.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path, PurePosixPath
+from posixpath import normpath
+from threading import Lock
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.opencl.device import Device, quiet_builds
+from gffe_cl.engine.opencl.probing import build_log
+from gffe_cl.engine.opencl.program_cache import built_program
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_DEFINE = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+([^\s(].*?)\s*$", re.MULTILINE)
+_ENUM = re.compile(r"\benum\s*\{([\w\s,]*)\}")
+_MACRO = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+((?:.*\\\n)*.*)$", re.MULTILINE)
+_ATTRIBUTE = r"(?:\s*__attribute__\s*\(\(.*?\)\)\))?"
+_KERNEL = re.compile(rf"\b__kernel\b{_ATTRIBUTE}\s+void\s+(\w+)\s*\(([^{{;]*?)\)\s*\{{", re.DOTALL)
+_STRUCT = re.compile(r"\btypedef\s+struct\s*\{([^}]*)\}\s*(\w+)\s*;")
+_QUALIFIERS = {"const", "__global", "__constant", "__local", "restrict"}
+_SCALARS = {"int": np.int32, "uint": np.uint32, "float": np.float32}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """Argument of a kernel: `type` as in OpenCL C without qualifiers; a `buffer` is a pointer, `read_only` if const."""
+
+    name: str
+    type: str
+    buffer: bool
+    read_only: bool
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it is a number, by value."""
+        return not self.buffer and self.type in _SCALARS
+
+    @property
+    def is_frame_block(self) -> bool:
+        """Whether it is the pointer to the frame block that a kernel reads."""
+        return self.buffer and self.read_only and self.type == "Frame"
+
+    @property
+    def numpy_type(self) -> Any:
+        """NumPy type for pyopencl: that of a number, or of a struct's bytes; None for buffers."""
+        return None if self.buffer else _SCALARS.get(self.type, np.void)
+
+    def packed(self, value: Any) -> Any:
+        """`value` as the kernel takes it: numbers of the argument's type, everything else as it is."""
+        return value if self.buffer or self.type not in _SCALARS else _SCALARS[self.type](value)
+
+
+class Program:
+    """The kernels of one file. `kernels` are those of `launch`, `arguments` describe the parameters of each, and
+    `constants` are the numbers defined by the file and its headers."""
+
+    def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
+        self.name = name
+        options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
+        try:
+            with quiet_builds():
+                built = built_program(device.context, device.cl_device, source, ("-cl-kernel-arg-info", *options))
+        except cl.RuntimeError as error:
+            what, log = f"kernels/{name}.cl does not build on {device.info.name}", build_log(error)
+            raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None
+        # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
+        names = str(built.get_info(cl.program_info.KERNEL_NAMES)).split(";")
+        self._built = built
+        self.arguments = parse_kernels(source)
+        self.constants = parse_constants(source) | variant
+        self._launching = Lock()  # arguments are set one by one: several threads share the kernels of `launch`
+        self.kernels = {kernel: self.kernel(kernel) for kernel in names}
+        for kernel in self.kernels.values():
+            told = _told_names(kernel)
+            parsed = [argument.name for argument in self.arguments.get(kernel.function_name, ())]
+            assert told in (None, parsed), f"kernels/{name}.cl, {kernel.function_name}: takes {told}, read as {parsed}"
+
+    def kernel(self, name: str) -> cl.Kernel:
+        """Return a new kernel object, whose arguments nobody else sets."""
+        kernel = cl.Kernel(self._built, name)
+        # pyopencl takes some 20 µs to determine the type of a number.
+        kernel.set_arg_types([argument.numpy_type for argument in self.arguments.get(name, ())])
+        return kernel
+
+    def launch(
+        self,
+        queue: cl.CommandQueue,
+        kernel: str,
+        size: tuple[int, ...],
+        group: tuple[int, ...] | None,
+        values: Mapping[str, Any],
+    ) -> cl.Event:
+        """Enqueue `kernel` over `size` work-items in groups of `group`; `values` by the names of its arguments, others
+        are left alone."""
+        try:
+            packed = [argument.packed(values[argument.name]) for argument in self.arguments[kernel]]
+        except KeyError as missing:
+            raise TypeError(f"kernels/{self.name}.cl, {kernel}: no value for argument {missing}") from None
+        with self._launching:
+            return self.kernels[kernel](queue, size, group, *packed)
+
+
+def build(device: Device, name: str, **variant: int) -> Program:
+    """Build `kernels/<name>.cl` for `device`; `variant` becomes -D options (true variants only).
+
+    What has been built before, from the same text, is not built again: pipelines of one device share kernels, on
+    several threads too. Raises GffeError with the compiler's log (file and line) when it does not build.
+    """
+    source = expand(f"{name}.cl")
+    choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}
+    if device.exact_division:
+        choices["EXACT_DIVISION"] = 1
+    if device.info.platform == "Oclgrind":
+        choices["OCLGRIND"] = 1
+    variant = {choice: value for choice, value in choices.items() if choice in source} | variant
+    key = (name, source, *sorted(variant.items()))
+    if key not in device.programs:
+        device.programs[key] = Program(device, name, source, variant)
+    return device.programs[key]
+
+
+def kernel_folder() -> Path:
+    """Where kernel sources are read from: `GFFE_KERNELS`, else the installed package."""
+    return Path(os.environ.get("GFFE_KERNELS") or str(files("gffe_cl.kernels")))
+
+
+def constants(name: str) -> dict[str, Any]:
+    """The numbers that `kernels/<name>` and its headers define: {"BINS": 32768, …}."""
+    return parse_constants(expand(name))
+
+
+def parse_constants(source: str) -> dict[str, Any]:
+    """The numbers that are defined in the text of a kernel file, and the members of its enums: integers, and floats as
+    float32 has them."""
+    found: dict[str, Any] = {}
+    for name, text in _DEFINE.findall(_COMMENT.sub(" ", source)):
+        text = text.strip()
+        if re.fullmatch(r"(0[xX][0-9a-fA-F]+|\d+)[uU]?", text):
+            found[name] = int(text.rstrip("uU"), 0)
+        elif re.fullmatch(r"-?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?f?", text):
+            found[name] = float(np.float32(text.rstrip("f")))
+    for members in _ENUM.findall(_COMMENT.sub(" ", source)):
+        found |= {name: value for value, name in enumerate(re.findall(r"\w+", members))}
+    return found
+
+
+def parse_kernels(source: str) -> dict[str, tuple[Argument, ...]]:
+    """The arguments of every kernel in the text of a kernel file."""
+    source = _COMMENT.sub(" ", source)
+    macros = {name: body.replace("\\\n", " ") for name, body in _MACRO.findall(source)}
+
+    def spelt_out(arguments: str) -> str:
+        return re.sub(r"\w+", lambda word: macros.get(word[0], word[0]), arguments)
+
+    return {
+        kernel: tuple(_argument(text) for text in spelt_out(arguments).split(",") if text.strip())
+        for kernel, arguments in _KERNEL.findall(source)
+    }
+
+
+def parse_struct(source: str, name: str) -> np.dtype:
+    """The struct `name` in the text of a kernel file, laid out as OpenCL C does: vectors are subarrays."""
+    return _layout(_COMMENT.sub(" ", source), name)[0]
+
+
+def _layout(source: str, name: str) -> tuple[np.dtype, int]:
+    """The NumPy type of an OpenCL type, and its alignment in bytes."""
+    if vector := re.fullmatch(r"(int|uint|float)(2|4|8|16)?", name):
+        count = int(vector[2] or 1)
+        dtype = np.dtype((_SCALARS[vector[1]], count)) if vector[2] else np.dtype(_SCALARS[name])
+        return dtype, dtype.itemsize
+    body = next(body for body, struct in _STRUCT.findall(source) if struct == name)
+    fields, end, widest = {}, 0, 1
+    for kind, names in re.findall(r"(\w+)\s+([^;]+);", body):
+        dtype, alignment = _layout(source, kind)
+        widest = max(widest, alignment)
+        for member, count in re.findall(r"(\w+)(?:\[(\w+)\])?\s*(?:,|$)", names):
+            size = int(parse_constants(source).get(count, count)) if count else 0
+            start = -(-end // alignment) * alignment
+            fields[member] = (np.dtype((dtype.base, (size, *dtype.shape))) if count else dtype, start)
+            end = start + fields[member][0].itemsize
+    formats, offsets = zip(*fields.values(), strict=True)
+    layout: Any = {
+        "names": list(fields),
+        "formats": formats,
+        "offsets": offsets,
+        "itemsize": -(-end // widest) * widest,
+    }
+    return np.dtype(layout), widest
+
+
+def _argument(text: str) -> Argument:
+    words = text.replace("*", " * ").split()
+    kind = " ".join(word for word in words[:-1] if word not in _QUALIFIERS and word != "*")
+    return Argument(words[-1], kind, "*" in words, not {"const", "__constant"}.isdisjoint(words))
+
+
+def _told_names(kernel: cl.Kernel) -> list[str] | None:
+    """Return the names of a kernel's arguments if the runtime reports them."""
+    try:
+        return [str(kernel.get_arg_info(k, cl.kernel_arg_info.NAME)) for k in range(kernel.num_args)]
+    except cl.Error:
+        return None
+
+
+def expand(name: str) -> str:
+    """Text of `kernels/<name>` with its includes in place and `#line` directives."""
+    return "\n".join(_expanded_lines(PurePosixPath(name), set())) + "\n"
+
+
+def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
+    seen.add(name)
+    path = kernel_folder() / name
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise GffeError(f"{path}: cannot read kernel source: {error.strerror}") from None
+    lines = [f'#line 1 "{name}"']
+    for number, line in enumerate(text.splitlines(), 1):
+        include = _INCLUDE.match(line)
+        if include is None:
+            lines.append(line)
+            continue
+        included = PurePosixPath(normpath(name.parent / include[1]))  # relative to the including file, as in C
+        if included not in seen:
+            lines += _expanded_lines(included, seen)
+        lines.append(f'#line {number + 1} "{name}"')
+    return lines
+
+
+class BuildError(GffeError):
+    """Kernels do not build. The message is the compiler's first error, `log` its whole output."""
+
+    def __init__(self, message: str, log: str = ""):
+        super().__init__(message)
+        self.log = log
+
+
+def first_error(log: str) -> str:
+    """Return the first error in a compiler's log, with file and line if it names them."""
+    lines = log.strip().splitlines()
+    errors = [line for line in lines if re.search(r"\berror\b", line)]
+    return ([line for line in errors if re.search(r"\w:\d+", line)] or errors or lines or [""])[0].strip()

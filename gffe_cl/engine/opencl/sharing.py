@@ -1,0 +1,261 @@
+"""Sharing of buffers with graphics APIs, where the driver offers it: OpenGL (`cl_khr_gl_sharing`), and memory that
+Vulkan or Direct3D 12 export (`cl_khr_external_memory`).
+
+pyopencl's wheels are built without either, so the calls go through ctypes to the OpenCL loader that pyopencl uses.
+"""
+
+from __future__ import annotations
+
+import ctypes as ct
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, ClassVar
+
+import pyopencl as cl
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_choice, require_kind, require_list, require_whole, shown
+from gffe_cl.engine.opencl.device import Device, list_devices
+from gffe_cl.engine.opencl.handles import adopted_events
+
+_GL, _MEMORY = "cl_khr_gl_sharing", "cl_khr_external_memory"
+_IMPORTED_TYPES = 0x204F  # CL_DEVICE_EXTERNAL_MEMORY_IMPORT_HANDLE_TYPES_KHR
+_HANDLE_TYPES = {
+    "opaque_fd": 0x2060,
+    "opaque_win32": 0x2061,
+    "opaque_win32_kmt": 0x2062,
+    "d3d12_heap": 0x2065,
+    "d3d12_resource": 0x2066,
+    "dma_buf": 0x2067,
+}
+_GL_CONTEXT, _PLATFORM, _CURRENT_DEVICE = 0x2008, 0x1084, 0x2006
+_DISPLAYS = {"egl": 0x2009, "glx": 0x200A, "wgl": 0x200B}
+_MOST_HANDLE = 2**63 - 1
+_P, _INT, _UINT, _SIZE = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t
+
+
+@dataclass(frozen=True)
+class SharingSupport:
+    """Sharing with graphics APIs that a device's driver supports.
+
+    Attributes
+    ----------
+    opengl : bool
+        Buffers of OpenGL (`GlSharing`).
+    memory : tuple of str
+        Memory of other APIs (`MemorySharing`), by the types of handles that can be imported: "opaque_fd", "dma_buf"
+        (Linux), "opaque_win32", "opaque_win32_kmt", "d3d12_heap", "d3d12_resource" (Windows); empty: none.
+    """
+
+    opengl: bool
+    memory: tuple[str, ...]
+
+
+def sharing_support(device: Device) -> SharingSupport:
+    """Return the sharing with graphics APIs that the driver of `device` reports. Raises GffeError if it is no
+    Device."""
+    own = require_kind(device, Device, "sharing_support: device", "an open Device").cl_device
+    extensions = _extensions(own)
+    found: list[int] = []
+    if _MEMORY in extensions:
+        ask = _function(own.platform, "clGetDeviceInfo", _INT, _P, _UINT, _SIZE, _P, _P)
+        nbytes, types = _SIZE(), (_UINT * 16)()
+        if ask(own.int_ptr, _IMPORTED_TYPES, ct.sizeof(types), types, ct.byref(nbytes)) == 0:
+            found = types[: nbytes.value // ct.sizeof(_UINT)]
+    return SharingSupport(_GL in extensions, tuple(name for name, number in _HANDLE_TYPES.items() if number in found))
+
+
+class _Sharing:
+    """Common part of both kinds: buffers are acquired before OpenCL uses them, and released before the other API
+    does."""
+
+    _commands: ClassVar[tuple[str, str]]
+
+    def acquire(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
+        """Enqueue taking `buffers` over from the other API, on the device's queue, once `wait_for` is complete. The
+        other API must be done with them. Returns the event of that. Raises GffeError for other values, and where the
+        driver fails."""
+        return self._enqueue(self._commands[0], buffers, wait_for)
+
+    def release(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
+        """Enqueue the release of `buffers` in the same way. The other API may use them when the event is complete."""
+        return self._enqueue(self._commands[1], buffers, wait_for)
+
+    def __init__(self, device: Device, is_offered: bool, what: str):
+        if not is_offered:
+            raise GffeError(f"{device.info.name}: the driver does not offer {what} (see sharing_support)")
+        self.device = device
+
+    def _enqueue(self, command: str, buffers: Any, wait_for: Any) -> cl.Event:
+        queue = self.device.queue
+        listed = require_list(buffers, cl.Buffer, "sharing: buffers", "a list of pyopencl.Buffers")
+        events = adopted_events(wait_for, self.device.context, "sharing: wait_for")
+        call = _function(self.device.cl_device.platform, command, _INT, _P, _UINT, _P, _UINT, _P, _P)
+        event = _P()
+        error = call(queue.int_ptr, len(listed), _handles(listed), len(events), _handles(events), ct.byref(event))
+        _require_success(command, error)
+        queue.flush()
+        made: Any = event.value
+        return cl.Event.from_int_ptr(made, retain=False)
+
+
+class GlSharing(_Sharing):
+    """Buffers of OpenGL that OpenCL uses in place: `buffer` makes them device buffers, `acquire` and `release`
+    (buffers, wait_for=()) enqueue taking them over and giving them back, and return the events of that.
+
+    Parameters
+    ----------
+    device : Device
+        Made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
+
+    Raises
+    ------
+    GffeError
+        Where the driver does not offer it.
+    """
+
+    _commands = ("clEnqueueAcquireGLObjects", "clEnqueueReleaseGLObjects")
+
+    def __init__(self, device: Device):
+        super().__init__(device, sharing_support(device).opengl, f"OpenGL sharing ({_GL})")
+
+    @classmethod
+    def open_device(cls, gl_context: int, display: int, window_system: str = "glx") -> Device:
+        """Open the OpenCL device that renders an OpenGL context, in a context that shares with it.
+
+        Parameters
+        ----------
+        gl_context : int
+            The handle: GLXContext, EGLContext or HGLRC. The context must be current in this thread.
+        display : int
+            Handle of what it belongs to: X11's Display, EGLDisplay or HDC.
+        window_system : str
+            "glx", "egl" or "wgl".
+
+        Raises
+        ------
+        GffeError
+            For other values, and if no driver shares with this context.
+        """
+        system = require_choice(window_system, _DISPLAYS, "GlSharing: window_system")
+        context = require_whole(gl_context, "GlSharing: gl_context", 1, _MOST_HANDLE)
+        where = require_whole(display, "GlSharing: display", 1, _MOST_HANDLE)
+        list_devices()  # hides drivers that crash
+        for platform in cl.get_platforms():
+            if not any(_GL in _extensions(device) for device in platform.get_devices()):
+                continue
+            wanted = _GL_CONTEXT, context, _DISPLAYS[system], where, _PLATFORM, platform.int_ptr, 0
+            properties = (ct.c_ssize_t * len(wanted))(*wanted)
+            if found := _current_device(platform, properties):
+                return _device_in_context(platform, properties, found)
+        raise GffeError("GlSharing: no OpenCL driver shares with this OpenGL context (see sharing_support)")
+
+    def buffer(self, name: int) -> cl.Buffer:
+        """An OpenGL buffer object, by its name, as a device buffer; it must have storage, and stay as long as the
+        result is in use. Raises GffeError for other values, and where the driver refuses it."""
+        number = require_whole(name, "GlSharing: name", 1, 2**32 - 1)
+        platform, error = self.device.cl_device.platform, _INT()
+        create = _function(platform, "clCreateFromGLBuffer", _P, _P, ct.c_uint64, _UINT, _P)
+        made = create(self.device.context.int_ptr, int(cl.mem_flags.READ_WRITE), number, ct.byref(error))
+        _require_success("clCreateFromGLBuffer", error.value)
+        buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
+        return buffer
+
+
+class MemorySharing(_Sharing):
+    """Memory of Vulkan or Direct3D 12 that OpenCL uses in place: `buffer` imports it, `acquire` and `release`
+    (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
+
+    Parameters
+    ----------
+    device : Device
+        On the same GPU as the other API's device.
+
+    Raises
+    ------
+    GffeError
+        Where the driver does not offer it.
+    """
+
+    _commands = ("clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR")
+
+    def __init__(self, device: Device):
+        self.types = sharing_support(device).memory
+        super().__init__(device, bool(self.types), f"external memory ({_MEMORY})")
+
+    def buffer(self, kind: str, handle: int, nbytes: int) -> cl.Buffer:
+        """Memory that another API exported, from its first byte on, as a device buffer of `nbytes`.
+
+        `kind` is a type of handle that `SharingSupport.memory` lists, `handle` a file descriptor or a Windows handle. A
+        file descriptor belongs to the driver afterwards: do not close it. Raises GffeError for other values, and where
+        the driver refuses it.
+        """
+        number = _HANDLE_TYPES[require_choice(kind, self.types, "MemorySharing: kind")]
+        given = require_whole(handle, "MemorySharing: handle", 0, _MOST_HANDLE)
+        size = require_whole(nbytes, "MemorySharing: nbytes", 1, _MOST_HANDLE)
+        properties, error = (ct.c_uint64 * 3)(number, given, 0), _INT()
+        platform, name = self.device.cl_device.platform, "clCreateBufferWithProperties"
+        create = _function(platform, name, _P, _P, _P, ct.c_uint64, _SIZE, _P, _P)
+        flags = int(cl.mem_flags.READ_WRITE)
+        made = create(self.device.context.int_ptr, properties, flags, size, None, ct.byref(error))
+        _require_success(name, error.value)
+        buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
+        return buffer
+
+
+def _current_device(platform: cl.Platform, properties: ct.Array) -> int | None:
+    """Return the handle of the device that renders an OpenGL context; None if the platform has no such device."""
+    found, nbytes = _P(), _SIZE()
+    ask = _function(platform, "clGetGLContextInfoKHR", _INT, _P, _UINT, _SIZE, _P, _P)
+    error = ask(properties, _CURRENT_DEVICE, ct.sizeof(found), ct.byref(found), ct.byref(nbytes))
+    return found.value if error == 0 and nbytes.value else None
+
+
+def _device_in_context(platform: cl.Platform, properties: ct.Array, found: int) -> Device:
+    devices, error = (_P * 1)(found), _INT()
+    create = _function(platform, "clCreateContext", _P, _P, _UINT, _P, _P, _P, _P)
+    made = create(properties, 1, devices, None, None, ct.byref(error))
+    _require_success("clCreateContext", error.value)
+    return Device.from_context(cl.Context.from_int_ptr(made, retain=False))
+
+
+def _extensions(device: cl.Device) -> list[str]:
+    return device.extensions.split()
+
+
+def _handles(things: list) -> ct.Array | None:
+    return (_P * len(things))(*(thing.int_ptr for thing in things)) if things else None
+
+
+def _require_success(call: str, error: int) -> None:
+    if error:
+        raise GffeError(f"sharing: {call} failed: OpenCL error {error}")
+
+
+@cache
+def _loader() -> ct.CDLL:
+    """Return the OpenCL loader that pyopencl is linked with. Its functions are found through pyopencl's own library."""
+    library: Any = cl
+    return ct.CDLL("OpenCL.dll" if sys.platform == "win32" else library._cl.__file__)
+
+
+def _address(platform: cl.Platform, name: str) -> int | None:
+    """Return the address of a function: of an extension from the driver, of others from the loader; None if there is
+    none."""
+    if not name.endswith("KHR"):
+        with suppress(AttributeError):
+            return ct.cast(getattr(_loader(), name), _P).value
+    ask = _loader().clGetExtensionFunctionAddressForPlatform
+    ask.restype, ask.argtypes = _P, [_P, ct.c_char_p]
+    return ask(platform.int_ptr, name.encode())
+
+
+def _function(platform: cl.Platform, name: str, result: Any, *arguments: Any) -> Callable:
+    """A function of OpenCL's, by its name and types. GffeError if neither driver nor loader has it."""
+    address = _address(platform, name)
+    if not address:
+        raise GffeError(f"sharing: neither the driver {shown(platform.name)} nor the OpenCL loader has {name}")
+    return ct.CFUNCTYPE(result, *arguments)(address)

@@ -1,0 +1,365 @@
+"""Options of the pipeline, described once: the command line, the viewer's panel, palette and settings, and the
+documentation come from `OPTIONS`."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import is_number, require_choice, scalar, shown
+from gffe_cl.engine.inference import network
+from gffe_cl.engine.opencl.program import constants
+
+_CONSTANTS = constants("frame.h")
+MAX_ORDER, MAX_LEVELS = _CONSTANTS["MAX_ORDER"], _CONSTANTS["MAX_LEVELS"]
+# Ways to fill holes: what they do with a pixel's color, for help and for the story of a pixel.
+HOLE_FILLINGS = {
+    "far-side": "continues the far side of the hole",
+    "push-pull": "is a mean of the surroundings, from a pyramid of means",
+    "downsample": "comes from the image downsampled 32 times, as in the paper",
+    "none": "stays black, at infinite depth",
+}
+
+
+@dataclass(frozen=True)
+class Option:
+    """One field of `Options`, described.
+
+    Attributes
+    ----------
+    name, default : of the field
+    label : short, for panels and menus
+    sentence : for help and tooltips
+    kind : bool, int, float or str
+    low, high : range of a number, both included; `usual_high` is where sliders end
+    unit : of a number
+    choices : of a string, with a sentence each; empty if any will do
+    automatic : what None stands for ("auto": found out from the data), where None is allowed
+    off : the value that switches a module off; False for a bool, None if it is no module
+    off_label, off_sentence : of the module, where switching it off is an option beside this one
+    flag : of the command line; of a bool that is on by default, what switches it off
+    off_flag : of the command line, short for the value `off`
+    remembered : by the viewer, from one start to the next
+    needs : another option, a module, without which it has no effect
+    """
+
+    name: str = ""
+    default: Any = None
+    label: str = ""
+    sentence: str = ""
+    kind: type = bool
+    low: float = -math.inf
+    high: float = math.inf
+    usual_high: float | None = None
+    unit: str = ""
+    choices: dict[str, str] = field(default_factory=dict)
+    automatic: str | None = None
+    off: Any = None
+    off_label: str = ""
+    off_sentence: str = ""
+    flag: str | None = None
+    off_flag: str | None = None
+    remembered: bool = True
+    needs: str | None = None
+
+    @property
+    def is_module(self) -> bool:
+        """Whether it can be switched on and off."""
+        return self.off is not None
+
+    def words(self, value: Any) -> list[str]:
+        """Return the command-line words for `value`; none for the default, or for an option without a flag."""
+        if self.flag is None or value == self.default:
+            return []
+        if self.kind is bool:
+            on, _, off = self.flag.partition("/")
+            return [on if value or not off else off]
+        if self.off_flag and value == self.off:
+            return [self.off_flag]
+        return [self.flag, str(value)]
+
+    def checked(self, value: Any) -> Any:
+        """`value` as the field holds it. GffeError if it makes no sense."""
+        if value is None and self.automatic is not None:
+            return None
+        given = value
+        value = os.fspath(value) if isinstance(value, os.PathLike) else scalar(value)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        right = {
+            bool: isinstance(value, bool),
+            int: whole and self.low <= value <= self.high,
+            float: is_number(value) and self.low <= value <= self.high,
+            str: isinstance(value, str) and (not self.choices or value in self.choices),
+        }
+        if not right[self.kind]:
+            raise GffeError(f"options: {self.label} must be {self.expected}, got {shown(given)}")
+        return self.kind(value)
+
+    @property
+    def expected(self) -> str:
+        """Return the values that `checked` accepts, in words."""
+        either = f", or {self.automatic}" if self.automatic else ""
+        if self.choices:
+            return ", ".join(self.choices) + either
+        if self.kind is bool:
+            return "on or off (True or False)" + either
+        if self.kind is str:
+            return "a text" + either
+        what = "a whole number" if self.kind is int else "a number"
+        unit = f" of {self.unit}" if self.unit else ""
+        bounds = f"{self.low:g} to {self.high:g}" if math.isfinite(self.high) else f"≥ {self.low:g}"
+        return f"{what}{unit}, {bounds}{either}"
+
+
+def _option(default: Any, label: str, sentence: str, **about: Any) -> Any:
+    about = {"kind": type(default), **about}
+    if about["kind"] is bool and "off" not in about:
+        about["off"] = False
+    return field(default=default, metadata={"option": Option(label=label, sentence=sentence, default=default, **about)})
+
+
+@dataclass(frozen=True)
+class Options:
+    """Settings of the pipeline; the defaults are recommended. `OPTIONS` describes each field.
+
+    Raises GffeError for values that make no sense.
+    """
+
+    cut_detection: bool = _option(
+        True,
+        "cut detection",
+        "Detection of cuts: a rendered frame that shares nothing with the frame before is a reset; off: only"
+        " marked frames are resets.",
+        flag="--no-cut-detection",
+    )
+    motion: bool = _option(
+        True, "motion estimation", "Tracking of moving objects; off: everything is static.", flag="--no-motion"
+    )
+    history: int = _option(
+        2,
+        "history",
+        "History length k: positions kept per fragment, including the current one.",
+        low=2,
+        high=MAX_ORDER + 1,
+        unit="positions",
+        flag="--history",
+    )
+    order: int = _option(
+        1,
+        "prediction order",
+        "Degree m of the position prediction, less than the history length; 1 is linear, as in the paper.",
+        low=1,
+        high=MAX_ORDER,
+        flag="--order",
+    )
+    camera_fixed: bool = _option(
+        True,
+        "camera-fixed objects",
+        "Prediction in view space of objects that stay there, such as dashboards and weapons, and, with"
+        " acceleration, of those that move evenly there, such as wipers and hands; off: they are predicted in"
+        " world space, as in the paper.",
+        flag="--no-camera-fixed",
+        needs="motion",
+    )
+    acceleration: bool = _option(
+        True,
+        "acceleration",
+        "Curved paths of moving objects, in addition to the linear prediction of order 1; off: straight paths.",
+        flag="--no-acceleration",
+        needs="motion",
+    )
+    static_threshold: float | None = _option(
+        None,
+        "static threshold",
+        "Static threshold ε, pixels: fragments that move farther are dynamic; auto follows the noise and the"
+        " quantization of the motion vectors.",
+        kind=float,
+        low=0.0,
+        high=1e6,
+        usual_high=8.0,
+        unit="pixels",
+        automatic="auto",
+        flag="--static-threshold",
+    )
+    camera_order: int | None = _option(
+        None,
+        "camera prediction's order",
+        "Order of camera prediction, where the new camera is unknown: 1 straight, as in the paper; 2 curved;"
+        " auto curved and adapted to a shaking camera.",
+        kind=int,
+        low=1,
+        high=2,
+        automatic="auto",
+        flag="--camera-order",
+    )
+    resampling: str = _option(
+        "perceptual",
+        "resampling",
+        "Color values that are interpolated and blended.",
+        choices={
+            "perceptual": "Perceptual values, like a square root where it is dark",
+            "linear": "Linear light, as in the paper",
+        },
+        flag="--resampling",
+    )
+    crack_closing: bool = _option(
+        True,
+        "crack closing",
+        "Closing of cracks: a fragment covers the area that its pixel maps to; off: single pixels, as in the paper.",
+        flag="--no-crack-closing",
+    )
+    blocks: bool = _option(
+        True,
+        "backward blocks",
+        "Backward warping of blocks that show one smooth surface; off: everything is splatted.",
+        flag="--no-blocks",
+        needs="crack_closing",
+    )
+    hidden_parts: bool = _option(
+        True,
+        "hidden parts of movers",
+        "Filling of disocclusions from a moving object whose own motion explains them; off: from the background.",
+        flag="--no-hidden-parts",
+        needs="motion",
+    )
+    levels: int = _option(
+        1,
+        "background levels",
+        "Background levels L: 1 at full resolution; more, as in the paper, halve the resolution per level behind"
+        " static surfaces.",
+        low=0,
+        high=MAX_LEVELS,
+        off=0,
+        off_label="background collection",
+        off_sentence="Background collection: static surfaces that are hidden now are remembered.",
+        flag="--background-levels",
+        off_flag="--no-background",
+    )
+    hole_filling: str = _option(
+        "far-side",
+        "hole filling",
+        "Filling of pixels that neither the rendered frame nor the background shows.",
+        choices=HOLE_FILLINGS,
+        off="none",
+        flag="--hole-filling",
+    )
+    soft_silhouettes: bool = _option(
+        True,
+        "soft silhouettes",
+        "Antialiased edges of objects that move over others; off: edges as the warp leaves them, as in the paper.",
+        flag="--no-soft-silhouettes",
+    )
+    upscale: float = _option(
+        0.0,
+        "upscaling",
+        "Upscaling factor, display pixels per rendered pixel, each way: jittered frames are accumulated. 1:"
+        " anti-aliasing only; 0: off.",
+        low=0.0,
+        high=3.0,
+        off=0.0,
+        flag="--upscale",
+    )
+    upscale_sharpening: float = _option(
+        0.0,
+        "sharpening",
+        "Sharpening of upscaled frames where neighbors differ little; the history is not sharpened.",
+        low=0.0,
+        high=1.0,
+        flag="--sharpening",
+        needs="upscale",
+    )
+    overlays: bool = _option(
+        True,
+        "overlays",
+        "Overlays of rendered frames, effects and user interface, that stay in place; off: they are ignored.",
+        flag="--no-overlays",
+    )
+    shading_inputs: bool = _option(
+        False,
+        "inputs of shading correction",
+        "Inputs of shading correction: make them even where it is off.",
+        remembered=False,
+    )
+    shading_correction: bool | None = _option(
+        None,
+        "shading correction",
+        "Shading correction: a network moves shadows and reflections to where they belong.",
+        kind=bool,
+        off=False,
+        automatic="auto: if there are weights",
+        flag="--scn/--no-scn",
+    )
+    focus_mask: bool = _option(
+        True,
+        "focus mask",
+        "Changes only where the network finds the shading wrong; off: the network's whole image.",
+        flag="--no-focus-mask",
+        needs="shading_correction",
+    )
+    scn_model: str | None = _option(
+        None,
+        "network",
+        "Shading correction network of your own, an ONNX file.",
+        kind=str,
+        automatic="auto: the package's own",
+        flag="--scn-model",
+        remembered=False,
+    )
+    scn_provider: str = _option(
+        "cpu",
+        "network's provider",
+        f"Execution provider of the network: {', '.join(network.PROVIDERS)}, or"
+        f" {network.AUTO}: the fastest whose results match the CPU's.",
+        flag="--scn-provider",
+        remembered=False,
+    )
+
+    def __post_init__(self):
+        for name, option in OPTIONS.items():
+            object.__setattr__(self, name, option.checked(getattr(self, name)))
+        if 0 < self.upscale < 1:
+            raise GffeError(
+                f"options: upscaling must be 0 (off) or 1 to {OPTIONS['upscale'].high:g}, got {self.upscale:g}"
+            )
+        if self.order >= self.history:
+            raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
+
+    def changed(self, name: str, value: Any) -> Options:
+        """With another value of one field; history and order give way to each other. GffeError for an unknown one, or
+        a value that makes no sense."""
+        require_choice(name, OPTIONS, "options: name")
+        values = {name: (value := OPTIONS[name].checked(value))}
+        if name == "history":
+            values["order"] = max(1, min(self.order, value - 1))
+        if name == "order":
+            values["history"] = max(self.history, value + 1)
+        return replace(self, **values)
+
+    @property
+    def corrects_shading(self) -> bool:
+        """Whether the shading correction network runs."""
+        if self.shading_correction is None:
+            return self.scn_model is not None or network.default_model() is not None
+        return self.shading_correction
+
+    @property
+    def weights(self) -> Path | None:
+        """The file of the shading correction network that runs; None where none runs, or none is there."""
+        if not self.corrects_shading:
+            return None
+        return network.default_model() if self.scn_model is None else Path(self.scn_model)
+
+
+OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}
+
+
+def command_words(options: Options) -> list[str]:
+    """The options of `gffe run` that give `options`; those of a network that does not run are left out."""
+    without = () if options.shading_correction is not False else ("focus_mask", "scn_model", "scn_provider")
+    return [
+        word for name, option in OPTIONS.items() if name not in without for word in option.words(getattr(options, name))
+    ]

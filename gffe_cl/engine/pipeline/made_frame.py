@@ -1,0 +1,123 @@
+"""Frames that the pipeline made, on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.core.validation import require_choice
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.device_errors import device_faults
+from gffe_cl.engine.stages.buffers import EXTRAPOLATED, RGBA, BufferSpec, Sizes
+
+_SPECS = {spec.name: spec for spec in EXTRAPOLATED}
+_LIKE = {"gae": "color"}  # buffers with the description of another one
+
+
+@dataclass(frozen=True)
+class MadeFrame:
+    """Result of the pipeline, on the device: buffers that hold it until the next frame is made.
+
+    `camera` in display pixels, `time` in seconds; `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky)
+    and `motion` (float ×2, pixels). `event` (pyopencl.Event) is complete when the buffers hold the frame: wait for it,
+    or have commands of other queues wait for it; `event.int_ptr` is its handle (`cl_event`).
+    """
+
+    camera: Camera
+    time: float
+    _color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    _device: Device
+    _size: tuple[int, int]
+    _event: cl.Event = field(kw_only=True)
+
+    @property
+    def color(self) -> cl.Buffer:
+        """The final picture, half ×4."""
+        return self._color
+
+    @property
+    def event(self) -> cl.Event:
+        """Complete when the buffers hold the frame."""
+        return self._event
+
+    def numpy(self, name: str) -> np.ndarray:
+        """Copy to the host by the attribute's name: colors (H, W, 3) float16, "depth" (H, W) float32, "motion"
+        (H, W, 2) float32, all others (H, W) uint8. Raises GffeError for other names, and where the device fails."""
+        spec = self._spec(name)
+        out = np.empty(self._shape(spec), spec.dtype)
+        with device_faults(self._device, f'reading "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
+            cl.enqueue_copy(self._device.queue, out, getattr(self, name))
+        return out[..., :3] if spec.components == RGBA else out
+
+    @contextmanager
+    def mapped(self, name: str) -> Iterator[np.ndarray]:
+        """In a `with` block, the buffer's own memory as `numpy` gives it, to read. On CPUs nothing is copied; on other
+        devices the driver may copy. Leave the block before the next frame is made; the array must not be used
+        afterwards. Raises GffeError as `numpy` does."""
+        spec: Any = self._spec(name)
+        with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
+            array, _ = cl.enqueue_map_buffer(
+                self._device.queue, getattr(self, name), cl.map_flags.READ, 0, self._shape(spec), spec.dtype
+            )
+        memory = array.base
+        array.flags.writeable = False
+        try:
+            yield array[..., :3] if spec.components == RGBA else array
+        finally:
+            memory.release(self._device.queue)
+
+    def _spec(self, name: str) -> BufferSpec:
+        names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]
+        return _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
+
+    def _shape(self, spec: BufferSpec) -> tuple[int, ...]:
+        return spec.shape(Sizes(self._size, self._size))
+
+
+class PresentedFrame(MadeFrame):
+    """Displayed rendered frame at t: its display part, in display pixels; `motion` t → t−1 between the
+    displayed images. The buffers are the rendered frame's own where all of it is shown."""
+
+
+@dataclass(frozen=True)
+class ExtrapolatedFrame(MadeFrame):
+    """An extrapolated frame at t + α.
+
+    `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
+    color before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
+    one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
+    frame. Where the network works beside the device, asking for `color` or `event` waits for it.
+    """
+
+    alpha: float
+    source_time: float
+    dynamic: cl.Buffer
+    disoccluded: cl.Buffer
+    filled_by: cl.Buffer
+    gae: cl.Buffer
+    _finish: Callable[[], None] | None  # None: nothing waits
+
+    @property
+    def color(self) -> cl.Buffer:
+        """The final image, half ×4, shading correction and overlays included. Waits for the network."""
+        if self._finish:
+            self._finish()
+        return self._color
+
+    @property
+    def event(self) -> cl.Event:
+        """Event that is complete when the buffers hold the frame. Reading it waits until there is one."""
+        if self._finish is None:
+            return self._event
+        self._finish()
+        event = cl.enqueue_marker(self._device.queue)
+        self._device.queue.flush()
+        return event

@@ -1,0 +1,119 @@
+"""The fixed workload of the self-test: frames of `scene` through pipelines with every stage on, every buffer of which
+is looked at after each new frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
+from gffe_cl.engine.inference.network import default_model
+from gffe_cl.engine.inference.providers import CPU
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.selftest.scene import ALPHAS, FPS, display_camera, frames
+from gffe_cl.engine.stages.correction import ShadingCorrection
+
+SIZE, RENDER_SIZE = (61, 45), (73, 54)  # width and height, pixels
+EXPOSURE = 1.25
+
+
+@dataclass(frozen=True)
+class Case:
+    """A pipeline of the workload; `size` of the rendered frames where they come through a window, else None."""
+
+    sentence: str
+    options: Options
+    render_size: tuple[int, int] | None
+    knows_cameras: bool = True
+
+
+CASES = {
+    "default": Case("the recommended options, an adaptive window, overlays", Options(), RENDER_SIZE),
+    "other": Case(
+        "other orders, levels and hole filling, predicted cameras, antialiasing over time",
+        Options(
+            history=3, order=2, levels=3, hole_filling="push-pull", focus_mask=False, static_threshold=0.5, upscale=1,
+            upscale_sharpening=0.5,
+        ),
+        None,
+        knows_cameras=False,
+    ),
+    "paper": Case(
+        "as in the paper: single pixels, no hidden parts, hole filling from the downsampled image",
+        Options(
+            acceleration=False, camera_order=1, crack_closing=False, hidden_parts=False, hole_filling="downsample",
+            soft_silhouettes=False, levels=4, resampling="linear",
+        ),
+        None,
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Form:
+    """How kernels are built: `lanes` pixels per work-item, and whether keys take 64-bit atomics. All forms must give
+    the same bits."""
+
+    name: str
+    lanes: int
+    int64_atomics: bool
+
+
+def forms_of(device: Device) -> list[Form]:
+    """The device's own form, and those that devices of other kinds take."""
+    own = Form("own", device.lanes, device.int64_atomics)
+    lanes = 1 if own.lanes > 1 else 8
+    others = [replace(own, name=f"{lanes} lane{'s' * (lanes > 1)}", lanes=lanes)]
+    return [own, *others, *([replace(own, name="32-bit atomics", int64_atomics=False)] if own.int64_atomics else [])]
+
+
+class FixedNetwork:
+    """In place of the shading correction network, whose output differs between machines: a pattern that depends on
+    nothing but its size. Kernels around it must make the same of it everywhere."""
+
+    copying, provider = 0.0, CPU.ort
+    head = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
+
+    def prepare(self, height: int, width: int) -> None:
+        """As `inference.Network.prepare`."""
+
+    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
+        """As `inference.Network.run`."""
+        planes, height, width = judgement.shape
+        plane, y, x = np.ogrid[:planes, :height, :width]
+        pattern = ((x * 7 + y * 13 + plane * 29 + (x // 4) * (y // 4) * 3) % 64).astype(np.float32)
+        judgement[:] = pattern / 64 - 0.5
+        return 0
+
+
+def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
+    """Yield the name of each new frame, such as "frame 2 + 1/3", and the contents of every buffer by name.
+
+    `device` is to be one that has built nothing yet. Without weights of the network there is no shading correction.
+    """
+    device.lanes = form.lanes
+    options = replace(case.options, shading_inputs=True, shading_correction=default_model() is not None)
+    pipeline = Pipeline(device, *SIZE, options, render_size=case.render_size, int64_atomics=form.int64_atomics)
+    pipeline.exposure = EXPOSURE
+    pipeline.keep()
+    if correction := pipeline.stages.get(ShadingCorrection.name):
+        correction.use(FixedNetwork())
+    for k, frame in enumerate(frames(*SIZE, case.render_size)):
+        pipeline.submit(frame)
+        for j, alpha in enumerate(ALPHAS, 1):
+            made = pipeline.extrapolate(*_moment(frame.time + alpha / FPS, case))
+            shown = pipeline.present()
+            buffers = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
+            buffers["new.color"] = made.numpy("color")
+            buffers |= {f"shown.{name}": shown.numpy(name) for name in ("color", "depth", "motion")}
+            buffers["pipeline.is_cut"] = np.array([pipeline.is_cut], np.uint8)
+            yield f"frame {k} + {j}/{len(ALPHAS) + 1}", buffers
+
+
+def _moment(time: float, case: Case) -> tuple[Camera | None, float]:
+    return display_camera(time, *SIZE) if case.knows_cameras else None, time

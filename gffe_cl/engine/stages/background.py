@@ -1,0 +1,271 @@
+"""Background collection and projection (paper: 'Hierarchical Background Collection')."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
+from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
+from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes
+from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
+from gffe_cl.engine.stages.warp import DISOCCLUDED, MIXED
+
+_CONSTANTS = constants("background.cl")
+REMEMBERED, SHOWN, BOTH = (_CONSTANTS[name] for name in ("REMEMBERED", "SHOWN", "BOTH"))
+STATES = (
+    (_CONSTANTS["EMPTY"], "empty"),
+    (SHOWN, "shown by the current frame"),
+    (REMEMBERED, "remembered"),
+    (BOTH, "shown by the current frame, and remembered behind that"),
+)
+
+
+REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state & REMEMBERED != 0)
+NOT_SHOWN = share_of("not shown", "background.state_0", lambda state: state & SHOWN == 0)
+OPEN = Share("open", lambda board: 1.0 if board.options.levels == 1 else NOT_SHOWN.count(board))  # to be offered to
+PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # whether there is a next level
+HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
+
+_KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
+_SPARES = 8  # times the alignment: lent memory beyond this stage's needs, because its parts are aligned
+
+
+def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
+    """Return keys and winners of the candidates that "fill" a level, or that it can "push" to the next one."""
+    return {f"{which}_{name}": Access(f"background.{{{which}_by}}_{name}", share) for name in ("keys", "winners")}
+
+
+def _level(
+    names: str, level: str = "level", share: Share | float = 1.0, prefix: str = "level_", kept: str = ""
+) -> dict:
+    """Buffers of the level that the launch gives."""
+    return {f"{prefix}{name}": Access(f"background.{name}_{{{level}}}{kept}", share) for name in names.split()}
+
+
+def _levels(names: str, share: Share | float = 1.0) -> dict[str, Access]:
+    """Buffers of all levels."""
+    return {f"levels_{name}": Access(f"background.{name}", share) for name in names.split()}
+
+
+def _old(names: str) -> dict[str, Access]:
+    return _level(names, "old", REMEMBERED_TEXELS, "old_", "'")
+
+
+_OFFERED = _keys("fill", REMEMBERED_TEXELS) | _keys("push", REMEMBERED_TEXELS)
+_SETTLED = _level("color depth px state", share=REMEMBERED_TEXELS) | _keys("fill", REMEMBERED_TEXELS)
+_SETTLING = (
+    {
+        "frame_color": Access("previous.color", REMEMBERED_TEXELS),
+        "frame_depth": Access("previous.depth", REMEMBERED_TEXELS),
+    }
+    | _level("state")
+    | _keys("fill", OPEN)
+    | _old("color depth px state")
+)
+_PUSHED = (
+    _level("color depth px", "next", REMEMBERED_TEXELS, "next_")
+    | _level("state", "next", prefix="next_")
+    | _keys("push", REMEMBERED_TEXELS)
+)
+_PROJECTED = {"keys": Access("warp.keys", HOLES), "winners": Access("warp.winners", HOLES)}
+
+
+class Background(NearestStage):
+    """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them.
+
+    After collection nothing reads what the levels were before, nor the keys of even levels: until the next one, that
+    memory is lent (see `Board`).
+    """
+
+    name = "background"
+    kernels = (
+        Kernel(
+            "scatter_level",
+            "level{level}",
+            {
+                "depth": Access("rendered.depth", NOT_SHOWN),
+                "dynamic_mask": Access("history.dynamic_mask", NOT_SHOWN),
+                "links": Access("connectivity.links", NOT_SHOWN),
+                "frame_depth": Access("{depth_of_shown}"),
+                "taken": Access("background.state_{level}"),
+                "level_depth": Access("{depth_of_taken}"),
+            }
+            | _level("depth px", share=REMEMBERED_TEXELS, prefix="old_", kept="'")
+            | _level("state", prefix="old_", kept="'")
+            | _OFFERED,
+            _OFFERED,
+            step=("LANES", 1),
+        ),
+        Kernel("settle_level", "level{level}", _SETTLING, _SETTLED, step=("RUN", 1)),
+        Kernel("settle_and_push", "level{level}", _SETTLING | _keys("push"), _SETTLED | _PUSHED, step=("RUN", 1)),
+        Kernel(
+            "project_levels",
+            "levels{levels}",
+            _levels("depth px", REMEMBERED_TEXELS)
+            | _levels("state")
+            | {
+                "disoccluded": Access("frame.disoccluded", REMEMBERED_TEXELS),
+                "mixed": Access("warp.mixed", REMEMBERED_TEXELS),
+                "depth": Access("frame.depth", HOLES),
+            }
+            | _PROJECTED,
+            _PROJECTED,
+            step=("RUN", 1),
+        ),
+        Kernel(
+            "fill_from_levels",
+            "target",
+            {
+                "frame_color": Access("rendered.color", HOLES),
+                "frame_depth": Access("rendered.depth", HOLES),
+                "block_class": "backward_blocks.block_class",
+                "disoccluded": Access("frame.disoccluded", SPLATTED_PIXELS),
+                "mixed": Access("warp.mixed", SPLATTED_PIXELS),
+                "color_prev": Access("previous.color", HOLES),
+                "depth_prev": Access("previous.depth", HOLES),
+                "state_prev": Access("background.state_0'", HOLES),
+                "color": Access("frame.color", MIXED),
+                "filled_by": Access("frame.filled_by", DISOCCLUDED),
+            }
+            | _levels("color depth px state", HOLES)
+            | _PROJECTED,
+            {
+                "color": Access("frame.color", HOLES),
+                "depth": Access("frame.depth", DISOCCLUDED),
+                "motion": Access("frame.motion", DISOCCLUDED),
+                "filled_by": Access("frame.filled_by", HOLES),
+            },
+            step=("RUN", 1),
+        ),
+    )
+
+    def __init__(self, board: Board):
+        self.levels = board.options.levels
+        self.starts = board.sizes.level_starts(self.levels)
+        if self.levels == 1:  # nothing is pushed
+            self.kernels = tuple(kernel for kernel in self.kernels if kernel.name != "settle_and_push")
+        all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
+        state = all_levels.pop()  # must last: memory between two levels is EMPTY
+        even = self.keys(board, "even_", "source")
+        self._places = _side_by_side(all_levels, board.sizes)
+        self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(even, _KEY_MEMORY, strict=True)}
+        spare = _SPARES * board.sizes.alignment
+        nbytes: dict[str, int] = dict.fromkeys(("memory", *_KEY_MEMORY), 0)
+        for spec, start in self._places.items():
+            nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes) + spare)
+        for spec, whole in zip(self.keys(board, "", "target"), _KEY_MEMORY, strict=True):  # the warp's fit in, too
+            nbytes[whole] = max(nbytes[whole], spec.nbytes(board.sizes) + spare)
+        self.buffers = (
+            *(spec for level in range(self.levels) for spec in _level_buffers(level)),
+            *(
+                BufferSpec(whole, np.uint8, (), "once", "of parts", planes=n, kept=whole == "memory", scratch=True)
+                for whole, n in nbytes.items()
+            ),
+            state,
+            *self._places,
+            *self.keys(board, "odd_", "level1", fleeting=True),
+        )
+        super().__init__(board)
+        for name in ("memory'", *_KEY_MEMORY):
+            board.lend_memory(self, name)
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.levels > 0
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """Return new device buffers by name. Buffers of single levels are parts of those of all levels, and these
+        are parts of one; keys are parts of lent memory."""
+        specs = list(specs)
+        made = super().allocate(spec for spec in specs if not spec.part_of)
+        places = {spec.name: start for spec, start in self._places.items()}
+        for spec in specs:
+            if not spec.part_of:
+                continue
+            whole, start = spec.part_of, places.get(spec.name, 0)
+            if spec.name not in places:
+                start = self.starts[int(spec.grid.removeprefix("level"))] * spec.bytes_per_pixel
+                if whole in places:
+                    whole, start = "memory", start + places[whole]
+            made[spec.name] = made[whole].get_sub_region(start, spec.nbytes(self.sizes))
+        return made
+
+    def rendered(self, step: Step) -> None:
+        """Collect fragments behind the surfaces that `Surfaces` shows. After a reset nothing is kept or collected,
+        because movers are unknown yet."""
+        collect = step.previous is not None
+        if not collect:
+            self.clear_keys("even_", "source")
+            self.clear_keys("odd_", "level1")
+        for level in range(self.levels):
+            last = level + 1 == self.levels
+            given = {"level": level, "old": level, "next": level + 1} | self.of_level(level)
+            for scatter_pass in self.passes if collect else ():
+                self.launch("scatter_level", step, **given, **{"pass": scatter_pass})
+            self.launch("settle_level" if last else "settle_and_push", step, **given)
+            if collect and level == 0 and self.levels > 2:
+                self.clear_keys("even_", "level2")
+
+    @staticmethod
+    def of_level(level: int) -> dict[str, str]:
+        """Return the buffers of a level: its depth before any candidate, the depth that it showed before (only level
+        0 is shown), and the keys of candidates for it and for the next level. A level's keys are free once it is
+        settled."""
+        keys = dict(zip(("fill_by", "push_by"), ("odd", "even") if level % 2 else ("even", "odd"), strict=True))
+        if level == 0:
+            return keys | {"depth_of_taken": "rendered.depth", "depth_of_shown": "previous.depth"}
+        return keys | {
+            "depth_of_taken": f"background.depth_{level}",
+            "depth_of_shown": f"background.depth_{level}'",
+        }
+
+    def extrapolated(self, step: Step) -> None:
+        """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""
+        for project_pass in self.passes:
+            self.launch("project_levels", step, levels=self.levels, **{"pass": project_pass})
+        self.launch("fill_from_levels", step)
+
+
+def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
+    where = "where remembered; visible surfaces are in the rendered frame" if level == 0 else "where it is remembered"
+    about = f"background level {level}"
+    known = {"known_where": (f"state_{level}", REMEMBERED)}
+
+    def spec(name, dtype, components, description, view, **more):
+        return BufferSpec(
+            f"{name}_{level}", dtype, components, f"level{level}", description, view, kept=True, part_of=name, **more
+        )
+
+    return (
+        spec("color", np.float16, RGBA, f"color of {about} (B_{level}) {where}", "color", packing=RGB9E5, **known),
+        spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth", **known),
+        spec(
+            "px", np.float32, XY, "where its fragment lies in the rendered image, px", "place", packing=OFFSET, **known
+        ),
+        spec("state", np.uint8, (), "state of the level there", "label", labels=STATES),
+    )
+
+
+def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
+    """The buffer that holds that of all levels, one after another."""
+    part_of = "memory" if spec.known_where else ""
+    return replace(
+        spec, name=spec.part_of, grid=f"levels{levels}", part_of=part_of, scratch=True, description="of all levels",
+        known_where=None,
+    )  # fmt: skip
+
+
+def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:
+    """Parts of one buffer, and the bytes at which they begin: not all at one place of a page, where texels of one index
+    would take each other's place in caches."""
+    starts, end = {}, 0
+    for spec in specs:
+        starts[spec] = end
+        end = sizes.aligned(end + spec.nbytes(sizes) + 1)
+    return starts

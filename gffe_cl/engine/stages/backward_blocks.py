@@ -1,0 +1,103 @@
+"""Backward blocks: which parts of the new frame need no splatting (for 'Warping')."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
+from gffe_cl.engine.stages.buffers import BufferSpec
+from gffe_cl.engine.stages.silhouettes import Silhouettes
+
+_CONSTANTS = constants("backward_blocks.cl")
+_FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
+SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
+CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one smooth surface, warped backward"))
+
+
+SPLATTED_PIXELS = share_of("splatted", "backward_blocks.block_class", lambda block: block == SPLATTED)
+SPLATTING_BLOCKS = Share("splatting", lambda board: float(board.stages["backward_blocks"].splatting().mean()))
+
+
+class BackwardBlocks(NearestStage):
+    """Finds the blocks of 8×4 pixels that one smooth surface covers, to be warped backward; the others are splatted."""
+
+    name = "backward_blocks"
+    buffers = (
+        BufferSpec(
+            "smooth", np.uint8, (), "source_blocks", "1 where predicted positions change linearly over the block",
+            "mask",
+        ),
+        BufferSpec("block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES),
+        BufferSpec(
+            "reach", np.int16, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
+            transient=True,
+        ),
+        BufferSpec(
+            "reached_by", np.int32, ("x0", "y0", "x1", "y1"), "target_blocks", "source blocks that reach a block",
+            scratch=True,
+        ),
+        BufferSpec(
+            "block_source", np.float32, ("x", "y", "xx", "xy", "yx", "yy", "unused", "unused"), "target_blocks",
+            "where the block's center comes from, and the inverse of its flow", scratch=True, transient=True,
+        ),
+    )  # fmt: skip
+    kernels = (
+        Kernel(
+            "find_reach",
+            "source_blocks",
+            {
+                "depth": "rendered.depth",
+                "links": "connectivity.links",
+                "target_position": "prediction.target_position",
+                "reached_by": "backward_blocks.reached_by",
+            },
+            {
+                "smooth": "backward_blocks.smooth",
+                "reach": "backward_blocks.reach",
+                "reached_by": "backward_blocks.reached_by",
+            },
+        ),
+        Kernel(
+            "classify_blocks",
+            "target_blocks",
+            {
+                "smooth": "backward_blocks.smooth",
+                "reached_by": "backward_blocks.reached_by",
+                "target_position": Access("prediction.target_position", _FIVE_PER_BLOCK),
+            },
+            {
+                "reached_by": "backward_blocks.reached_by",
+                "block_class": "backward_blocks.block_class",
+                "block_source": "backward_blocks.block_source",
+                "marked": "silhouettes.marked",
+                "keys": Access("warp.keys", SPLATTED_PIXELS),
+                "winners": Access("warp.winners", SPLATTED_PIXELS),
+            },
+        ),
+    )
+
+    def __init__(self, board: Board):
+        self.softens = Silhouettes.is_wanted(board.options)
+        board.facts["softens"] = self.softens
+        if not self.softens:  # it writes nothing of them
+            find, classify = self.kernels
+            nothing = Access("backward_blocks.block_class", planes=0)
+            self.kernels = (find, replace(classify, writes={**classify.writes, "marked": nothing}))
+        super().__init__(board)
+
+    def splatting(self) -> np.ndarray:
+        """(rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
+        reach, splatted = self.read("reach"), self.read("block_class") == SPLATTED
+        if not (self.board.options.blocks and self.board.options.crack_closing):
+            return np.ones(reach.shape[:2], bool)
+        sums = np.pad(np.cumsum(np.cumsum(splatted, 0), 1), ((1, 0), (1, 0)))
+        x0, y0, x1, y1 = np.moveaxis(reach, -1, 0)
+        within = sums[y1 + 1, x1 + 1] - sums[y0, x1 + 1] - sums[y1 + 1, x0] + sums[y0, x0]
+        return (x1 >= x0) & (y1 >= y0) & (within > 0)
+
+    def extrapolated(self, step: Step) -> None:
+        self.launch("find_reach", step)
+        self.launch("classify_blocks", step)

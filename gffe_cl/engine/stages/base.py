@@ -1,0 +1,562 @@
+"""Contract of a stage: it declares its buffers, and the buffers that each of its kernels reads and writes.
+
+From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
+of stages and memory, and the bytes per pixel that must move (`gffe bench`).
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.program import Program, build
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
+from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
+
+_EXTRAPOLATE = 1000  # more than there are stages
+_PREPARED = 256  # launches of a stage that are kept ready: those of uploads differ by where arrays begin
+_EVENTS = 256  # at most, kept per stage for requests of timings
+# Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
+_ROW, _ROW_OF_LANES = 64, 128
+
+
+@dataclass(frozen=True)
+class Share:
+    """A share of the pixels: its name in tables, and how it is counted in the frame that stages work on, 0 to 1."""
+
+    name: str
+    count: Callable[[Board], float]
+
+
+def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambda values: values != 0) -> Share:
+    """The share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
+
+    def count(board: Board) -> float:
+        owner, _, own = buffer.partition(".")
+        found: Any = board.frame if owner == "frame" else board.stages.get(owner)
+        there = found and any(spec.name == own for spec in found.buffers)
+        return float(counts(found.read(own)).mean()) if there else 0.0
+
+    return Share(name, count)
+
+
+@dataclass(frozen=True)
+class Access:
+    """Access of a kernel through one argument.
+
+    `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, a
+    number or counted in the frame; `planes` of how many planes, None for all.
+    """
+
+    buffer: str
+    share: Share | float = 1.0
+    planes: int | None = None
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel of a stage.
+
+    `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
+    `group` of them, in a row, make a work-group (None: as suits the device).
+    `reads` and `writes` go by the names of its arguments; what is read and written is in both. A launch may give
+    another buffer than the declared one if it lies alike. `choices`: what names in {…} stand for where that is not a
+    level, launch by launch.
+    """
+
+    name: str
+    grid: str
+    reads: Mapping[str, Access | str] = field(default_factory=dict)
+    writes: Mapping[str, Access | str] = field(default_factory=dict)
+    step: tuple[int | str, int | str] = (1, 1)
+    group: int | str | None = None
+    choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def accesses(self) -> Iterator[tuple[str, str, Access]]:
+        """("reads" or "writes", argument, access) of each."""
+        for kind in ("reads", "writes"):
+            for argument, access in getattr(self, kind).items():
+                yield kind, argument, access if isinstance(access, Access) else Access(access)
+
+
+class Output(Owner):
+    """Copy of a stage's result in the buffers of the extrapolated frame, kept on request."""
+
+    def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
+        super().__init__(stage.device, stage.sizes)
+        self.name, self.buffers = stage.name, tuple(specs)
+
+    def choose(self, names: set[str]) -> None:
+        """Keep the buffers `names` from now on, and no others."""
+        specs = [spec for spec in self.buffers if spec.name in names and spec.name not in self.buffer]
+        self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
+
+    def keep(self, of: Mapping[str, cl.Buffer]) -> None:
+        """Enqueue copies of the chosen buffers."""
+        for name, buffer in self.buffer.items():
+            cl.enqueue_copy(self.device.queue, buffer, of[name])
+
+
+@dataclass
+class Step:
+    """Input of a stage: a rendered frame (after `submit`), or a new frame extrapolated from it.
+
+    Attributes
+    ----------
+    frame : DeviceFrame
+        The rendered frame.
+    previous : DeviceFrame or None
+        The rendered frame before; None after a reset.
+    times : list of float
+        Of the rendered frames since the last reset, newest first, seconds.
+    camera, time, alpha, exposure
+        Of the new frame: its camera, seconds, α, and the factor on color before display.
+    target_position : (H, W, 4) float32 or None
+        Replaces what position prediction makes.
+    geometry : mapping of name to array
+        Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
+    overlays : int
+        Those that the rendered frame brings: bits, in the order of `OVERLAYS`.
+    """
+
+    frame: DeviceFrame
+    previous: DeviceFrame | None
+    times: list[float]
+    camera: Camera | None = None
+    time: float = 0.0
+    alpha: float = 0.0
+    exposure: float = 1.0
+    target_position: np.ndarray | None = None
+    geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
+    overlays: int = 0
+
+    def block(self, board: Board) -> np.ndarray:
+        """Return the frame block of frame.h, as bytes, for the stages on `board`."""
+        rendered = self.frame, self.previous, self.times, self.exposure
+        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays)
+
+
+class Board:
+    """Where stages find each other's buffers.
+
+    `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
+
+    Stages lend memory that they do not need themselves between one `submit` and the next, or once they have worked on
+    the rendered frame, for transient and fleeting buffers of all stages: several in one place, if no stage works with
+    more than one of them.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, options: Options | None = None, int64: bool | None = None):
+        self.device, self.sizes, self.options = device, sizes, options or Options()
+        self.int64 = device.int64_atomics if int64 is None else int64
+        self.facts = block_facts(
+            self.options, sizes
+        )  # members of the frame block that do not change; stages add theirs
+        self.stages: dict[str, Any] = {}  # by name, each of its own class
+        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
+        self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
+        self._regions: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and its parts
+        self.turn = 0  # a bit for each stage, which changes whenever its buffers and those of the frame before do
+        self.members = 0  # stages so far
+        self.rendered: DeviceFrame | None = None
+        self.previous: DeviceFrame | None = None  # the rendered frame itself if there is none before
+        self.blocks = FrameBlocks(self)
+
+    @cached_property
+    def frame(self) -> ExtrapolatedBuffers:
+        """The extrapolated frame."""
+        return ExtrapolatedBuffers(self.device, self.sizes)
+
+    @cached_property
+    def writer(self) -> BlockWriter:
+        """The writer of frame blocks. No stage may add facts once it was used."""
+        return BlockWriter(self.sizes, self.facts)
+
+    def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
+        """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
+        self.lent[stage, name] = list(self.stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
+
+    def lend(self) -> None:
+        """Give every transient buffer its place in lent memory, or one of its own if none is lent. Call it once all
+        stages exist, and after every swap."""
+        for stage, spec in self.transient:
+            if place := self._places[stage.name, spec.name]:
+                (owner, name), start = place
+                memory = owner.own(name)
+                key = stage.name, spec.name, id(memory)
+                if key not in self._regions:
+                    self._regions[key] = memory, memory.get_sub_region(start, spec.nbytes(self.sizes))
+                stage.buffer[spec.name] = self._regions[key][1]
+            elif spec.name not in stage.buffer:
+                stage.buffer |= stage.allocate([spec])
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], tuple[tuple[Stage, str], int] | None]:
+        """Of transient buffers, largest first: in which lent memory, and from which byte on."""
+        places: dict = {}
+        taken: dict[tuple[Stage, str], list] = {lent: [] for lent in self.lent}
+        for stage, spec in sorted(self.transient, key=lambda one: -one[1].nbytes(self.sizes)):
+            nbytes, used = spec.nbytes(self.sizes), self._use(stage, spec)
+            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
+            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
+            fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
+            lent = next(fitting, None)
+            places[stage.name, spec.name] = lent and (lent, starts[lent])
+            if lent:  # a byte more: texels of one index must not take each other's place in caches
+                taken[lent].append((starts[lent], self.sizes.aligned(starts[lent] + nbytes + 1), used))
+        return places
+
+    def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
+        """The work at whose time a buffer is used, that of stages on the rendered frame, by their numbers, and then on
+        the new one: until the last that names it, or all that follow if it is of interest afterwards."""
+        name, used = f"{stage.name}.{spec.name}", []
+        for number, other in enumerate(self.stages.values()):
+            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
+            if names_it or other is stage or (used and not spec.scratch):
+                used.append(number)
+        start = 0 if spec.fleeting else _EXTRAPOLATE
+        return frozenset(range(start + used[0], start + used[-1] + 1))
+
+    def let_go(self) -> None:
+        """Drop the references to the stages. Stages and board refer to each other; with this cycle, memory of an
+        unused pipeline would wait for Python's cyclic garbage collector."""
+        for known in (self.stages, self.transient, self.lent, self._regions, self.__dict__.get("_places", {})):
+            known.clear()
+        self.__dict__.pop("blocks", None)
+
+    def buffer(self, owner: str, name: str) -> cl.Buffer:
+        """Return the buffer "<owner>.<name>". KeyError if there is none."""
+        if owner in ("rendered", "previous"):
+            return getattr(getattr(self, owner), name)
+        if owner == "frame":
+            return self.frame.buffer[name]
+        return self.stages[owner].own(name)
+
+    def spec(self, name: str) -> BufferSpec:
+        """Return the description of the buffer "<owner>.<name>"."""
+        owner, _, rest = name.partition(".")
+        if owner in ("rendered", "previous"):
+            return next(spec for spec in RENDERED if spec.name == rest)
+        owners: dict[str, Owner] = {"frame": self.frame, FrameBlocks.name: self.blocks}
+        return (owners.get(owner) or self.stages[owner]).spec(rest.removesuffix("'"))
+
+
+def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
+    """The first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
+    start = 0
+    for begin, end, _ in sorted(part for part in parts if part[2] & used):
+        if start + nbytes <= begin:
+            break
+        start = max(start, end)
+    return start
+
+
+class Recorder(Protocol):
+    """Recorder of the commands that stages would enqueue. Nothing is enqueued meanwhile. It is set as a stage's
+    `recorder`."""
+
+    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
+        """`kernel` over `grid`; `values`: of its arguments, by name, and perhaps others."""
+
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
+        """The first texels of a buffer, as many as `grid` has, set to `byte`."""
+
+    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+        """A whole buffer copied."""
+
+
+@dataclass
+class _Prepared:
+    """A launch whose arguments stay set: the `kernel` object is its own. `changing` are the arguments that may change
+    from frame to frame: index, name, and the owner ("rendered" or "previous") and name of a declared buffer. Nothing
+    keeps a reference to these: callers' memory is released when they drop it."""
+
+    kernel: cl.Kernel
+    changing: list[tuple[int, str, str, str]]
+    items: tuple[int, int]
+    group: tuple[int, int]
+
+
+class Stage(Owner):
+    """Base of all stages.
+
+    Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
+    or both. `events` holds the latest events since the last `take_events`, if the queue has profiling; `before` what is
+    kept of the frame before.
+    """
+
+    kernels: tuple[Kernel, ...] = ()
+    registered = True  # whether other stages find its buffers on the board
+    # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
+    # stage that has one makes the final image.
+    pictures: ClassVar[Mapping[str, str]] = {}
+
+    def __init__(self, board: Board, **variant: int):
+        super().__init__(board.device, board.sizes)
+        self.board = board
+        self._bit = 1 << board.members
+        board.members += 1
+        self.program: Program = build(self.device, self.name, **variant)
+        self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
+        self.launches: list[tuple[Kernel, dict]] | None = None  # with the arguments, while launches are counted
+        self.recorder: Recorder | None = None
+        borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
+        self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
+        self.before = self.allocate(spec for spec in self.buffers if spec.kept)
+        self._kernels = {kernel.name: kernel for kernel in self.kernels}
+        self._changing = {
+            name: {argument.name for argument in arguments if not argument.is_number}
+            for name, arguments in self.program.arguments.items()
+        }
+        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
+        self._check()
+        if self.registered:
+            board.stages[self.name] = self
+            board.transient += [(self, spec) for spec in borrowing]
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        """Whether the pipeline's options ask for this stage."""
+        return True
+
+    def look_at(self, names: set[str] | None) -> None:
+        """From the next frame on the buffers `names`, such as "correction.refined", are wanted (None: all of them).
+        Others need not be computed."""
+
+    def rendered(self, step: Step) -> None:
+        """Work on a rendered frame, once, after it was submitted."""
+
+    def extrapolated(self, step: Step) -> None:
+        """Work on a new frame."""
+
+    @classmethod
+    def outputs(cls) -> tuple[str, ...]:
+        """Names of the buffers of the extrapolated frame that the stage writes."""
+        written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
+        return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
+
+    def own(self, name: str) -> cl.Buffer:
+        """Return a buffer of this stage; with an apostrophe the one of the previous frame."""
+        return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
+
+    def swap(self) -> None:
+        """Make the results those of the frame before; called for all stages before any works on a new frame. Events of
+        the frame before are dropped."""
+        self.events.clear()
+        self.board.turn ^= self._bit
+        for name, buffer in self.before.items():
+            self.before[name], self.buffer[name] = self.buffer[name], buffer
+
+    def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
+        """Enqueue a kernel over its grid, in rows of work-items.
+
+        Arguments come by name: `frame`, the frame block of `step`; the buffers that the kernel declares; and numbers,
+        or other buffers, given here. Numbers must not change from frame to frame: those are members of the frame block.
+        The width is rounded up to whole groups: kernels guard against the padding.
+        """
+        kernel = self._kernels[name]
+        if step is not None:
+            given["frame"] = self.board.blocks.of(step)
+        if self.launches is not None:
+            self.launches.append((kernel, given))
+        if self.recorder:
+            declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in given}
+            values = given | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
+            self.recorder.launched(self, kernel, kernel.grid.format(**given), values)
+            return
+        changing = self._changing[name]
+        numbers = (value for argument, value in given.items() if argument not in changing)
+        key = self.board.turn, name, *given, *numbers
+        prepared = self._prepared.get(key)
+        if prepared is None:
+            prepared = self._prepare_launch(kernel, given)
+            if len(self._prepared) == _PREPARED:
+                self._prepared.clear()
+            self._prepared[key] = prepared
+        for index, argument, owner, own in prepared.changing:
+            value = given.get(argument)
+            prepared.kernel.set_arg(index, getattr(getattr(self.board, owner), own) if value is None else value)
+        queue = self.device.queue
+        self._record(name, cl.enqueue_nd_range_kernel(queue, prepared.kernel, prepared.items, prepared.group))
+
+    def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any]) -> _Prepared:
+        """Set what does not change from one launch with the numbers in `given` to the next."""
+        size = self.sizes.of(kernel.grid.format(**given))
+        width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
+        row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
+        group = self._number(kernel.group) if kernel.group else row
+        made = self.program.kernel(kernel.name)
+        declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
+        changing = []
+        for index, argument in enumerate(self.program.arguments[kernel.name]):
+            if argument.name not in given and argument.name not in declared:
+                raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
+            owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
+            if argument.is_number:
+                made.set_arg(index, argument.packed(given[argument.name]))
+            elif argument.name in given or owner in ("rendered", "previous"):
+                changing.append((index, argument.name, owner, own))
+            else:
+                made.set_arg(index, self._buffer(f"{owner}.{own}"))
+        items = -(-width // group) * group, height
+        return _Prepared(made, changing, items, (group, 1))
+
+    def fill(self, name: str, byte: int, grid: str | None = None) -> None:
+        """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""
+        buffer, spec = self.buffer[name], self.spec(name)
+        grid = grid or spec.grid
+        if self.recorder:
+            self.recorder.filled(self, buffer, byte, grid)
+            return
+        nbytes = math.prod(self.sizes.of(grid)) * spec.bytes_per_pixel * spec.planes
+        if self.launches is not None:
+            share = nbytes / spec.nbytes(self.sizes)
+            self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
+        event = cl.enqueue_fill_buffer(self.device.queue, buffer, bytes([byte]), 0, nbytes)
+        self._record("fill", event)
+
+    def copy(self, to: str, of: str) -> None:
+        """Enqueue a copy between buffers of one size, by their names."""
+        target, source = self._buffer(to), self._buffer(of)
+        if self.recorder:
+            self.recorder.copied(self, target, source)
+            return
+        self._record("copy", cl.enqueue_copy(self.device.queue, target, source))
+
+    def take_milliseconds(self) -> float:
+        """Kernel time since events were last taken; the device must have finished."""
+        return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
+
+    def take_kernel_milliseconds(self) -> dict[str, float]:
+        """As `take_milliseconds`, by kernel."""
+        taken: dict[str, float] = {}
+        for kernel, event in self.take_events():
+            taken[kernel] = taken.get(kernel, 0.0) + (event.profile.end - event.profile.start) * 1e-6
+        return taken
+
+    def take_events(self) -> list[tuple[str, cl.Event]]:
+        events = list(self.events)
+        self.events.clear()
+        return events
+
+    def _record(self, name: str, event: cl.Event) -> None:
+        if self.device.profiles:
+            self.events.append((name, event))
+
+    def _buffer(self, name: str, given: Mapping[str, Any] = {}) -> cl.Buffer:
+        """Return the buffer `name` of this or another stage; {…} in it are `given`."""
+        owner, _, rest = name.format(**given).partition(".")
+        return self.own(rest) if owner == self.name else self.board.buffer(owner, rest)
+
+    def _number(self, number: int | str) -> int:
+        return self.program.constants[number] if isinstance(number, str) else number
+
+    def _check(self) -> None:
+        """Check that the declarations of kernels match their source."""
+        for kernel in self.kernels:
+            where = f"kernels/{self.name}.cl, {kernel.name}"
+            assert kernel.name in self.program.arguments, f"{where}: there is no such kernel"
+            arguments = self.program.arguments[kernel.name]
+            buffers = {a.name: a for a in arguments if a.buffer and not a.is_frame_block}
+            declared = set(kernel.reads) | set(kernel.writes)
+            assert declared == set(buffers), f"{where}: declared {sorted(declared)}, takes {sorted(buffers)}"
+            written = {name for name, argument in buffers.items() if not argument.read_only}
+            assert written == set(kernel.writes), (
+                f"{where}: declared as written {sorted(kernel.writes)}, are {sorted(written)}"
+            )
+
+
+class FrameBlocks(Stage):
+    """The frame blocks on the device, of the rendered frame and of the new one, which kernels read."""
+
+    name = "frame_block"
+    registered = False
+    buffers = tuple(
+        BufferSpec(slot, np.uint8, (), "once", f"frame block of the {slot} frame", planes=FRAME.itemsize, scratch=True)
+        for slot in ("rendered", "new")
+    )
+    kernels = (
+        Kernel(
+            "set_frame",
+            "once",
+            writes={"frame": "frame_block.{slot}"},
+            group=1,
+            choices={"slot": ("rendered", "new")},
+        ),
+    )
+
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self._steps: dict[str, weakref.ref[Step]] = {}  # whose block each buffer holds
+
+    def of(self, step: Step) -> cl.Buffer:
+        """Return the buffer with the block of `step`, which is written unless it is there already."""
+        slot = "rendered" if step.camera is None else "new"
+        held = self._steps.get(slot)
+        if held is None or held() is not step:
+            self.launch("set_frame", slot=slot, given=step.block(self.board))
+            self._steps[slot] = weakref.ref(step)
+        return self.buffer[slot]
+
+    def forget(self) -> None:
+        """Write the blocks again before they are used."""
+        self._steps.clear()
+
+
+class NearestStage(Stage):
+    """A stage that keeps the nearest of several fragments per pixel (nearest.h).
+
+    With 64-bit atomics one key holds depth and index; without, a second pass finds the least index among the
+    nearest. Both give the same bits. A kernel that offers fragments is launched once for each of `passes`.
+    """
+
+    def __init__(self, board: Board):
+        self.passes = range(1 if board.int64 else 2)
+        super().__init__(board, **({"INT64_ATOMICS": 1} if board.int64 else {}))
+
+    @staticmethod
+    def keys(board: Board, prefix: str, grid: str, **more: Any) -> tuple[BufferSpec, BufferSpec]:
+        """The buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"; `more`: of their specs."""
+        about = "nearest fragment offered to each pixel: depth" + (", index" if board.int64 else "")
+        dtype, winners = (np.uint64, "once") if board.int64 else (np.uint32, grid)
+        return (
+            BufferSpec(f"{prefix}keys", dtype, (), grid, about, scratch=True, **more),
+            BufferSpec(
+                f"{prefix}winners", np.uint32, (), winners, "its index, without 64-bit atomics", scratch=True, **more
+            ),
+        )
+
+    def clear_keys(self, prefix: str, grid: str) -> None:
+        """Enqueue emptying the keys of a grid, before fragments are offered."""
+        for name in (f"{prefix}keys", f"{prefix}winners")[: len(self.passes)]:
+            self.fill(name, 0xFF, grid)
+
+
+def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
+    """(ceil(H / every), W) float32: each `every`-th row of a depth buffer of `size` (width, height)."""
+    width, height = size
+    rows = np.empty((-(-height // every), width), np.float32)
+    pitch = width * rows.itemsize
+    copy: Any = cl.enqueue_copy  # no overload of the stub takes rectangles
+    copy(
+        device.queue,
+        rows,
+        depth,
+        buffer_origin=(0, 0, 0),
+        host_origin=(0, 0, 0),
+        region=(pitch, len(rows), 1),
+        buffer_pitches=(pitch * every, 0),
+        host_pitches=(pitch, 0),
+    )
+    return rows

@@ -1,0 +1,355 @@
+"""Named buffers on the device: their meaning, size and owner.
+
+A buffer is called "<owner>.<name>": "rendered.depth" and "previous.depth" are of the rendered frame and of the one
+before, "frame.color" of the extrapolated frame, all others of the stage that makes them: "history.dynamic_mask". An
+apostrophe means what a stage kept of the frame before, as in the paper: "history.history'".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array
+from pyopencl.array import Array
+from pyopencl.tools import PooledBuffer
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL
+from gffe_cl.engine.inference.model_interface import MULTIPLE
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.handles import adopted, is_handle
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.stages.pixel_formats import Packing
+
+LEAST_ALIGNMENT = 1024  # of parts of a buffer; devices may ask for more
+
+RGBA = ("R", "G", "B", "A")
+XY = ("x", "y")
+
+_LABELS = constants("common.h")
+BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
+_HOLES, _CUTS = constants("holes.cl"), constants("scene_cuts.cl")
+DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
+TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
+CUT_SAMPLES = (_CUTS["SAMPLES_X"], _CUTS["SAMPLES_Y"])  # at most, of the rendered image
+RUN_PIXELS = constants("upload.cl")["RUN_PIXELS"]
+RESIDUAL_STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
+BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
+BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
+BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
+FILLED_BY = (
+    (BY_WARP, "its own fragment"),
+    *((1 + level, f"background level {level}") for level in range(4)),
+    (BY_HIDDEN_PART, "hidden part of a mover"),
+    (BY_FIXED, "a pixel that stays in place"),
+    (BY_NOTHING, "nothing"),
+    (BY_CRACK_CLOSING, "crack closing"),
+    (BY_HOLE_FILLING, "hole filling"),
+)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Width and height in pixels of rendered (source) and extrapolated (target) images, and the `alignment` of parts of
+    a buffer, in bytes, or in texels, which have at least one."""
+
+    source: tuple[int, int]
+    target: tuple[int, int]
+    alignment: int = LEAST_ALIGNMENT
+
+    def aligned(self, n: int) -> int:
+        """Return the first start of a part of a buffer that is not before byte, or texel, `n`."""
+        return -(-n // self.alignment) * self.alignment
+
+    def level_starts(self, levels: int) -> list[int]:
+        """Return the first texel of each background level where they lie one after another, and the end."""
+        return [0, *accumulate(self.aligned(math.prod(halved(self.source, level))) for level in range(levels))]
+
+    @cache  # noqa: B019  # sizes are few, and small
+    def of(self, grid: str) -> tuple[int, int]:
+        """Width and height of a grid, see `BufferSpec`."""
+        if grid == "once":
+            return (1, 1)
+        if grid.startswith("levels"):
+            return self.level_starts(int(grid.removeprefix("levels")))[-1], 1
+        if grid == "cut_samples":
+            return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
+        image = self.source if lies_on_source(grid) else self.target
+        side_x, side_y = texel_of(grid)
+        texels = -(-image[0] // side_x), -(-image[1] // side_y)
+        if grid == "tiles":
+            return texels[0] * TILE_GROUP, texels[1]
+        if grid.startswith("network"):
+            multiple = MULTIPLE >> network_level(grid)
+            return -(-texels[0] // multiple) * multiple, -(-texels[1] // multiple) * multiple
+        return texels
+
+
+def network_level(grid: str) -> int:
+    """How often the sides of "network" are halved in one of its grids."""
+    return int(grid.removeprefix("network") or 0)
+
+
+def texel_of(grid: str) -> tuple[int, int]:
+    """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
+    if grid.startswith("network"):
+        side = 2 << network_level(grid)
+        return side, side
+    if grid.startswith(("level", "mip")):
+        side = 1 << int(grid.removeprefix("level").removeprefix("mip"))
+        return side, side
+    return {
+        "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
+        "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING),
+        "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
+        "runs": (RUN_PIXELS, 1),
+        "cells": (8, 8),
+        "source_blocks": BLOCK,
+        "target_blocks": BLOCK,
+    }.get(grid, (1, 1))
+
+
+def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """The block of texels of `grid`, x, y, width and height, over a block of texels of `fine`, which is no coarser."""
+    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    x0, y0 = x // side_x, y // side_y
+    return x0, y0, (x + width - 1) // side_x + 1 - x0, (y + height - 1) // side_y + 1 - y0
+
+
+def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int, height: int) -> np.ndarray:
+    """(height, width): for each texel of a block of `fine` that of `texels_over` that lies over it."""
+    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    rows, columns = np.arange(y, y + height) // side_y, np.arange(x, x + width) // side_x
+    return texels[np.ix_(rows - rows[0], columns - columns[0])]
+
+
+def lies_on_source(grid: str) -> bool:
+    """Whether a grid is laid over the rendered image; else over the extrapolated one."""
+    return grid in ("source", "source_blocks", "cells", "residuals", "runs") or grid.startswith("level")
+
+
+@dataclass(frozen=True)
+class BufferSpec:
+    """One named buffer.
+
+    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
+    32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
+    "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
+    rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
+    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row
+    of "source" each), "tiles" (a work-group for each
+    4×4 texels of "downsampled") and "cut_samples" (so many of the rendered image). `components` name its channels; a
+    single one goes without.
+    `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
+    here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
+    "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is
+    kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
+    the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
+    is read, so until the next `submit` it may lie in memory that another stage lends; `fleeting`: the same of each
+    `submit`, and of no use after it. `known_where`: a buffer of the
+    same owner, perhaps on a coarser grid, and the least value that it has where this one holds anything; elsewhere it
+    reads as 0. `packing`: how it
+    lies on the device, if not as `dtype` and `components` say.
+    """
+
+    name: str
+    dtype: type
+    components: tuple[str, ...]
+    grid: str
+    description: str
+    view: str = "scalar"
+    planes: int = 1
+    labels: tuple[tuple[int, str], ...] = ()
+    mapped: bool = False
+    kept: bool = False
+    scratch: bool = False
+    part_of: str = ""
+    planar: bool = False
+    transient: bool = False
+    fleeting: bool = False
+    known_where: tuple[str, int] | None = None
+    packing: Packing | None = None
+
+    @property
+    def channels(self) -> int:
+        return max(len(self.components), 1)
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Bytes per pixel of its own grid, one plane, on the device."""
+        return self.stored_channels * np.dtype(self.stored_dtype).itemsize
+
+    @property
+    def stored_channels(self) -> int:
+        return self.packing.channels if self.packing else self.channels
+
+    @property
+    def stored_dtype(self) -> type:
+        return self.packing.dtype if self.packing else self.dtype
+
+    def size(self, sizes: Sizes) -> tuple[int, int]:
+        """Width and height in pixels or texels."""
+        return sizes.of(self.grid)
+
+    def shape(self, sizes: Sizes) -> tuple[int, ...]:
+        """Shape of the NumPy array: (planes?, H, W, channels?)."""
+        width, height = self.size(sizes)
+        shape = (height, width) if self.grid != "once" else ()
+        return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
+
+    def host_array(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return two views of new memory for an image of `size` (none for "once"): an array (planes?, H, W,
+        channels) of the stored values, and the C-contiguous one in the device's layout."""
+        shape = (self.planes,) * (self.planes > 1) + (size[1], size[0]) * (self.grid != "once")
+        if not self.planar:
+            array = np.empty((*shape, self.stored_channels), self.stored_dtype)
+            return array, array
+        flat = np.empty((self.channels, *shape), self.dtype)
+        return np.moveaxis(flat, 0, -1), flat
+
+    def values(self, stored: np.ndarray, known: np.ndarray | None, x: int = 0, y: int = 0) -> np.ndarray:
+        """Return the values of a block (…, H, W, channels) from pixel (x, y) on, as read from the device; `known` (H,
+        W): the buffer of `known_where` there."""
+        if self.packing:
+            stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
+        if self.known_where:
+            assert known is not None
+            stored[..., known < self.known_where[1], :] = 0
+        return stored
+
+    def nbytes(self, sizes: Sizes) -> int:
+        """On the device."""
+        return self.bytes_per_pixel * self.planes * math.prod(self.size(sizes))
+
+
+RENDERED = (
+    BufferSpec("color", np.float16, RGBA, "source", "color of the rendered frame, linear RGB (I)", "color"),
+    BufferSpec("depth", np.float32, (), "source", "its view depth, world units, +inf sky (D)", "depth"),
+    BufferSpec("motion", np.float32, XY, "source", "its motion t → t−1, pixels (V)", "motion"),
+)
+EXTRAPOLATED = (
+    BufferSpec("color", np.float16, RGBA, "target", "color of the extrapolated frame (Ī^GAE)", "color"),
+    BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)", "depth"),
+    BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)", "motion"),
+    BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),
+    BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands", "mask"),
+    BufferSpec("filled_by", np.uint8, (), "target", "source of the pixel", "label", labels=FILLED_BY),
+)
+
+
+class Owner:
+    """Owner of named buffers: `name`, `buffers` (their descriptions), `buffer` (by name, on the device) and `nbytes`
+    allocated for them."""
+
+    name = ""
+    buffers: tuple[BufferSpec, ...] = ()
+
+    def __init__(self, device: Device, sizes: Sizes):
+        self.device, self.sizes = device, sizes
+        self.buffer: dict[str, cl.Buffer] = {}
+        self.nbytes = 0
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """New device buffers by name, all bits zero."""
+        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
+        for buffer in made.values():
+            cl.enqueue_fill_buffer(self.device.queue, buffer, b"\0", 0, buffer.size)
+            self.nbytes += buffer.size
+        return made
+
+    def spec(self, name: str) -> BufferSpec:
+        return next(spec for spec in self.buffers if spec.name == name)
+
+    def read(self, name: str) -> np.ndarray:
+        """Copy a named buffer to the host."""
+        spec = self.spec(name)
+        stored, flat = spec.host_array(spec.size(self.sizes))
+        cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
+        known = None
+        if spec.known_where:
+            telling = self.spec(spec.known_where[0])
+            known = spread(self.read(telling.name), telling.grid, spec.grid, 0, 0, *spec.size(self.sizes))
+        return spec.values(stored, known).reshape(spec.shape(self.sizes))
+
+    def upload(self, name: str, values: np.ndarray) -> None:
+        """Copy host values, shaped as `read` gives them, into a named buffer."""
+        if self.spec(name).planar:
+            values = np.ascontiguousarray(np.moveaxis(values, -1, 0))
+        cl.enqueue_copy(self.device.queue, self.buffer[name], values)
+
+
+class ExtrapolatedBuffers(Owner):
+    """The buffers of the extrapolated frame, which several stages write."""
+
+    name = "frame"
+    buffers = EXTRAPOLATED
+
+    def __init__(self, device: Device, sizes: Sizes):
+        super().__init__(device, sizes)
+        self.buffer = self.allocate(self.buffers)
+
+
+@dataclass
+class DeviceFrame:
+    """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers); `camera` in
+    pixels of these images, `display_camera` in pixels of the display."""
+
+    color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    camera: Camera
+    display_camera: Camera
+    time: float
+
+    @classmethod
+    def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
+        """New buffers for images of `size` (width, height); `motion`: the buffer to use for that."""
+        color, depth, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
+        buffers = device.buffer(color), device.buffer(depth), motion or device.buffer(moved)
+        return cls(*buffers, camera, display_camera, time)
+
+    @property
+    def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+        return self.color, self.depth, self.motion
+
+
+def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
+    """(ceil(W / 2^times), ceil(H / 2^times))."""
+    width, height = (-(-n // (1 << times)) for n in size)
+    return width, height
+
+
+def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | PooledBuffer | None:
+    """Return the device buffer of `array` for the buffer `spec`: the object itself, or the one with this handle
+    (`cl_mem`), which is retained while the result is in use. None for other arrays. Raises GffeError for a buffer
+    that `device` cannot use in place."""
+    what = f"frame: {spec.name}"
+    if isinstance(array, Array):
+        if array.offset or not array.flags.c_contiguous:
+            raise GffeError(f"{what}: device arrays must be C-contiguous and start at offset 0 of their buffer")
+        component = next(iter(array.dtype.fields.values()))[0] if array.dtype.fields else array.dtype
+        if component != spec.dtype:
+            raise GffeError(f"{what}: a device array must be of {np.dtype(spec.dtype)}, got {array.dtype}")
+        array = array.base_data
+        if array is None:
+            raise GffeError(f"{what}: the device array has no memory any more")
+    if is_handle(array):
+        array = adopted(array, cl.Buffer, what)
+        if array.get_info(cl.mem_info.TYPE) != cl.mem_object_type.BUFFER:
+            raise GffeError(f"{what}: the handle is of an image (expected a buffer: clEnqueueCopyImageToBuffer)")
+    if not isinstance(array, cl.Buffer | PooledBuffer):
+        return None
+    if array.get_info(cl.mem_info.CONTEXT) != device.context:
+        raise GffeError(f"{what}: the device buffer belongs to another OpenCL context than the pipeline's device")
+    nbytes, (width, height) = spec.nbytes(sizes), spec.size(sizes)
+    if array.size < nbytes:
+        raise GffeError(f"{what} buffer must hold {nbytes} bytes ({width}×{height}), got {array.size}")
+    return array

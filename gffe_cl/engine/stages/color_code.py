@@ -1,0 +1,34 @@
+"""Color code: the values of colors that are interpolated and mixed (beyond the paper, which mixes in linear light)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
+
+_OFFSET = 0.5  # of color_code.h, at exposure 1
+
+
+class ColorCode(Stage):
+    """Codes of the rendered frame's colors: like a square root where it is dark, linear where it is bright."""
+
+    name = "color_code"
+    buffers = (
+        BufferSpec(
+            "codes", np.float16, RGBA, "source",
+            "colors in the code for interpolation; NaN is 0, infinities are clamped", "color",
+        ),
+    )  # fmt: skip
+    kernels = (
+        Kernel(
+            "encode_colors", "source", {"color": "rendered.color"}, {"codes": "color_code.codes"}, step=("LANES", 1)
+        ),
+    )  # fmt: skip
+
+    def __init__(self, board: Board):
+        board.facts["code_offset"] = _OFFSET if board.options.resampling == "perceptual" else 0.0
+        super().__init__(board)
+
+    def rendered(self, step: Step) -> None:
+        self.launch("encode_colors", step)

@@ -1,0 +1,281 @@
+"""The shading correction network in the pipeline (paper: 'Shading Correction Network')."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
+from gffe_cl.engine.inference.network import Network, load_network
+from gffe_cl.engine.inference.providers import CPU
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
+from gffe_cl.engine.stages.host_view import HostView
+from gffe_cl.engine.stages.network_input import NetworkInput
+from gffe_cl.engine.stages.shading_flow import ShadingFlow
+from gffe_cl.engine.stages.shading_trend import ShadingTrend
+
+_CONSTANTS = constants("correction.cl")
+_WITHIN_MASK, _WITH_REFINED = _CONSTANTS["WITHIN_MASK"], _CONSTANTS["WITH_REFINED"]
+
+_SEEN, _HIDDEN, _SAID = (_CONSTANTS[name] for name in ("SEEN", "HIDDEN", "SAID"))
+assert ((_HIDDEN, _SEEN), (_SAID, _HIDDEN)) == HEAD_LAYERS
+
+_IMAGE_PIXELS = 16  # per pixel of its judgement
+INPUTS = (NetworkInput, ShadingTrend, ShadingFlow)  # stages whose work on new frames is for the network alone, in order
+
+
+class ShadingCorrection(Stage):
+    """Corrects shading that moves otherwise than its surface: shadows, reflections.
+
+    The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
+    encoded color of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
+    within twice what changed since t − 1. With e for the code
+    of color (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE color there
+    and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
+    in linear color. M is less, down to 0, where the last interval's change of brightness is not that of the interval
+    before.
+
+    `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE color.
+    `with_refined`: whether `refined` is made too, from the next frame on.
+    """
+
+    name = "correction"
+    pictures: ClassVar[Mapping[str, str]] = {"extrapolated": "color"}
+    buffers = (
+        BufferSpec(
+            "judgement", np.float32, (), "network1", "output of the convolutions, at a quarter of the resolution: a"
+            " flow of their own / 4 (1, 2), weight of the found flow before the sigmoid (3), how much longer trends"
+            " last (4); four pixels of each of four channels of detail (5–20)",
+            planes=JUDGEMENT_PLANES, mapped=True,
+        ),
+        BufferSpec(
+            "head", np.float32, (), "once", "weights of the network's last two layers, for each pixel of `correction`",
+            planes=HEAD_WEIGHTS, scratch=True,
+        ),
+        BufferSpec(
+            "chosen", np.float32, (), "network1", "the flow that is followed until t + α, x (1) and y (2), in pixels of"
+            " half the resolution, how far the trend lasts (3), and how far the focus mask is trusted (4)", planes=4,
+        ),
+        BufferSpec(
+            "correction", np.float32, (), "network", "change of encoded color (1–3), share of detail that stays (4),"
+            " focus mask (5); half resolution", planes=5,
+        ),
+        BufferSpec(
+            "refined", np.float16, RGBA, "target", "the network's image, without focus mask; computed only on"
+            " demand", "color",
+        ),
+        BufferSpec("focus_mask", np.float16, (), "target", "where it counts (M), 0 below 1/32"),
+        BufferSpec("color", np.float16, RGBA, "target", "the final image: refined within M, else GAE", "color"),
+    )  # fmt: skip
+
+    kernels = (
+        Kernel(
+            "choose_flow",
+            "network1",
+            {
+                "judgement": Access("correction.judgement", planes=4),
+                "candidates": Access("shading_flow.candidates", planes=3),
+                "differences": Access("shading_flow.differences", planes=3),
+            },
+            {"chosen": "correction.chosen"},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "judge",
+            "network",
+            {
+                "frames": Access("network_input.frames", planes=7),  # all but inverse depth
+                "trends": Access("shading_trend.trends", planes=3),
+                "judgement": Access("correction.judgement", planes=16),
+                "chosen": "correction.chosen",
+                "head": "correction.head",
+                "changed": "shading_trend.changed",
+            },
+            {"correction": "correction.correction"},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "correct",
+            "target",
+            {
+                "color": "frame.color",
+                "frames": Access("network_input.frames", planes=3),
+                "correction": "correction.correction",
+            },
+            {
+                "refined": Access("correction.refined", 0.0),  # unless `with_refined`
+                "focus_mask": "correction.focus_mask",
+                "out_color": "correction.color",
+            },
+            step=("LANES", 1),
+        ),
+    )
+
+    def __init__(self, board: Board, load: bool = True):
+        """Without `load` there are the kernels alone, no network."""
+        super().__init__(board)
+        self.network: Any = None  # a Network or a substitute
+        self.works_alone = False  # whether everything is to happen in one thread
+        if load:
+            self.use(load_network(board.options.scn_model, board.options.scn_provider))
+        self._network_milliseconds = 0.0
+        self._copying_milliseconds = 0.0
+        self._transfers: list[cl.Event] = []  # between these and the device, of the last frame
+        self.unusable_pixels = 0
+        self.with_refined = False
+        self._true = board.device.buffer(4)
+        cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
+        self._worker: ThreadPoolExecutor | None = None
+        # The frame in work, what is enqueued for it, and the network's run.
+        self._begun: tuple[Step, Future[list[cl.Event] | None], Future[None]] | None = None
+
+    @cached_property
+    def _views(self) -> tuple[HostView, HostView, HostView]:
+        """The network's input and output on the host. Without a network nobody asks for them."""
+        staged, inputs = not self.device.shares_memory, self.board.stages
+        return (
+            HostView(inputs[NetworkInput.name], "frames", staged=staged),
+            HostView(inputs[ShadingFlow.name], "candidates", staged=staged),
+            HostView(self, "judgement", writes=True, staged=staged),
+        )
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.corrects_shading
+
+    @property
+    def works_beside(self) -> bool:
+        """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
+        they are different processors, and that no other stage needs the final image."""
+        same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
+        return not (same or self.works_alone) and next(reversed(self.board.stages.values())) is self
+
+    def look_at(self, names: set[str] | None) -> None:
+        self.with_refined = names is None or "correction.refined" in names
+
+    def extrapolated(self, step: Step) -> None:
+        """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
+        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
+            self.skip()
+        else:
+            self.infer()
+            self._correct(step)
+
+    def begin(self, step: Step) -> None:
+        """Do what `INPUTS` and `extrapolated` would do, in a thread of its own until `finish`: it waits for the
+        decision whether the frame is still, enqueues the kernels before the network, and runs the network. Until
+        `settle` it alone may launch kernels of these stages, and the rendered frame must stay the same."""
+        self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
+        prepared = self._worker.submit(self._prepare, step)
+        self._begun = step, prepared, self._worker.submit(self._run_prepared, prepared)
+
+    def settle(self) -> None:
+        """Wait until the kernels that `begin` has to enqueue are enqueued."""
+        if self._begun is not None:
+            wait([self._begun[1]])
+
+    def _prepare(self, step: Step) -> list[cl.Event] | None:
+        """Enqueue the work before the network, and return the events to wait for, or None for a still frame."""
+        for stage in INPUTS:
+            self.board.stages[stage.name].extrapolated(step)
+        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
+            self.skip()
+            return None
+        events = self._open()
+        self.device.queue.flush()
+        return events
+
+    def _run_prepared(self, prepared: Future[list[cl.Event] | None]) -> None:
+        events = prepared.result()
+        if events is not None:
+            self._run(events)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether a call of `finish` is pending."""
+        return self._begun is not None
+
+    def finish(self) -> None:
+        """Wait for the network and make the final image, if that is still to be done."""
+        if self._begun is None:
+            return
+        (step, prepared, job), self._begun = self._begun, None
+        try:
+            job.result()
+        finally:
+            self._close()
+        if prepared.result() is not None:
+            self._correct(step, changed=self._true)  # the stage that found it may have seen the next frame
+
+    def _correct(self, step: Step, **given: Any) -> None:
+        self.launch("choose_flow", step)
+        self.launch("judge", step, **given)
+        self.compose(step, self.board.options.focus_mask)
+
+    def use(self, network: Network) -> None:
+        """Set the runner of the network from now on."""
+        network.prepare(*reversed(self.sizes.of("network")))
+        self.network = network
+        self.upload("head", network.head)
+
+    def skip(self) -> None:
+        """Nothing to go by: the final image is the extrapolated one."""
+        for name in ("color", "refined") if self.with_refined else ("color",):
+            self.copy(f"correction.{name}", "frame.color")
+        self.fill("focus_mask", 0)
+
+    def infer(self) -> None:
+        """Fill `judgement`. The network works in the buffers themselves where host and device share memory, else in
+        host memory, with one copy of each buffer."""
+        try:
+            self._run(self._open())
+        finally:
+            self._close()
+
+    def _open(self) -> list[cl.Event]:
+        return [event for view in self._views for event in view.open()]
+
+    def _run(self, events: list[cl.Event]) -> None:
+        for event in events:
+            event.wait()
+        self._copying_milliseconds += self._take_transfers()  # complete by now: they came before these
+        self._transfers = events
+        start = time.perf_counter()
+        self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(view.array for view in self._views))
+        copying = self.network.copying
+        self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
+        self._copying_milliseconds += copying
+
+    def _close(self) -> None:
+        self._transfers += [event for view in self._views for event in view.close()]
+
+    def compose(self, step: Step, within_mask: bool) -> None:
+        """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
+        asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
+        self.launch("correct", step, asked=asked)
+
+    def _take_transfers(self) -> float:
+        """Milliseconds of the last frame's transfers, which must be complete; 0 without profiling."""
+        events, self._transfers = self._transfers, []
+        if not self.device.profiles:
+            return 0.0
+        return sum(event.profile.end - event.profile.start for event in events) * 1e-6
+
+    def take_network_milliseconds(self) -> dict[str, float]:
+        """Return milliseconds since the last call, kernels excluded; the device must have finished. "network": time
+        in the network; "network copies": transfers between the device and the network, if the queue has profiling."""
+        copying = self._copying_milliseconds + self._take_transfers()
+        taken = {"network": self._network_milliseconds}
+        if self.device.profiles:
+            taken["network copies"] = copying
+        self._network_milliseconds = self._copying_milliseconds = 0.0
+        return taken

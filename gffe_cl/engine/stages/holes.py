@@ -1,0 +1,189 @@
+"""Hole filling: pixels that neither the rendered frame nor the background shows (paper: 'Shading correction network').
+
+A way to fill holes is one entry of `FILLINGS`, and one of `HOLE_FILLINGS` in `options.py`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.stages.background import Background
+from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
+from gffe_cl.engine.stages.base import Access, Board, Kernel, Share, Stage, Step, share_of
+from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
+from gffe_cl.engine.stages.warp import DISOCCLUDED
+
+_CONSTANTS = constants("holes.cl")
+_VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
+
+UNFILLED = share_of("unfilled", "frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING))
+BEYOND_REACH = share_of("beyond reach", "holes.downsampled_color", lambda sums: sums[..., 3] != 0)
+
+
+def _image(share: Share) -> dict[str, Access]:
+    """Color and depth of the new frame, as far as they are read around a share of the pixels."""
+    return {name: Access(f"frame.{name}", share) for name in ("color", "depth")}
+
+
+def _filled(share: Share) -> dict[str, Access]:
+    return {name: Access(f"frame.{name}", share) for name in ("color", "depth", "motion")}
+
+
+class HoleFilling(Stage):
+    """Fills invalid pixels in place. Filled pixels have depth and motion."""
+
+    name = "holes"
+    reach = 0  # px, in which the far side is looked for
+
+
+class Downsampled(HoleFilling):
+    """From the image downsampled 32× (the paper's)."""
+
+    buffers = (
+        BufferSpec(
+            "downsampled_color",
+            np.float32,
+            ("R", "G", "B", "weight"),
+            "downsampled",
+            "weighted sum of valid color over 32×32 pixels; 0 where no hole asks for it",
+            "color",
+        ),
+        BufferSpec(
+            "downsampled_inverse_depth",
+            np.float32,
+            (),
+            "downsampled",
+            "weighted sum of inverse depth over them, 1/world units",
+        ),
+    )
+    kernels = (
+        Kernel(
+            "fill_from_downsampled",
+            "tiles",
+            {
+                "filled_by": "frame.filled_by",
+                "source_color": Access("rendered.color", BEYOND_REACH),
+                "source_depth": Access("rendered.depth", BEYOND_REACH),
+            }
+            | _image(BEYOND_REACH),
+            _filled(BEYOND_REACH)
+            | {
+                "downsampled_color": "holes.downsampled_color",
+                "downsampled_inverse_depth": "holes.downsampled_inverse_depth",
+            },
+            group="GROUP",
+        ),
+    )
+
+    def extrapolated(self, step: Step) -> None:
+        self.launch("fill_from_downsampled", step, after_far_side=self.reach > 0)
+
+
+class FarSide(Downsampled):
+    """Continues the surface behind a disocclusion. Beyond its reach the downsampled image is used. Colors from the
+    background are mixed with the far side."""
+
+    kernels = (
+        Kernel(
+            "mix_far_side",
+            "target",
+            {"disoccluded": "frame.disoccluded", "filled_by": Access("frame.filled_by", DISOCCLUDED)}
+            | _image(DISOCCLUDED),
+            {"color": Access("frame.color", DISOCCLUDED)},
+            step=("RUN", 1),
+        ),
+        Kernel(
+            "fill_far_side",
+            "target",
+            {
+                "block_class": "backward_blocks.block_class",
+                "filled_by": Access("frame.filled_by", SPLATTED_PIXELS),
+                "source_color": Access("rendered.color", UNFILLED),
+                "source_depth": Access("rendered.depth", UNFILLED),
+                "is_dynamic": Access("frame.dynamic", UNFILLED),
+            }
+            | _image(UNFILLED),
+            _filled(UNFILLED),
+            step=("RUN", 1),
+        ),
+        *Downsampled.kernels,
+    )
+
+    def __init__(self, board: Board):
+        self.reach = max(_CONSTANTS["LEAST_REACH"], board.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
+        self.mixes = Background.is_wanted(board.options)
+        super().__init__(board)
+
+    def extrapolated(self, step: Step) -> None:
+        if self.mixes:
+            self.launch("mix_far_side", step)
+        self.launch("fill_far_side", step)
+        super().extrapolated(step)
+
+
+class PushPull(HoleFilling):
+    """From a pyramid of means."""
+
+    kernels = (
+        Kernel("push_image", "mip1", _VALID, {"mean": "holes.mean_1", "weight": "holes.weight_1"}),
+        Kernel(
+            "push_level",
+            "mip{level}",
+            {"fine_mean": "holes.mean_{fine}", "fine_weight": "holes.weight_{fine}"},
+            {"mean": "holes.mean_{level}", "weight": "holes.weight_{level}"},
+        ),
+        Kernel(
+            "pull_level",
+            "mip{level}",
+            {
+                "coarse_mean": "holes.mean_{coarse}",
+                "mean": "holes.mean_{level}",
+                "weight": "holes.weight_{level}",
+            },
+            {"mean": "holes.mean_{level}"},
+        ),
+        Kernel(
+            "fill_from_pyramid",
+            "target",
+            {"filled_by": "frame.filled_by", "level_mean": Access("holes.mean_1", UNFILLED)},
+            _filled(UNFILLED),
+        ),
+    )
+
+    def __init__(self, board: Board):
+        self.levels = max(1, (max(board.sizes.target) - 1).bit_length())  # halved until one texel is left
+        self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
+        super().__init__(board)
+
+    def extrapolated(self, step: Step) -> None:
+        self.launch("push_image", step)
+        for level in range(2, self.levels + 1):
+            self.launch("push_level", step, level=level, fine=level - 1)
+        for level in range(self.levels - 1, 0, -1):
+            self.launch("pull_level", step, level=level, coarse=level + 1)
+        self.launch("fill_from_pyramid", step)
+
+
+# By the option `hole_filling`; None leaves holes.
+FILLINGS: dict[str, type[HoleFilling] | None] = {
+    "far-side": FarSide,
+    "push-pull": PushPull,
+    "downsample": Downsampled,
+    "none": None,
+}
+
+
+def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
+    about = f"push-pull level {level}"
+    return (
+        BufferSpec(
+            f"mean_{level}",
+            np.float32,
+            ("R", "G", "B", "inverse_depth"),
+            f"mip{level}",
+            f"{about}: completed means",
+            "color",
+        ),
+        BufferSpec(f"weight_{level}", np.float32, (), f"mip{level}", f"{about}: how much of it was valid, 0 to 1"),
+    )

@@ -1,0 +1,96 @@
+"""Inputs of the shading correction network, and the mask it learns (paper: 'Shading Correction Network')."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec
+from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
+
+_CONSTANTS = constants("shading.cl")
+FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILON"]
+
+# Inputs of kernels that look up the previous rendered frame at pixels of the new one (warped_previous.h).
+SEEN = {
+    "color": "frame.color",
+    "depth": "frame.depth",
+    "out_motion": Access("frame.motion", DYNAMIC_PIXELS),
+    "is_dynamic": "frame.dynamic",
+    "disoccluded": "frame.disoccluded",
+    "motion": Access("rendered.motion", DYNAMIC_PIXELS),
+    "color_prev": "previous.color",
+    "depth_prev": "previous.depth",
+}
+
+
+class ShadingInputs(Stage):
+    """The previous rendered frame warped backward to t + α, ghosts replaced, and the input mask.
+
+    For whoever looks at them: the network's own come from the same functions, without the images at full size.
+    """
+
+    name = "shading"
+    buffers = (
+        BufferSpec(
+            "warped_previous",
+            np.float16,
+            ("R", "G", "B", "valid"),
+            "target",
+            "frame t−1 warped backward to t + α (I^w); valid = 0: hidden then, GAE color instead",
+            "color",
+        ),
+        BufferSpec("input_mask", np.float16, (), "target", "1 dynamic, 0 disoccluded, 0.5 the rest (M^input)"),
+    )
+    kernels = (
+        Kernel(
+            "prepare_inputs",
+            "target",
+            SEEN,
+            {"warped_previous": "shading.warped_previous", "input_mask": "shading.input_mask"},
+            step=("LANES", 1),
+        ),
+    )
+    is_looked_at = True
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.shading_inputs
+
+    def look_at(self, names: set[str] | None) -> None:
+        self.is_looked_at = names is None or any(f"{self.name}.{spec.name}" in names for spec in self.buffers)
+
+    def extrapolated(self, step: Step) -> None:
+        """After a reset everything is GAE color."""
+        if not self.is_looked_at:
+            return
+        self.launch("prepare_inputs", step)
+
+
+class FocusMask(Stage):
+    """Where shading is wrong, by ground truth: for training and measuring, not part of the pipeline."""
+
+    name = "shading"
+    buffers = (
+        BufferSpec(
+            "focus_truth", np.uint8, (), "target", "static, and unlike the truth around (M_focus: SMAPE > 0.5)", "mask"
+        ),
+    )
+    kernels = (
+        Kernel(
+            "focus_mask",
+            "target",
+            {"color": "frame.color", "truth": "frame.color", "is_dynamic": "frame.dynamic"},
+            {"focus_truth": "shading.focus_truth"},
+        ),
+    )
+    registered = False
+
+    def make(self, truth: cl.Buffer, exposure: float) -> None:
+        """Of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear RGB; `exposure`:
+        the sequence's."""
+        width, height = self.sizes.target
+        self.launch("focus_mask", truth=truth, target_width=width, target_height=height, exposure=exposure)

@@ -1,0 +1,140 @@
+"""Trend of shading: slow changes of light, found in the last two intervals and continued. Beyond the paper: a
+candidate of the shading correction network."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec
+from gffe_cl.engine.stages.host_view import HostView
+
+_CONSTANTS = constants("shading_trend.cl")
+_CHANGES = _CONSTANTS["CHANGES"]
+TREND_PLANES = 8  # of `ShadingTrend`'s `trends`
+_SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
+
+
+class ShadingTrend(Stage):
+    """Change of encoded color on static surfaces from t − 1 to t, averaged over wide areas, and from t − 2 to t − 1;
+    both carried on to t + α. A change that both share is likely to continue.
+
+    Changes are of encoded color (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
+    in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
+
+    `is_still`: whether there is nothing for the network to correct: in no tile of 32×32 pixels more than 8 of 64
+    samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
+    whole image is to be the network's. The device decides while it works on the rendered frame; `submit` does not wait.
+    The host reads the decision where it is about to wait for the network anyway, behind all other work on the new
+    frame: in the network's thread, where that runs beside the device (`ShadingCorrection.begin`).
+    """
+
+    name = "shading_trend"
+    kernels = (
+        Kernel(
+            "measure_changes",
+            "cells",
+            {
+                "color": Access("rendered.color", _SAMPLED),
+                "depth": Access("rendered.depth", _SAMPLED),
+                "dynamic_mask": Access("history.dynamic_mask", _SAMPLED),
+                "color_prev": Access("previous.color", 4 * _SAMPLED),
+                "depth_prev": Access("previous.depth", 4 * _SAMPLED),
+            },
+            {"changes": "shading_trend.changes", "changed_samples": "shading_trend.changed_samples"},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "find_change",
+            "once",
+            {"changed_samples": "shading_trend.changed_samples"},
+            {"changed": "shading_trend.changed"},
+            group="SCANNERS",
+        ),
+        Kernel("blur_rows", "cells", {"changes": "shading_trend.changes"}, {"blurred": "shading_trend.blurred"}),
+        Kernel("find_trend", "cells", {"blurred": "shading_trend.blurred"}, {"trend": "shading_trend.trend"}),
+        Kernel(
+            "carry_trends",
+            "network1",
+            {
+                "depth": Access("frame.depth", 1 / 16),
+                "trend": "shading_trend.trend",
+                "trend_prev": "shading_trend.trend'",
+                "changes_prev": "shading_trend.changes'",
+            },
+            {"trends": "shading_trend.trends"},
+            step=("LANES", 1),
+        ),
+    )
+    buffers = (
+        BufferSpec(
+            "changes", np.float32, (), "cells", "change of encoded color since t − 1 (1–3), and share of valid"
+            " samples (4)", planes=_CHANGES, kept=True,
+        ),
+        BufferSpec(
+            "changed_samples", np.uint8, (), "cells", "samples, of four in 8×8 pixels, that move or change by more than"
+            " noise from t − 1 on",
+        ),
+        BufferSpec("changed", np.int32, (), "once", "1 where enough do, else there is nothing to correct", mapped=True),
+        BufferSpec(
+            "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
+        ),
+        BufferSpec(
+            "trend", np.float32, (), "cells", "mean change of encoded color around, from t − 1 to t (1–3), and"
+            " valid share of the surroundings (4)", planes=_CHANGES, kept=True,
+        ),
+        BufferSpec(
+            "trends", np.float32, (), "network1", "change of encoded color until t + α as the last interval has it"
+            " (1–3), as the interval before has it (4–6), and valid share for the latter (7);"
+            " change of brightness close by in the interval before (8); at a quarter of the resolution",
+            planes=TREND_PLANES,
+        ),
+    )  # fmt: skip
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.corrects_shading or options.shading_inputs
+
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self._changed = HostView(self, "changed")
+        self.never_still = False  # whether all work is to be done in any case
+        self._known: list[cl.Event] = []  # complete when `_changed` can be read
+
+    @property
+    def is_still(self) -> bool:
+        """Whether there is nothing to correct. Waits until the device has looked at the rendered frame; work that was
+        enqueued after that goes on."""
+        for event in self._known:
+            event.wait()
+        changed = self._changed.array
+        return changed is not None and not changed[0] and not self.never_still
+
+    def rendered(self, step: Step) -> None:
+        """Find the trend, and whether any light changes. After a reset there is none."""
+        self._known = []
+        self._changed.close()
+        if step.previous is None:
+            self.fill("trend", 0)
+            self.fill("changes", 0)
+            return
+        self.launch("measure_changes", step)
+        self.launch("find_change", step)
+        options = self.board.options
+        if options.corrects_shading and options.focus_mask and self.recorder is None:
+            self._known = self._changed.open()
+        self.launch("blur_rows", step)
+        self.launch("find_trend", step)
+
+    def extrapolated(self, step: Step) -> None:
+        """Carry both trends to the new frame, unless there is nothing to correct."""
+        if not self.is_still:
+            self.launch("carry_trends", step)
+
+
+def reach_of(height: int) -> int:
+    """Cells that count around one, of an image of so many rows: at least one."""
+    return max(1, height // _CONSTANTS["REACH_SHARE"])

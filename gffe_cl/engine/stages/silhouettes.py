@@ -1,0 +1,118 @@
+"""Soft silhouettes: edges of movers stay antialiased as in the rendered frame (not in the paper)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step, share_of
+from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
+from gffe_cl.engine.stages.pixel_formats import RGB9E5
+
+_CONSTANTS = constants("silhouettes.cl")
+LAYERS = tuple(
+    (_CONSTANTS[name], about)
+    for name, about in (
+        ("NO_LAYER", "no step of depth whose sides move apart"),
+        ("FAR", "the far side of one"),
+        ("NEAR", "the near side of one"),
+    )
+)
+
+
+LAYERED = share_of("layers", "silhouettes.layer")
+NEAR_SILHOUETTES = share_of("near silhouettes", "silhouettes.marked")
+SOFTENED = share_of("softened", "silhouettes.coverage")
+
+
+class Silhouettes(Stage):
+    """Unmixes the pixels at silhouettes of the rendered frame, and blends them with the surface behind in the new
+    frame."""
+
+    name = "silhouettes"
+    buffers = (
+        BufferSpec(
+            "layer", np.uint8, (), "source", "sides of a step of depth that move apart", "label", labels=LAYERS,
+            transient=True,
+        ),
+        BufferSpec(
+            "behind", np.float16, RGBA, "source", "color of the far side at such steps", "color", scratch=True,
+            transient=True, packing=RGB9E5,
+        ),
+        BufferSpec(
+            "share", np.uint8, (), "source", "there, 255 times the near side's share of the pixel", scratch=True,
+            transient=True,
+        ),
+        BufferSpec(
+            "marked", np.uint8, (), "target_blocks", "1 where fragments go that lie at such steps", "mask"
+        ),
+        BufferSpec(
+            "coverage", np.uint8, (), "target", "1 + 254 times the share of the nearer surface; 0: left as it was",
+            transient=True, known_where=("marked", 1),
+        ),
+        BufferSpec(
+            "softened", np.float16, RGBA, "target", "new colors at silhouettes", "color", scratch=True, transient=True,
+            packing=RGB9E5,
+        ),
+    )  # fmt: skip
+    kernels = (
+        Kernel(
+            "find_layers",
+            "source",
+            {
+                "links": "connectivity.links",
+                "depth": Access("rendered.depth", LAYERED),
+                "target_position": Access("prediction.target_position", LAYERED),
+                "codes": Access("color_code.codes", LAYERED),
+            },
+            {
+                "layer": "silhouettes.layer",
+                "behind": Access("silhouettes.behind", LAYERED),
+                "share": Access("silhouettes.share", LAYERED),
+                "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
+            },
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "soften",
+            "target",
+            {
+                "marked": "silhouettes.marked",
+                "depth": Access("frame.depth", NEAR_SILHOUETTES),
+                "motion": Access("frame.motion", NEAR_SILHOUETTES),
+                "layer": Access("silhouettes.layer", NEAR_SILHOUETTES),
+                "filled_by": Access("frame.filled_by", SOFTENED),
+                "mixed": Access("warp.mixed", SOFTENED),
+                "color": Access("frame.color", SOFTENED),
+                "behind": Access("silhouettes.behind", SOFTENED),
+                "share": Access("silhouettes.share", SOFTENED),
+                "codes": Access("color_code.codes", SOFTENED),
+                "target_position": Access("prediction.target_position", SOFTENED),
+            },
+            {
+                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
+                "softened": Access("silhouettes.softened", SOFTENED),
+            },
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "apply_softened",
+            "target",
+            {
+                "marked": "silhouettes.marked",
+                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
+                "softened": Access("silhouettes.softened", SOFTENED),
+            },
+            {"color": Access("frame.color", SOFTENED)},
+            step=("RUN", 1),
+        ),
+    )
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.soft_silhouettes
+
+    def extrapolated(self, step: Step) -> None:
+        for kernel in ("find_layers", "soften", "apply_softened"):
+            self.launch(kernel, step)

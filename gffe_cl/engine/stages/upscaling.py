@@ -1,0 +1,136 @@
+"""Temporal anti-aliasing and upsampling, of rendered and generated frames alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec
+from gffe_cl.engine.stages.correction import ShadingCorrection
+
+LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
+_YCOCG = ("Y", "Co", "Cg", "A")
+
+
+class Upscaling(Stage):
+    """Gathers rendered frames, jittered and small, over time into a history at the display's size.
+
+    The history is what is shown of a rendered frame. Generated frames are seen through it and do not change it: made
+    from samples that it holds already, they bring none.
+    """
+
+    name = "upscaling"
+    pictures: ClassVar[Mapping[str, str]] = {"rendered": "history", "extrapolated": "color"}
+    buffers = (
+        BufferSpec(
+            "compressed", np.float16, _YCOCG, "source", "the rendered frame's color, tone-mapped YCoCg; A: share of"
+            " its place that was not hidden before", scratch=True,
+        ),
+        BufferSpec(
+            "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where nothing is known",
+            "motion",
+        ),
+        BufferSpec(
+            "surprise", np.float16, _YCOCG, "source", "how far it is beyond the history around; A: 1 where there is"
+            " any", scratch=True,
+        ),
+        BufferSpec(
+            "mean", np.float16, _YCOCG, "source", "mean color of 3×3 pixels, tone-mapped YCoCg; A: error of the"
+            " history, in deviations", scratch=True,
+        ),
+        BufferSpec(
+            "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: light that the history lacks",
+            scratch=True,
+        ),
+        BufferSpec(
+            "history", np.float16, RGBA, "target", "the rendered frame as displayed: samples gathered over time",
+            "color", kept=True,
+        ),
+        BufferSpec(
+            "lock", np.uint8, (), "target", "frames in which the history was right, at rest, 8 at most; above: a thin"
+            " feature is kept", kept=True,
+        ),
+        BufferSpec("rejected", np.uint8, (), "target", "share of the history that was not believed, in 255ths"),
+        BufferSpec(
+            "color", np.float16, RGBA, "target", "the generated frame, seen through the history", "color"
+        ),
+    )  # fmt: skip
+
+    kernels = (
+        Kernel(
+            "compare",
+            "source",
+            {
+                "color": "rendered.color",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "previous_depth": "previous.depth",
+                "history": Access("upscaling.history'", 0.25),
+            },
+            {
+                "out_compressed": "upscaling.compressed",
+                "out_dilated": "upscaling.dilated",
+                "out_surprise": "upscaling.surprise",
+            },
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "survey",
+            "source",
+            {"compressed": "upscaling.compressed", "surprise": "upscaling.surprise"},
+            {"out_mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "accumulate",
+            "target",
+            {
+                **{name: f"upscaling.{name}" for name in ("compressed", "dilated", "mean", "deviation")},
+                **{name: f"upscaling.{name}'" for name in ("history", "lock")},
+            },
+            {
+                **{f"out_{name}": f"upscaling.{name}" for name in ("history", "lock")},
+                "rejected": "upscaling.rejected",
+            },
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "generate",
+            "target",
+            {
+                **{name: f"frame.{name}" for name in ("depth", "motion", "disoccluded")},
+                "gae": "frame.color",
+                "color": "correction.color",
+                "history": "upscaling.history",
+            },
+            {"out_color": "upscaling.color"},
+            step=("LANES", 1),
+        ),
+    )
+
+    def __init__(self, board: Board):
+        self.corrected = ShadingCorrection.name in board.stages
+        if not self.corrected:
+            *others, generate = self.kernels
+            self.kernels = (*others, replace(generate, reads={**generate.reads, "color": "frame.color"}))
+        super().__init__(board)
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.upscale > 0
+
+    def rendered(self, step: Step) -> None:
+        """Take the rendered frame into the history."""
+        for kernel in ("compare", "survey", "accumulate"):
+            self.launch(kernel, step)
+
+    def extrapolated(self, step: Step) -> None:
+        for name, values in step.geometry.items():
+            self.board.frame.upload(name, values)
+        self.launch("generate", step, corrected=self.corrected)

@@ -1,0 +1,1 @@
+"""Times of stages and bytes that must move, of any pipeline."""

@@ -1,0 +1,262 @@
+"""Cost of each stage, in milliseconds and in bytes per pixel (`gffe bench`).
+
+Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is what copying reaches in between the timed
+frames, so the figure means the same on every machine. Stage times are sums of kernel event times; the wall
+time of a frame stands beside.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.engine.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
+from gffe_cl.engine.frame.window import WindowChooser, fixed_window
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.program import build
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Board, FrameBlocks, read_some_rows
+from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.timing import traffic
+from gffe_cl.engine.timing.footage import Footage, Turn
+
+# Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts. The paper's own sum for GAE
+# is 1400, with "misc".
+PAPER = {
+    "history": 337,
+    "acceleration": None,
+    "connectivity": None,
+    "color_code": None,
+    "background, collection": 366,
+    "prediction": 71,
+    "backward_blocks": None,
+    "warp": 259,
+    "hidden_parts": None,
+    "background, projection": 246,
+    "holes": None,
+    "silhouettes": None,
+    "GAE": 1280,
+    "misc": 120,
+    "SCN, trend": None,
+    "SCN, inputs": None,
+    "SCN, flow": None,
+    "SCN, kernels": None,
+    "SCN, network": None,
+    "SCN, copies": None,
+    "SCN": 745,
+}
+_COPY_BYTES = 256 << 20
+_COPY_RUN = 64
+_WINDOW = 1.2  # times the display, for presentation
+
+
+@dataclass
+class SizeBench:
+    """Medians for one size: `milliseconds` and `bytes_per_pixel` by part, for one rendered frame with one
+    extrapolated frame. `wall`: milliseconds from submitting the rendered frame to receiving the extrapolated one.
+    "GAE": sum of its stages by kernel events. "SCN": shading correction, where it is on: kernels by their events,
+    network and transfers by wall time. "misc": the adaptive window, in none of the others: its choice on the host
+    and the presentation of the display part."""
+
+    width: int
+    height: int
+    milliseconds: dict[str, float]
+    bytes_per_pixel: dict[str, float]
+    wall: float
+    bandwidth: float  # GB/s, read and written
+    memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames, motion of one only
+    memory_gae: int  # without shading correction
+    must_move: dict[str, float]  # bytes per pixel by part, as the stages declare (`traffic`)
+    shares: dict[str, float]  # of the pixels, by which they declare it
+    memory_by_stage: dict[str, int]  # bytes
+    kernels: dict[str, float]  # milliseconds by "stage.kernel", all launches for the two frames together
+    commands: dict[str, int]  # enqueued for the two frames: kernels, fills and copies; "GAE" and "SCN"
+    provider: str = ""  # onnxruntime's name of the network's provider
+    remark: str = ""  # a remark for the user
+
+
+class Copier:
+    """The fastest way of copying 256 MiB on a device, by event times."""
+
+    def __init__(self, device: Device):
+        program = build(device, "copy")
+        queue = device.queue
+        a, b = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, _COPY_BYTES) for _ in range(2))
+        cl.enqueue_fill_buffer(queue, a, b"\1", 0, _COPY_BYTES)
+        floats = _COPY_BYTES // 4
+        buffers = {"from": a, "to": b, "run": _COPY_RUN}
+        self._ways = {
+            "copy buffer": lambda: cl.enqueue_copy(queue, b, a),
+            "scalar kernel": lambda: program.launch(queue, "copy_scalar", (floats,), None, buffers),
+            "vector kernel": lambda: program.launch(queue, "copy_vector", (floats // 4,), None, buffers),
+            "run kernel": lambda: program.launch(queue, "copy_run", (floats // 16 // _COPY_RUN,), None, buffers),
+        }
+        speeds = {name: max(self._gigabytes(name) for _ in range(3)) for name in self._ways}
+        self.way = max(speeds, key=speeds.__getitem__)
+
+    def bandwidth(self) -> float:
+        """GB/s (read and written) of one copy now."""
+        return self._gigabytes(self.way)
+
+    def _gigabytes(self, name: str) -> float:
+        event = self._ways[name]()
+        event.wait()
+        return 2 * _COPY_BYTES / max(event.profile.end - event.profile.start, 1)
+
+
+@dataclass
+class _Samples:
+    """Times of the counted turns: milliseconds by part and by kernel, wall time, and GB/s of the copies in between."""
+
+    parts: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    kernels: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    walls: list[float] = field(default_factory=list)
+    bandwidths: list[float] = field(default_factory=list)
+    commands: dict[str, int] = field(default_factory=dict)
+
+    def medians(self) -> dict[str, float]:
+        """Milliseconds by part, with the sums."""
+        return _with_sums({name: statistics.median(taken) for name, taken in self.parts.items()})
+
+
+def bench_size(
+    device: Device,
+    copier: Copier,
+    footage: Footage,
+    options: Options,
+    repeats: int,
+    on_pair: Callable[[], None] = lambda: None,
+) -> SizeBench:
+    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of `footage`."""
+    footage = footage.on(device)
+    presentation = Presentation(Board(device, Sizes((footage.width, footage.height), (footage.width, footage.height))))
+    before = device.allocated
+    pipeline = Pipeline(device, footage.width, footage.height, options, render_size=footage.render_size)
+    pipeline.exposure = footage.exposure
+    samples, launches = _Samples(), {}
+    for turn in footage.turns(repeats):
+        bandwidth = copier.bandwidth()
+        device.queue.finish()
+        launches = _timed_pair(pipeline, footage, turn, samples)
+        if turn.counts:
+            if not footage.render_size:
+                samples.parts["misc"].append(_windowing(device, presentation, turn))
+            samples.bandwidths.append(bandwidth)
+            on_pair()
+    bandwidth = statistics.median(samples.bandwidths)
+    milliseconds = samples.medians()
+    pixels = footage.width * footage.height
+    shares = traffic.counters(pipeline)
+    by_stage = traffic.memory(pipeline)
+    network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
+    frames = KEPT_BYTES_PER_PIXEL * math.prod(footage.render_size or (footage.width, footage.height))
+    return SizeBench(
+        footage.width,
+        footage.height,
+        milliseconds,
+        bytes_per_pixel={name: ms * 1e6 * bandwidth / pixels for name, ms in milliseconds.items()},
+        wall=statistics.median(samples.walls),
+        bandwidth=bandwidth,
+        memory=device.allocated - before + frames,
+        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if traffic.group(name) == "GAE"),
+        must_move=_must_move(pipeline, launches, shares),
+        shares=shares,
+        memory_by_stage=by_stage,
+        kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
+        commands=samples.commands,
+        provider=network.provider if network else "",
+        remark=network.remark if network else "",
+    )
+
+
+def growth(results: list[SizeBench]) -> float | None:
+    """The x of time ~ pixels^x, by least squares over the sizes; None for one size. Time is that of GAE times the
+    bandwidth meanwhile, so that a busy machine does not matter."""
+    pixels = np.log([r.width * r.height for r in results])
+    if np.ptp(pixels) == 0:
+        return None
+    return float(1 + np.polyfit(pixels, np.log([r.bytes_per_pixel["GAE"] for r in results]), 1)[0])
+
+
+def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
+    """Submit and extrapolate. Returns the launches of both. Adds to `samples` if the turn counts."""
+    events: dict[str, dict[str, list]] = {}
+    launches: dict[str, traffic.Launches] = {}
+    start = time.perf_counter()
+    for when, work in (
+        ("rendered", lambda: pipeline.submit(turn.frame)),
+        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval)).color),
+    ):
+        launches[when] = traffic.launches_of(pipeline, work)
+        stages = {FrameBlocks.name: pipeline.board.blocks} | pipeline.stages
+        events[when] = {name: stage.take_events() for name, stage in stages.items()}
+    pipeline.device.queue.finish()
+    wall = (time.perf_counter() - start) * 1e3
+    correction = pipeline.stages.get(ShadingCorrection.name)
+    network = correction.take_network_milliseconds() if correction else {}
+    if not turn.counts:
+        return launches
+    parts: dict[str, float] = defaultdict(float)
+    kernels: dict[str, float] = defaultdict(float)
+    commands: dict[str, int] = defaultdict(int)
+    for when, stages in events.items():
+        for stage, done in stages.items():
+            for kernel, event in done:
+                milliseconds = (event.profile.end - event.profile.start) * 1e-6
+                kernels[f"{stage}.{kernel}"] += milliseconds
+                parts[traffic.part(stage, when)] += milliseconds
+                commands[traffic.group(stage)] += 1
+    parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
+    for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
+        for name, milliseconds in taken.items():
+            into[name].append(milliseconds)
+    samples.walls.append(wall)
+    samples.commands = dict(commands)
+    return launches
+
+
+def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares: dict[str, float]) -> dict[str, float]:
+    """Return bytes per pixel by part, "GAE" and "SCN" among them, from the launches of a pair of frames."""
+    parts: dict[str, float] = defaultdict(float)
+    for when, launched in launches.items():
+        for stage, kernels in traffic.bytes_per_pixel(pipeline, launched, shares).items():
+            parts[traffic.part(stage, when)] += math.fsum(kernels.values())
+    return _with_sums(parts)
+
+
+def _with_sums(parts: dict[str, float]) -> dict[str, float]:
+    """Those of GAE in the paper's order, "GAE", "misc", upscaling, those of SCN, "SCN"."""
+    parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
+    scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
+    apart = {name: value for name, value in parts.items() if name == "misc" or name in traffic.UPSCALING}
+    gae = {name: value for name, value in parts.items() if name not in scn and name not in apart}
+    return gae | {"GAE": math.fsum(gae.values())} | apart | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
+
+
+def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
+    """Return the milliseconds of an adaptive window per rendered frame: its choice on the host, with the nearest
+    depth read back, and the presentation of its display part."""
+    size = presentation.sizes.target
+    windows = WindowChooser("adaptive", size, [0.5])
+    assert turn.before is not None
+    start = time.perf_counter()
+    windows.observe(read_some_rows(device, turn.frame.depth, size))
+    windows.choose(turn.frame.camera, turn.before.camera)
+    host = (time.perf_counter() - start) * 1e3
+    now, before = (
+        DeviceFrame(f.color, f.depth, f.motion, fixed_window(_WINDOW).camera(f.camera, size), f.camera, f.time)
+        for f in (turn.frame, turn.before)
+    )
+    presentation.present(now, before)
+    device.queue.finish()
+    return host + presentation.take_milliseconds()

@@ -1,0 +1,83 @@
+"""Bytes per pixel that must move, by the stages' declarations: exact and independent of the machine (`gffe bench`).
+
+Every kernel declares what it reads and writes, and for which share of the pixels; the shares are counted in the frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Kernel, Share, share_of
+
+FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes the frame
+
+# Parts by stage.
+SCN = {
+    "shading_trend": "SCN, trend", "shading": "SCN, inputs", "network_input": "SCN, inputs",
+    "shading_flow": "SCN, flow", "correction": "SCN, kernels", "network": "SCN, network",
+    "network copies": "SCN, copies",
+}  # fmt: skip
+UPSCALING = ("upscaling", "sharpening")
+
+
+def group(stage: str) -> str:
+    """Whose work a stage is: "GAE", "SCN" or "upscaling"."""
+    return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
+
+
+def part(stage: str, when: str) -> str:
+    """Return the name in tables of a stage's work after `submit` ("rendered") or in `extrapolate` ("extrapolated")."""
+    if stage == "background":
+        return f"background, {'collection' if when == 'rendered' else 'projection'}"
+    return SCN.get(stage, stage)
+
+
+def counters(pipeline: Pipeline) -> dict[str, float]:
+    """Return the shares of pixels in the stages' declarations of reads and writes, counted in the present frame."""
+    kernels = (kernel for stage in pipeline.stages.values() for kernel in stage.kernels)
+    declared = (access.share for kernel in kernels for *_, access in kernel.accesses())
+    shares = dict.fromkeys(share for share in declared if isinstance(share, Share))
+    return {share.name: share.count(pipeline.board) for share in [*shares, FOCUS]}
+
+
+Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with the arguments of each launch
+
+
+def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:
+    """Return the launches of the pipeline during `work`."""
+    blocks = pipeline.board.blocks
+    stages = {blocks.name: blocks} | pipeline.stages
+    for stage in stages.values():
+        stage.launches = []
+    try:
+        work()
+        return {name: stage.launches for name, stage in stages.items()}
+    finally:
+        for stage in stages.values():
+            stage.launches = None
+
+
+def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Bytes per display pixel that launches must move, by stage and kernel; `shares`: of `counters`."""
+    pixels = math.prod(pipeline.sizes.target)
+    moved: dict[str, dict[str, float]] = {}
+    for stage, launched in launches.items():
+        by_kernel = moved.setdefault(stage, {})
+        for kernel, given in launched:
+            for _, _, access in kernel.accesses():
+                share = shares[access.share.name] if isinstance(access.share, Share) else access.share
+                spec = pipeline.board.spec(access.buffer.format(**given))
+                planes = spec.planes if access.planes is None else access.planes
+                nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share
+                by_kernel[kernel.name] = by_kernel.get(kernel.name, 0.0) + nbytes / pixels
+    return moved
+
+
+def memory(pipeline: Pipeline) -> dict[str, int]:
+    """Bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
+    board = pipeline.board
+    owners = {"frame": board.frame, board.blocks.name: board.blocks} | pipeline.stages
+    return {name: owner.nbytes for name, owner in owners.items()}

@@ -1,5 +1,0 @@
-"""Captures of other people's programs, read as sequences of our own."""
-
-from gffe_cl.formats.registry import FORMATS, Format, open_capture
-
-__all__ = ["FORMATS", "Format", "open_capture"]

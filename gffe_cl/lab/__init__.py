@@ -1,0 +1,1 @@
+"""What research needs: metrics, comparisons, benchmarks, the table of methods, training."""

@@ -1,0 +1,1 @@
+"""Everything of `gffe bench` beyond the times of stages."""

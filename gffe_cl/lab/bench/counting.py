@@ -1,0 +1,231 @@
+"""Bytes per pixel that kernels load and store, and instructions that they execute, counted by Oclgrind, which nothing
+disturbs (`gffe bench --traffic`).
+
+A process under Oclgrind makes a few frames of a small part of the images; the kernels of the last pair are counted.
+Caches count for nothing: a pixel that four work-items load is loaded four times. An atomic loads and stores.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.shading_trend import ShadingTrend
+from gffe_cl.engine.timing import traffic
+from gffe_cl.engine.timing.footage import Footage
+
+SIZE = (1920, 1080)  # pixels, by default
+PART = (192, 108)  # of which so many are counted,
+CENTER = (0.3, 0.5)  # around here: on plaza edges, movers, holes and blocks are about as frequent as in all of it
+TOLERANCE = 0.05  # by how much counted bytes may grow
+_SLACK = 0.05  # bytes per pixel that do not matter
+_NAME = "Oclgrind"
+_HIDDEN = ("GFFE_DEVICE", "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES")  # would choose other devices
+_KERNEL = re.compile(r"^Instructions executed for kernel '(\w+)':$")
+_COUNT = re.compile(r"^\s*(\d+) - (.*)$")
+_MEMORY = re.compile(r"(load|store) global \((\d+) bytes\)")
+_GLOBAL = r"PU3AS1V?K?(Dh|[a-z])"  # a pointer to global memory, and its type, in C++'s mangled names
+_VECTOR = re.compile(rf"call _Z\d+v(load|store)a?_?(?:half)?(\d*)(?:_rt[ezpn])?(?:Dv\d+_)?\w*{_GLOBAL}\w*\(\)")
+_ATOMIC = re.compile(rf"call _Z\d+atom(?:ic)?_\w+{_GLOBAL}\w*\(\)")
+# Instructions that leave nothing for a GPU to execute: addresses, moves between names, variables that are registers.
+_FREE = re.compile(
+    r"(getelementptr|phi|bitcast|extractelement|insertelement|shufflevector|alloca|(load|store) private)\b"
+)
+_BYTES = {"Dh": 2} | dict(zip("ahcstijflmd", (1, 1, 1, 2, 2, 4, 4, 4, 8, 8, 8), strict=True))
+
+
+@dataclass(frozen=True)
+class KernelTraffic:
+    """Bytes per display pixel, for all launches of a rendered and an extrapolated frame: bytes that must move by the
+    declarations (`traffic`), and bytes loaded and stored. Fills count as declared. `executed`: instructions of LLVM per
+    display pixel, those that compute or reach memory."""
+
+    declared: float
+    loaded: float
+    stored: float
+    executed: float = 0.0
+
+    @property
+    def counted(self) -> float:
+        return self.loaded + self.stored
+
+
+def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTraffic]:
+    """Traffic by "stage.kernel" in a part of the footage (of host arrays), with so many lanes (simd.h). Raises
+    GffeError if Oclgrind is missing or fails."""
+    footage = footage.part(*PART, CENTER)
+    command = shutil.which("oclgrind")
+    if command is None:
+        raise GffeError("--traffic counts with oclgrind, which is not installed (Debian, Ubuntu: apt install oclgrind)")
+    with tempfile.TemporaryDirectory(prefix="gffe_traffic_") as temporary:
+        folder = Path(temporary)
+        (folder / "asked").write_bytes(pickle.dumps((footage, asdict(options))))
+        variables = {name: value for name, value in os.environ.items() if name not in _HIDDEN}
+        variables |= {"GFFE_LANES": str(lanes), "PYOPENCL_NO_CACHE": "1"}
+        # One thread: the order of execution, and so the result of atomics, is always the same.
+        started = [command, "--inst-counts", "--num-threads", "1", sys.executable, "-m", __name__, str(folder)]
+        with open(folder / "counts", "w") as counts:
+            child = subprocess.run(started, stdout=counts, stderr=subprocess.PIPE, text=True, env=variables)
+        if child.returncode:
+            last = (child.stderr.strip().splitlines() or ["it said nothing"])[-1]
+            raise GffeError(f"oclgrind ended with {child.returncode}: {last}")
+        made = json.loads((folder / "made").read_text())
+        blocks = list(parse_counts((folder / "counts").read_text()))
+    return _joined(made, blocks, math.prod((footage.width, footage.height)))
+
+
+def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
+    """Return (kernel, bytes loaded, bytes stored, instructions) of each launch from the output of
+    `oclgrind --inst-counts`, in order. Frame blocks, which are written once a frame, do not count."""
+    kernel, loaded, stored, executed = None, 0, 0, 0
+    for line in text.splitlines():
+        if head := _KERNEL.match(line):
+            if kernel is not None:
+                yield kernel, loaded, stored, executed
+            kernel, loaded, stored, executed = (None if head[1] == "set_frame" else head[1]), 0, 0, 0
+        elif kernel is not None and (entry := _COUNT.match(line)):
+            times, instruction = int(entry[1]), entry[2]
+            moved = _moved(times, instruction)
+            loaded, stored = loaded + moved[0], stored + moved[1]
+            executed += 0 if _FREE.match(instruction) else times
+    if kernel is not None:
+        yield kernel, loaded, stored, executed
+
+
+def _moved(times: int, instruction: str) -> tuple[int, int]:
+    """Bytes loaded from and stored to global memory by an instruction that was executed so often."""
+    if memory := _MEMORY.match(instruction):
+        nbytes = int(memory[2])
+        return (nbytes, 0) if memory[1] == "load" else (0, nbytes)
+    if vector := _VECTOR.match(instruction):
+        nbytes = times * int(vector[2] or 1) * _BYTES[vector[3]]
+        return (nbytes, 0) if vector[1] == "load" else (0, nbytes)
+    if atomic := _ATOMIC.match(instruction):
+        nbytes = times * _BYTES[atomic[1]]
+        return nbytes, nbytes
+    if "AS1" in instruction or re.search(r"llvm\.mem\w+\.[\w.]*p1", instruction):
+        raise GffeError(f"oclgrind: how many bytes does '{instruction}' move?")
+    return 0, 0
+
+
+def _joined(made: dict, blocks: list[tuple[str, int, int, int]], pixels: int) -> dict[str, KernelTraffic]:
+    launched = made["launched"]  # of the last pair of frames, in order
+    blocks = blocks[len(blocks) - len(launched) :]
+    stages = {kernel: stage for stage, kernel in launched}
+    if sorted(kernel for _, kernel in launched) != sorted(kernel for kernel, *_ in blocks):
+        raise GffeError("oclgrind: the counted kernels are not the launched ones")
+    counted: dict[str, list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
+    for kernel, *figures in blocks:
+        of = counted[f"{stages[kernel]}.{kernel}"]
+        for k, figure in enumerate(figures):
+            of[k] += figure / pixels
+    return {
+        name: KernelTraffic(declared, *counted.get(name, (0.0, declared)))
+        for name, declared in made["declared"].items()
+    }
+
+
+class _SilentNetwork:
+    """In place of the shading correction network, by whose focus mask kernels load more or less: its mask is 0."""
+
+    copying, head = 0.0, np.zeros(HEAD_WEIGHTS, np.float32)
+
+    def prepare(self, height: int, width: int) -> None:
+        """As `inference.Network.prepare`."""
+
+    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
+        """As `inference.Network.run`."""
+        judgement[:] = 0
+        return 0
+
+
+def _make(folder: Path) -> None:
+    """Make the frames under Oclgrind. Returns the launches of the last pair and the bytes that they must move."""
+    footage, options = pickle.loads((folder / "asked").read_bytes())
+    device = open_device()
+    if device.info.platform != _NAME:
+        raise GffeError(f"expected {_NAME}, got {device.info.platform}")
+    footage = footage.on(device)
+    pipeline = Pipeline(device, footage.width, footage.height, Options(**options))
+    pipeline.exposure = footage.exposure
+    if correction := pipeline.stages.get(ShadingCorrection.name):
+        correction.use(_SilentNetwork())
+        correction.works_alone = True  # Oclgrind takes commands of one thread only
+        pipeline.stages[ShadingTrend.name].never_still = True  # with vectors it finds no change of light
+    *before, last = (turn for turn in footage.turns(1))
+    for turn in before:
+        pipeline.submit(turn.frame)
+    pipeline.device.queue.finish()
+    for stage in pipeline.stages.values():
+        stage.take_events()
+
+    def pair() -> None:
+        pipeline.submit(last.frame)
+        pipeline.extrapolate(last.camera, last.time(footage.interval))
+
+    launches = traffic.launches_of(pipeline, pair)
+    device.queue.finish()
+    moved = traffic.bytes_per_pixel(pipeline, launches, traffic.counters(pipeline))
+    launched = [
+        (name, kernel)
+        for name, stage in pipeline.stages.items()
+        for kernel, _ in stage.take_events()
+        if kernel not in ("fill", "copy")
+    ]
+    declared = {f"{stage}.{kernel}": nbytes for stage, kernels in moved.items() for kernel, nbytes in kernels.items()}
+    (folder / "made").write_text(json.dumps({"launched": launched, "declared": declared}))
+
+
+def report(by_lanes: dict[int, dict[str, KernelTraffic]], footage: Footage) -> dict:
+    """Return the document that `gffe bench --traffic --json` writes and tests compare with."""
+    return {
+        "of": footage.name,
+        "size": [footage.width, footage.height],
+        "part": list(PART),
+        "lanes": {
+            str(lanes): {
+                name: {key: round(value, 3) for key, value in asdict(moved).items()} for name, moved in kernels.items()
+            }
+            for lanes, kernels in by_lanes.items()
+        },
+    }
+
+
+def grown(recorded: dict, now: dict) -> list[str]:
+    """A sentence for each kernel that loads and stores over 5% more than recorded, or is not recorded; of `report`s."""
+    found = []
+    for lanes, kernels in now["lanes"].items():
+        for name, moved in kernels.items():
+            new, was_there = _counted(moved), recorded["lanes"].get(lanes, {}).get(name)
+            old = _counted(was_there) if was_there is not None else None
+            if old is None or new > old * (1 + TOLERANCE) + _SLACK:
+                was = "is not in the table" if old is None else f"{old:.1f} are in the table"
+                found.append(f"{name}, LANES={lanes}: {new:.1f} bytes per pixel loaded and stored, {was}")
+    return found
+
+
+def _counted(moved: dict[str, float]) -> float:
+    return moved["loaded"] + moved["stored"]
+
+
+if __name__ == "__main__":
+    _make(Path(sys.argv[1]))

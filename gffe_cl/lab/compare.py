@@ -1,0 +1,273 @@
+"""Measuring extrapolated frames against ground truth, by one definition for every command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import is_shown_whole
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.stages.presentation import present
+from gffe_cl.lab.metrics import (
+    FOCUS,
+    METRICS,
+    RegionErrors,
+    focus_mask,
+    measurable,
+    shading_regions,
+    to_display,
+)
+
+NO_HISTORY = 2  # rendered frames after a reset, itself included, that are followed by no counted frame
+_THREADS = 2
+
+
+@dataclass
+class FrameScore:
+    """Metrics of one frame: `values` by name, NaN where one is not defined (an empty mask, a tiny image)."""
+
+    time: float
+    file: str
+    truth: str
+    values: dict[str, float]
+    counted: bool  # whether the means include it
+
+
+@dataclass
+class Comparison:
+    """Scores of all matched frames, by time; `notes` are sentences about how the means came about; `regions`, for the
+    mask "focus", figures pooled over the counted frames (`RegionErrors.figures`), and `gae`, those of the frames
+    without shading correction, where they were given."""
+
+    frames: list[FrameScore]
+    notes: list[str] = field(default_factory=list)
+    regions: dict[str, dict[str, float]] = field(default_factory=dict)
+    gae: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def mean(self) -> dict[str, float]:
+        """Every metric by name, over the counted frames where it is defined; NaN where there are none."""
+        return {name: self._mean(name) for name in METRICS}
+
+    @property
+    def gain(self) -> dict[str, dict[str, float]]:
+        """By region and metric: how much better the frames are than `gae`."""
+        return {
+            region: {name: metric.gain(before[name], self.regions[region][name]) for name, metric in METRICS.items()}
+            for region, before in self.gae.items()
+        }
+
+    def to_json(self) -> dict:
+        """Return {"mean": {"psnr", "ssim", …}, "frames": [{"time", "file", "truth", "psnr", "ssim", …, "counted"},
+        …]}, and "notes", "regions", "gae" and "gain" if there are any. Undefined or unavailable values are null."""
+        document = {
+            "mean": _nulls(self.mean),
+            "frames": [
+                {"time": frame.time, "file": frame.file, "truth": frame.truth}
+                | _nulls({name: frame.values.get(name, float("nan")) for name in METRICS})
+                | {"counted": frame.counted}
+                for frame in self.frames
+            ],
+        }
+        for name in ("regions", "gae", "gain"):
+            if figures := getattr(self, name):
+                document[name] = {region: _nulls(values) for region, values in figures.items()}
+        return {**document, "notes": list(self.notes)} if self.notes else document
+
+    def _mean(self, name: str) -> float:
+        values = [frame.values.get(name, float("nan")) for frame in self.frames if frame.counted]
+        values = [value for value in values if not math.isnan(value)]
+        return float(np.mean(values)) if values else float("nan")
+
+
+@dataclass
+class _Pair:
+    entry: FrameEntry  # of A; a rendered one for the baseline
+    truth: FrameEntry
+    counted: bool
+    gae: FrameEntry | None = None  # of the sequence without shading correction
+
+
+def compare(
+    a: Sequence,
+    b: Sequence,
+    mask: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    gae: Sequence | None = None,
+) -> Comparison:
+    """Extrapolated frames of `a` against ground truth of `b`.
+
+    Frames match as `Sequence.at` says. The means leave out the frames that follow the first two rendered frames after a
+    reset of `a`, the reset included (cuts that `gffe run` found are such resets, with a note); if nothing else is left
+    they are over all frames, with a note. Display values take `b`'s exposure.
+
+    Parameters
+    ----------
+    mask : str or None
+        A channel of `a`'s frames: metrics are over the pixels where it is not 0. "focus" means the pixels whose shading
+        is wrong in `gae`: `focus_mask`, less what is disoccluded.
+    progress : callable or None
+        Called with (frames done, frames in all).
+    gae : Sequence or None
+        For "focus": what `a` is without shading correction; `a` itself if None.
+
+    Raises
+    ------
+    GffeError
+        Different sizes, no frames that match, or a fault in a file.
+    """
+    _require_same_size(a, b)
+    if not a.extrapolated:
+        raise GffeError(f"{a.path}: no extrapolated frames to compare")
+    if not b.ground_truth:
+        raise GffeError(f"{b.path}: no ground truth to compare with")
+    history = _History(a if a.rendered else b)
+    pairs, missed = [], []
+    for entry in a.extrapolated:
+        truth = b.at("ground_truth", entry.time)
+        if truth:
+            pairs.append(_Pair(entry, truth, history.suffices(entry)))
+        elif text := b.near_miss("ground_truth", entry.time):
+            missed.append(f"{entry.file} is left out (times rounded?): {text}")
+    if not pairs:
+        near = b.nearest("ground_truth", a.extrapolated[0].time)
+        assert near is not None  # there is ground truth
+        raise GffeError(
+            f"{a.path}: no extrapolated frame has ground truth in {b.path} (expected times within 1/50 of an interval:"
+            f" {a.extrapolated[0].file} is at {a.extrapolated[0].time:.6g} s, the nearest is at {near.time:.6g} s)"
+        )
+    if gae is not None:
+        _require_same_size(gae, b)
+        for pair in pairs:
+            pair.gae = gae.at("extrapolated", pair.entry.time, pair.entry.source)
+            if pair.gae is None:
+                after = f" after {pair.entry.source}" if pair.entry.source else ""
+                raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has")
+    notes = [missed[0] + (f"; {len(missed) - 1} more" if missed[1:] else "")] if missed else []
+    notes += _resets_of_its_own(a, b)
+    return _score(pairs, a, b, mask, progress, gae=gae, notes=notes)
+
+
+def baseline_repeat(
+    sequence: Sequence, progress: Callable[[int, int], None] | None = None, device: Device | None = None
+) -> Comparison:
+    """The last rendered frame, shown again, against each ground-truth frame of the same sequence.
+
+    The floor of any extrapolation, by the definition of `compare`. Frames rendered through a window are presented on
+    `device` (the default one if None). Raises GffeError.
+    """
+    rendered = sequence.rendered
+    history = _History(sequence)
+    pairs = []
+    for truth in sequence.ground_truth:
+        index = sequence.rendered_before(truth.time)
+        if index is not None:
+            pairs.append(_Pair(rendered[index], truth, history.suffices(rendered[index])))
+    if not pairs:
+        raise GffeError(f"{sequence.path}: no ground truth after a rendered frame")
+    return _score(pairs, sequence, sequence, None, progress, device)
+
+
+def _is_shown_whole(entry: FrameEntry) -> bool:
+    assert entry.render_camera is not None and entry.display_camera is not None  # a rendered frame has both
+    return is_shown_whole(entry.render_camera, entry.display_camera)
+
+
+def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = None) -> np.ndarray:
+    """Linear RGB (H, W, 3) of a frame as displayed: the display part of a frame rendered through a window."""
+    size = (sequence.width, sequence.height)
+    if entry.kind != "rendered" or (sequence.size_of(entry) == size and _is_shown_whole(entry)):
+        return sequence.read_color(entry)
+    return present(sequence.read(entry), size=size, device=device).color
+
+
+def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comparison:
+    metrics = measurable()  # slow imports: once, before the threads
+    notes = list(notes)
+    if a.exposure != b.exposure:
+        notes.append(f"exposure {b.exposure:g} of {b.path} is used for both ({a.exposure:g} in {a.path})")
+    if not any(pair.counted for pair in pairs):
+        notes.append("means are over all frames: none has two rendered frames of history")
+        for pair in pairs:
+            pair.counted = True
+
+    if mask == FOCUS and gae is None:
+        notes.append(f"focus pixels are those of {a.path} itself: give the sequence without shading correction")
+
+    def score(pair):
+        shown = to_display(shown_color(a, pair.entry, device), b.exposure)
+        true_color = b.read_color(pair.truth)
+        truth = to_display(true_color, b.exposure)
+        if shown.shape != truth.shape:
+            raise GffeError(
+                f"{pair.entry.file}: {shown.shape[1]}×{shown.shape[0]} pixels,"
+                f" expected {truth.shape[1]}×{truth.shape[0]} as in {pair.truth.file}"
+            )
+        if mask != FOCUS:
+            pixels = a.read_channels(pair.entry, [mask])[mask] if mask else None
+            return {metric.name: metric.measure(shown, truth, pixels) for metric in metrics}, None, None
+        masks = a.read_channels(pair.entry, ["mask.dynamic", "mask.disoccluded"])
+        without = gae.read_color(pair.gae) if gae else a.read_color(pair.entry)
+        focus = focus_mask(without, true_color, masks["mask.dynamic"], b.exposure)
+        regions = shading_regions(focus, masks["mask.disoccluded"] != 0)
+        errors, before = RegionErrors(), RegionErrors()
+        errors.add(shown, truth, regions, metrics)
+        if gae:
+            before.add(to_display(without, b.exposure), truth, regions, metrics)
+        return {metric.name: errors.figure(metric.name, FOCUS) for metric in metrics}, errors, before
+
+    frames, regions, of_gae = [], [], []
+    for pair, (values, errors, before) in read_ahead(pairs, score, _THREADS):
+        if pair.counted and errors:
+            regions.append(errors)
+            of_gae.append(before)
+        time = pair.truth.time if pair.entry.kind == "rendered" else pair.entry.time
+        frames.append(FrameScore(time, pair.entry.file, pair.truth.file, values, pair.counted))
+        if progress:
+            progress(len(frames), len(pairs))
+    return Comparison(frames, notes, RegionErrors.pooled(regions).figures(), RegionErrors.pooled(of_gae).figures())
+
+
+class _History:
+    """Rendered frames with enough frames before them, so that the frames after them count."""
+
+    def __init__(self, sequence: Sequence):
+        self._sequence, self._files, self._since_reset = sequence, {}, []
+        since = 0
+        for index, entry in enumerate(sequence.rendered):
+            since = 0 if entry.reset else since + 1
+            self._files[entry.file] = index
+            self._since_reset.append(since)
+
+    def suffices(self, entry: FrameEntry) -> bool:
+        """By the frame's source if it names one, else by the last rendered frame before it."""
+        index = self._files.get(entry.file if entry.kind == "rendered" else entry.source)
+        if index is None:
+            index = self._sequence.rendered_before(entry.time)
+        return index is not None and self._since_reset[index] >= NO_HISTORY
+
+
+def _resets_of_its_own(a: Sequence, b: Sequence) -> list[str]:
+    """Return a note if `a` has resets that `b` lacks, such as cuts found by `gffe run`: then the means leave out
+    other frames."""
+    same = ((entry, b.at("rendered", entry.time)) for entry in a.rendered[1:] if entry.reset)
+    found = [entry for entry, other in same if other and not other.reset]
+    if not found:
+        return []
+    more = f" and {len(found) - 1} more" if found[1:] else ""
+    return [f"{found[0].file}{more}: reset in {a.path}, not in {b.path}; the means leave out the frames right after it"]
+
+
+def _require_same_size(a: Sequence, b: Sequence) -> None:
+    if (a.width, a.height) != (b.width, b.height):
+        raise GffeError(f"{a.path}: {a.width}×{a.height} pixels, expected {b.width}×{b.height} as in {b.path}")
+
+
+def _nulls(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: None if math.isnan(value) else value for name, value in values.items()}

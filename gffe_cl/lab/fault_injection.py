@@ -1,0 +1,299 @@
+"""Fault injection: good sequences are broken in the ways of real captures, to measure and test the doctor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.description import check_times
+from gffe_cl.captures.sequence.encoding import Encoding
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.transfer_function import to_display
+
+NEAR, FAR = 0.1, 1000.0  # world units, of device depths
+_FOCAL_ERROR = 1.08
+_GRAIN = 0.03  # of linear colors
+_UNWRITTEN, _FEW = 65504.0, 0.002  # pixels, and the share of vectors that have this value
+_JITTER = 8  # positions of the Halton sequence
+_CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
+
+
+class Kept:
+    """Rendered frames in memory, with the parts of a `Sequence` that the doctor needs. `forward`: vectors to the
+    next frame of each, (H, W, 2) pixels, where they are known."""
+
+    def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0, forward=None):
+        self.images, self.exposure, self.fps, self.forward = frames, exposure, fps, forward
+        self.height, self.width = np.shape(frames[0].depth)
+        self.frames = [
+            FrameEntry(f"frame_{k:06d}.exr", f.time, "rendered", f.reset, (self.width, self.height), f.camera, f.camera)
+            for k, f in enumerate(frames)
+        ]
+        check_times(self.frames)
+
+    @classmethod
+    def of(cls, sequence: Sequence) -> Kept:
+        return cls([sequence.read(e) for e in sequence.rendered], sequence.exposure, sequence.fps)
+
+    @property
+    def rendered(self) -> list[FrameEntry]:
+        return self.frames
+
+    def read(self, entry: FrameEntry) -> RenderedFrame:
+        return self.images[int(entry.file[6:12])]
+
+
+def static_motion(frame: RenderedFrame, other: Camera) -> np.ndarray:
+    """(H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, less where it is."""
+    height, width = frame.depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    px = np.stack([x, y], -1)
+    with np.errstate(invalid="ignore"):
+        depth = np.where((frame.depth > 0) & (frame.depth < 1e9), frame.depth, 1e9)
+    with np.errstate(all="ignore"):
+        return other.project(frame.camera.unproject(px, depth))[0] - px
+
+
+def _each(change: Callable[[RenderedFrame], dict]) -> Callable:
+    return lambda frames: [replace(frame, **change(frame)) for frame in frames]
+
+
+def _motion(change: Callable[[np.ndarray, tuple[int, int]], np.ndarray]) -> Callable:
+    def changed(frame):
+        if frame.motion is None:
+            return {}
+        height, width = frame.depth.shape
+        return {"motion": np.asarray(change(frame.motion, (width, height)), np.float32)}
+
+    return _each(changed)
+
+
+def _scaled_motion(factor) -> Callable:
+    return _motion(lambda v, size: v * np.asarray(factor, np.float64))
+
+
+def _depth(change: Callable[[np.ndarray], np.ndarray]) -> Callable:
+    def changed(frame):
+        with np.errstate(all="ignore"):
+            return {"depth": np.asarray(change(frame.depth.astype(np.float64)), np.float32)}
+
+    return _each(changed)
+
+
+def _along_rays(frame):
+    height, width = frame.depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    camera = frame.camera
+    length = np.sqrt(1 + ((x - camera.cx) / camera.fx) ** 2 + ((y - camera.cy) / camera.fy) ** 2)
+    return {"depth": (frame.depth * length).astype(np.float32)}
+
+
+def _camera(change: Callable[[np.ndarray], np.ndarray], focal: float = 1.0) -> Callable:
+    def changed(frame):
+        c = frame.camera
+        made = Camera(change(c.world_to_view.copy()), c.fx * focal, c.fy * focal, c.cx, c.cy)
+        return {"camera": made, "display_camera": None}
+
+    return _each(changed)
+
+
+def _rotation_transposed(m):
+    m[:3, :3] = m[:3, :3].T.copy()
+    return m
+
+
+def _translation_scaled(factor):
+    def change(m):
+        m[:3, 3] *= factor
+        return m
+
+    return change
+
+
+def _with_motion(frames, motions):
+    pairs = zip(frames, motions, strict=True)
+    return [replace(f, motion=None if m is None else np.asarray(m, np.float32)) for f, m in pairs]
+
+
+def _to_next(frames):
+    """Return vectors to the next frame: exact for static points, the previous motion for movers."""
+    motions = []
+    for k, frame in enumerate(frames):
+        if k + 1 == len(frames):
+            motions.append(np.zeros_like(frames[1].motion))
+            continue
+        made = static_motion(frame, frames[k + 1].camera)
+        if k and frame.motion is not None:
+            before = static_motion(frame, frames[k - 1].camera)
+            own = frame.motion - before
+            made = np.where((np.linalg.norm(own, axis=-1) > 0.25)[..., None], made - own, made)
+        motions.append(made)
+    return _with_motion(frames, motions)
+
+
+def _late(frames):
+    first = np.zeros_like(frames[1].motion)
+    return _with_motion(frames, [first, *(f.motion if f.motion is not None else first for f in frames[:-1])])
+
+
+def _without_camera(frames):
+    motions = [frames[0].motion]
+    motions += [f.motion - static_motion(f, before.camera) for before, f in zip(frames, frames[1:], strict=False)]
+    return _with_motion(frames, motions)
+
+
+def _jittered(frames):
+    offsets = jitter(len(frames))
+    motions = [frames[0].motion]
+    motions += [f.motion + (a - b) for f, a, b in zip(frames[1:], offsets, offsets[1:], strict=False)]
+    return _with_motion(frames, motions)
+
+
+def jitter(count: int) -> np.ndarray:
+    """(count, 2) pixels within half a pixel: the Halton sequence of bases 2 and 3."""
+
+    def radical(index, base):
+        value, share = 0.0, 1.0 / base
+        while index:
+            value += share * (index % base)
+            index, share = index // base, share / base
+        return value
+
+    return np.array([[radical(k % _JITTER + 1, base) - 0.5 for base in (2, 3)] for k in range(count)])
+
+
+def _sky_still(frame):
+    if frame.motion is None:
+        return {}
+    return {"motion": np.where(np.isinf(frame.depth)[..., None], 0, frame.motion).astype(np.float32)}
+
+
+def _few_unwritten(frames):
+    rng = np.random.default_rng(2)
+
+    def change(v, size):
+        return np.where((rng.random(v.shape[:2]) < _FEW)[..., None], _UNWRITTEN, v)
+
+    return _motion(change)(frames)
+
+
+def _one_dropped(frames):
+    return [frame for k, frame in enumerate(frames) if k != len(frames) // 2]
+
+
+def _letterboxed(frame):
+    color, bar = frame.color.copy(), len(frame.color) // 8
+    color[:bar] = color[-bar:] = 0
+    return {"color": color}
+
+
+def _grainy(frames):
+    rng = np.random.default_rng(1)
+    return _each(lambda frame: {"color": _noisy(frame.color, rng)})(frames)
+
+
+def _noisy(color, rng):
+    return np.maximum(color + rng.normal(0, _GRAIN, color.shape), 0).astype(np.float16)
+
+
+def _fading_in(frames):
+    return [replace(frame, color=frame.color * np.float16(k / len(frames))) for k, frame in enumerate(frames)]
+
+
+def _times_kept(frames, order):
+    none = np.zeros_like(frames[1].motion)
+    moved = []
+    for place, k in enumerate(order):
+        motion = none if frames[k].motion is None else frames[k].motion
+        moved.append(replace(frames[k], time=frames[place].time, reset=place == 0, motion=motion))
+    return moved
+
+
+def _two_swapped(frames):
+    order, at = list(range(len(frames))), len(frames) // 2
+    order[at], order[at - 1] = order[at - 1], order[at]
+    return _times_kept(frames, order)
+
+
+def _tone_mapped(frame):
+    return {"color": to_display(frame.color).astype(np.float16)}
+
+
+def _bottom_up(*buffers: str) -> Callable:
+    def changed(frame):
+        stored = {name: getattr(frame, name) for name in buffers}
+        return {name: image[::-1].copy() for name, image in stored.items() if image is not None}
+
+    return _each(changed)
+
+
+def _range_misread(z: np.ndarray) -> np.ndarray:
+    """Made linear from 0 … 1 by the formula for OpenGL's −1 … 1."""
+    device = FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR))
+    return np.where(np.isinf(z), z, 2 * FAR * NEAR / (FAR + NEAR - device * (FAR - NEAR)))
+
+
+BREAKS: dict[str, tuple[str, Callable]] = {
+    "motion jitter not removed": ("motion", _jittered),
+    "motion without the camera": ("motion", _without_camera),
+    "motion to the next frame": ("motion", _to_next),
+    "motion one frame late": ("motion", _late),
+    "motion negated": ("motion", _scaled_motion((-1, -1))),
+    "motion y flipped": ("motion", _scaled_motion((1, -1))),
+    "motion x and y swapped": ("motion", _motion(lambda v, size: v[..., ::-1])),
+    "motion in UV": ("motion", _motion(lambda v, size: v / np.array(size))),
+    "motion in NDC": ("motion", _motion(lambda v, size: v / np.array(size) * 2)),
+    "motion twice": ("motion", _scaled_motion(2)),
+    "motion half": ("motion", _scaled_motion(0.5)),
+    "motion zero": ("motion", _scaled_motion(0)),
+    "depth reversed": ("depth", _depth(lambda z: NEAR / z)),
+    "depth device": ("depth", _depth(lambda z: FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR)))),
+    "depth along rays": ("depth", _each(_along_rays)),
+    "depth range misread": ("depth", _depth(_range_misread)),
+    "depth in centimeters": ("depth", _depth(lambda z: z * 100)),
+    "camera transposed": ("camera", _camera(_rotation_transposed)),
+    "camera inverted": ("camera", _camera(np.linalg.inv)),
+    "camera OpenGL axes": ("camera", _camera(lambda m: np.diag([1.0, -1, -1, 1]) @ m)),
+    "camera y up": ("camera", _camera(lambda m: np.diag([1.0, -1, 1, 1]) @ m)),
+    "camera left-handed": ("camera", _camera(lambda m: np.diag([1.0, 1, -1, 1]) @ m)),
+    "camera in centimeters": ("camera", _camera(_translation_scaled(100))),
+    "camera field of view": ("camera", _camera(lambda m: m, _FOCAL_ERROR)),
+    "two frames swapped": ("order", _two_swapped),
+    "color rows": ("color", _bottom_up("color")),
+    "depth rows": ("depth", _bottom_up("depth")),
+    "motion rows": ("motion", _bottom_up("motion")),
+    "all rows": ("rows", _bottom_up("color", "depth", "motion")),
+    "color tone-mapped": ("color", _each(_tone_mapped)),
+}
+HARMLESS: dict[str, Callable] = {
+    "as it is": lambda frames: frames,
+    "vectors to 1/16 px": _motion(lambda v, size: np.round(v * 16) / 16),
+    "vectors to 1 px": _motion(lambda v, size: np.round(v)),
+    "sky without motion": _each(_sky_still),
+    "few vectors unwritten": _few_unwritten,
+    "letterboxed": _each(_letterboxed),
+    "film grain": _grainy,
+    "exposure fades in": _fading_in,
+    "as in an engine's capture": _each(lambda frame: vars(_CAPTURE.frame(frame))),
+}
+
+GAPS: dict[str, Callable] = {"frame dropped": _one_dropped}
+
+
+def broken(clip: Kept, names: list[str]) -> Kept:
+    """`clip` with the faults `names` (of BREAKS, HARMLESS or GAPS), one after the other; GffeError for an unknown
+    one."""
+    frames, known = clip.images, {name: change for name, (_, change) in BREAKS.items()} | HARMLESS | GAPS
+    for name in names:
+        if name not in known:
+            raise GffeError(f"unknown fault '{name}': expected one of {', '.join(known)}")
+        if name == "motion to the next frame" and clip.forward is not None:
+            frames = _with_motion(frames, clip.forward)
+            continue
+        frames = known[name](frames)
+    return Kept(frames, clip.exposure, clip.fps)

@@ -1,0 +1,283 @@
+"""Image metrics, defined once in `METRICS`. Images are (H, W, 3) float arrays of display values in [0, 1]."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gffe_cl.engine.core.validation import require_array, require_exposure
+from gffe_cl.engine.frame.transfer_function import to_display as to_display  # inputs of metrics
+from gffe_cl.engine.stages.shading import FOCUS_SMAPE, SMAPE_EPSILON
+
+PSNR_CAP = 100.0  # dB
+FOCUS = "focus"  # the region where shading is wrong without shading correction
+_HALF_MAX = 65504.0
+_SSIM_WINDOW = 7  # scikit-image's default
+
+
+# ---- measurements --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One metric. The console, JSON, studies and the viewer take its name, unit and format from here.
+
+    Attributes
+    ----------
+    name : str
+        Its key in JSON.
+    label, unit, digits
+        How people read it.
+    map : callable
+        Of two images, shown and true: (H, W) float, what each pixel counts; NaN where that is not defined.
+    of_mean : callable
+        The figure from the mean of the map over the pixels that are measured, of one image or of many.
+    higher_is_better : bool
+    module, package : str
+        What must be importable, and the name by which it is installed.
+    slow : bool
+        Where people wait, it is measured after the others.
+    """
+
+    name: str
+    label: str
+    map: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    of_mean: Callable[[float], float] = float
+    unit: str = ""
+    digits: int = 4
+    higher_is_better: bool = True
+    module: str = "numpy"
+    package: str = "numpy"
+    slow: bool = False
+
+    @property
+    def title(self) -> str:
+        """With its unit: a table's column."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    def text(self, value: float, signed: bool = False) -> str:
+        """A figure for people, "–" where it is not defined."""
+        rounded = round(value, self.digits) + 0.0  # no −0
+        return "–" if math.isnan(value) else f"{rounded:{'+' if signed else ''}.{self.digits}f}"
+
+    def sentence(self, value: float) -> str:
+        """A figure with its name and unit: "PSNR 31.20 dB"."""
+        return f"{self.label} {self.text(value)} {self.unit}".rstrip()
+
+    def measure(self, shown: np.ndarray, truth: np.ndarray, mask=None) -> float:
+        """Over all pixels, or those where `mask` (H, W) is not 0; NaN if there are none."""
+        total, count = _sum_over(self.map(shown, truth), mask)
+        return self.of_mean(total / count) if count else float("nan")
+
+    def gain(self, before: float, after: float) -> float:
+        """How much better `after` is."""
+        return after - before if self.higher_is_better else before - after
+
+    def missing(self) -> str | None:
+        """None if the metric is available, else a sentence that names the package to install."""
+        what = f"{self.label} needs {self.package}: pip install {self.package}"
+        try:
+            importlib.import_module(self.module)
+        except ModuleNotFoundError:
+            return what
+        except Exception as error:  # whatever a binary package throws
+            return f"{what} ({error})"
+        return None
+
+
+def measurable() -> list[Metric]:
+    """Those of `METRICS` whose packages are here; imports these."""
+    return [metric for metric in METRICS.values() if metric.missing() is None]
+
+
+def missing_metrics() -> list[str]:
+    """A sentence for each of the others."""
+    return [reason for metric in METRICS.values() if (reason := metric.missing())]
+
+
+def squared_error(a, b) -> np.ndarray:
+    """Per pixel, the mean over RGB: (H, W) float32."""
+    return np.square(np.subtract(a, b, dtype=np.float32)).mean(-1)
+
+
+def decibels(error: float) -> float:
+    """PSNR of a mean squared error, for peak 1: at most `PSNR_CAP`."""
+    return PSNR_CAP if error <= 10 ** (-PSNR_CAP / 10) else float(-10 * np.log10(error))
+
+
+def similarity(a, b) -> np.ndarray:
+    """Structural similarity per pixel, mean over channels: (H, W) float64; scikit-image's default with data_range=1.
+
+    NaN where its window, 7×7, does not fit into the image. Source: Wang et al., Image Quality Assessment, TIP 2004.
+    """
+    from skimage.metrics import structural_similarity
+
+    a, b = np.asarray(a), np.asarray(b)
+    out, edge = np.full(a.shape[:2], np.nan), _SSIM_WINDOW // 2
+    if min(a.shape[:2]) >= _SSIM_WINDOW:
+        whole = structural_similarity(a, b, data_range=1, channel_axis=-1, full=True)[1]
+        inner = (slice(edge, -edge),) * 2
+        out[inner] = whole[inner].mean(-1, dtype=np.float64)
+    return out
+
+
+def flip_error(shown, truth) -> np.ndarray:
+    """NVIDIA's FLIP per pixel, 0 … 1: (H, W) float32. ImportError where flip-evaluator is not installed."""
+    from flip_evaluator import evaluate
+
+    truth, shown = (np.ascontiguousarray(image, np.float32) for image in (truth, shown))
+    return evaluate(truth, shown, "LDR", applyMagma=False)[0][..., 0]
+
+
+METRICS = {
+    metric.name: metric
+    for metric in (
+        Metric("psnr", "PSNR", squared_error, decibels, "dB", 2),
+        Metric("ssim", "SSIM", similarity, module="skimage.metrics", package="scikit-image"),
+        Metric(
+            "flip",
+            "FLIP",
+            flip_error,
+            higher_is_better=False,
+            module="flip_evaluator",
+            package="flip-evaluator",
+            slow=True,
+        ),
+    )
+}
+
+
+def psnr(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
+    """Peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
+
+    `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts it to the pixels where it is not 0; NaN
+    if there are none. GffeError for arrays of other shapes.
+    """
+    return METRICS["psnr"].measure(*_pair(a, b, mask))
+
+
+def ssim(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
+    """Structural similarity, mean over pixels: Wang et al., Image Quality Assessment, TIP 2004, over 7×7 pixels.
+
+    `a`, `b` and `mask` as of `psnr`. NaN for images smaller than 7×7. GffeError for arrays of other shapes.
+    """
+    return METRICS["ssim"].measure(*_pair(a, b, mask))
+
+
+def _pair(a, b, mask) -> tuple:
+    """The three of them, checked."""
+    height, width, _ = require_array(a, "metric: a", None, None, 3).shape
+    b = require_array(b, "metric: b", height, width, 3)
+    mask = None if mask is None else require_array(mask, "metric: mask", height, width, kinds="biuf")
+    return np.asarray(a, np.float32), np.asarray(b, np.float32), mask
+
+
+# ---- where -----------------------------------------------------------------------------------------------
+
+
+def relative_error(a, b):
+    """2|a−b| / (|a|+|b|+0.01) of exposed linear colors, arrays or tensors: SMAPE is its mean over RGB."""
+    return 2 * abs(a - b) / (abs(a) + abs(b) + SMAPE_EPSILON)
+
+
+def smape(a, b, exposure: float = 1.0) -> np.ndarray:
+    """Symmetric mean absolute percentage error of linear color: (H, W) float32 in [0, 2). NaN counts as 0."""
+    factor = np.float32(require_exposure(exposure))
+    a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * factor, nan=0.0) for x in (a, b))
+    return relative_error(a, b).mean(-1)
+
+
+def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
+    """(H, W) bool: not `dynamic`, and SMAPE > 0.5 against each of the 3×3 pixels of the truth around (M_focus).
+
+    `color` and `truth` are linear (H, W, 3); what kernels/shading.cl computes on devices.
+    """
+    factor = np.float32(require_exposure(exposure))
+    shown, true = (_finite(image) * factor for image in (color, truth))
+    height, width = shown.shape[:2]
+    padded = np.pad(true, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)  # beyond the image nothing is alike
+    least = np.full((height, width), np.inf, np.float32)
+    for dy in range(3):
+        for dx in range(3):
+            error = relative_error(shown, padded[dy : dy + height, dx : dx + width])
+            least = np.fmin(least, error[..., 0] + error[..., 1] + error[..., 2])
+    return (least > np.float32(3 * FOCUS_SMAPE)) & (np.asarray(dynamic) == 0)
+
+
+def shading_regions(focus, disoccluded) -> dict:
+    """Where shading correction is measured, in evaluation and in the validation of its training: masks by name.
+
+    `focus` (M_focus) and `disoccluded` (still invalid after crack closing) are bool arrays, or tensors, of one shape:
+    focus pixels less disocclusions, these, and the whole.
+    """
+    return {FOCUS: focus & ~disoccluded, "disoccluded": disoccluded, "whole": disoccluded | ~disoccluded}
+
+
+@dataclass
+class RegionErrors:
+    """Metrics of images against the truth, pooled over images, by region: all their pixels count alike.
+
+    By name of the region: `pixels`; and by metric and region, `sums` of its map and `counts` of where that is defined.
+    """
+
+    pixels: dict[str, int] = field(default_factory=dict)
+    sums: dict[str, dict[str, float]] = field(default_factory=dict)
+    counts: dict[str, dict[str, int]] = field(default_factory=dict)
+
+    def add(self, shown, truth, regions: dict[str, np.ndarray], metrics: Iterable[Metric]) -> None:
+        """One image: display values (H, W, 3) and masks (H, W) by name."""
+        _increase(self.pixels, {name: int(np.count_nonzero(mask)) for name, mask in regions.items()})
+        for metric in metrics:
+            values = metric.map(shown, truth)
+            found = {name: _sum_over(values, mask) for name, mask in regions.items()}
+            _increase(self.sums.setdefault(metric.name, {}), {name: total for name, (total, _) in found.items()})
+            _increase(self.counts.setdefault(metric.name, {}), {name: count for name, (_, count) in found.items()})
+
+    @classmethod
+    def pooled(cls, several: Iterable[RegionErrors]) -> RegionErrors:
+        total = cls()
+        for one in several:
+            _increase(total.pixels, one.pixels)
+            for name in one.sums:
+                _increase(total.sums.setdefault(name, {}), one.sums[name])
+                _increase(total.counts.setdefault(name, {}), one.counts[name])
+        return total
+
+    def figure(self, metric: str, region: str) -> float:
+        """Return the figure; NaN if the region is empty or was not measured."""
+        count = self.counts.get(metric, {}).get(region, 0)
+        return METRICS[metric].of_mean(self.sums[metric][region] / count) if count else float("nan")
+
+    def share(self, region: str) -> float:
+        """Of the region named "whole"."""
+        return self.pixels[region] / max(self.pixels["whole"], 1)
+
+    def figures(self) -> dict[str, dict[str, float]]:
+        """By region: its `share`, and every one of `METRICS` by name."""
+        return {
+            region: {"share": self.share(region), **{name: self.figure(name, region) for name in METRICS}}
+            for region in self.pixels
+        }
+
+
+def _sum_over(values: np.ndarray, mask=None) -> tuple[float, int]:
+    """Return the sum and number of the defined `values` (H, W) where `mask` is not 0."""
+    values = values.ravel() if mask is None else values[np.asarray(mask) != 0]
+    undefined = np.isnan(values)
+    values = values[~undefined] if undefined.any() else values
+    return float(values.sum(dtype=np.float64)), values.size
+
+
+def _increase(into: dict, by: dict) -> None:
+    for name, value in by.items():
+        into[name] = into.get(name, 0) + value
+
+
+def _finite(color) -> np.ndarray:
+    color = np.nan_to_num(np.asarray(color)[..., :3].astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
+    return np.clip(color, -_HALF_MAX, _HALF_MAX)

@@ -1,0 +1,406 @@
+"""Subjects of evaluation: built-in scenes and sequences on disk, as rendered frames with the truth at moments between.
+
+A `SceneSubject` or `FolderSubject` is a description: it can be sent to another process, and its `identity` tells it
+from all others without rendering or decoding anything. `open_subject` makes `Footage` of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from gffe_cl.captures.formats import open_capture
+from gffe_cl.captures.offline.source import Recorded, jittered_renderer
+from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.lab.compare import NO_HISTORY
+from gffe_cl.lab.table.windows import chooser_of, rendered_size
+
+_MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
+_BYTES_PER_PIXEL = 45  # of a rendered frame and a moment
+
+
+@dataclass(frozen=True)
+class SceneSubject:
+    """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
+    views at their own time from a camera that has turned by so many degrees (late warp). With `upscale` frames are
+    rendered so many times smaller, each way, with jitter and one sample per pixel. With `turn_rate` the camera turns to
+    the right, by so many degrees per second, and back after half of the frames. The first frame is number `start`."""
+
+    scene: str
+    seed: int
+    width: int
+    height: int
+    frames: int
+    fps: float
+    alphas: tuple[float, ...]
+    turns: tuple[float, ...] = ()
+    upscale: float = 0.0
+    turn_rate: float = 0.0
+    start: int = 0
+    exact: ClassVar[bool] = True  # as of `Footage`
+    windows: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        return f"{self.scene}:{self.seed}"
+
+    @property
+    def moments(self) -> int:
+        """How many there are."""
+        return max(self.frames - NO_HISTORY, 0) * len(self.turns or self.alphas)
+
+    def identity(self) -> dict:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class FolderSubject:
+    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. `upscale`: how
+    many times smaller than that its frames were rendered, if they go through upscaling."""
+
+    path: str
+    moments: int
+    upscale: float = 0.0
+    exact: ClassVar[bool] = False
+    windows: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        return Path(self.path).resolve().name
+
+    def identity(self) -> dict:
+        """By the contents of all files, not by where they are."""
+        root = Path(self.path)
+        root = root if root.is_dir() else root.parent
+        total = hashlib.sha256()
+        for path in sorted(p for p in root.rglob("*") if p.is_file()):
+            with path.open("rb") as file:
+                total.update(os.fsencode(path.relative_to(root)) + b"\0" + hashlib.file_digest(file, "sha256").digest())
+        return {"folder": total.hexdigest(), "upscale": self.upscale}
+
+
+Subject = SceneSubject | FolderSubject
+
+
+@dataclass(frozen=True)
+class Guide:
+    """Exact G-buffers of the new frame, and their correspondence with the rendered frame at t. `depth` (H, W)
+    float32, view z; `motion` (H, W, 2) float32, pixels: position of the surface in the displayed image of t, minus
+    here; `source_depth` (H, W) float32: its view z there (NaN behind that camera); `moving` (H, W) bool: it moves by
+    itself."""
+
+    depth: np.ndarray
+    motion: np.ndarray
+    source_depth: np.ndarray
+    moving: np.ndarray
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time at which a new frame is made: `time` in seconds, `alpha` in intervals after the rendered frame; `camera`
+    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps; `true_positions`,
+    with a guide: computes where every fragment of the rendered frame is then, as `extrapolate` takes it."""
+
+    time: float
+    alpha: float
+    camera: Camera | None
+    truth: np.ndarray
+    guide: Guide | None = None
+    turn: float = 0.0
+    true_positions: Callable[[], np.ndarray] | None = None
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A rendered frame; its displayed picture (H, W, 3) linear; the moments after it that count; the next rendered
+    frame, if there is one; and, with guides, a mask (H, W) of displayed movers."""
+
+    frame: RenderedFrame
+    shown: np.ndarray
+    moments: tuple[Moment, ...]
+    following: RenderedFrame | None = None
+    moving: np.ndarray | None = None
+
+
+class Footage:
+    """Rendered frames and moments of a subject. `exact`: whether moments bring a `Guide`; `windows`: whether frames can
+    be had through a window of choice; `upscale`: as of the subject; `labels`: of each moment in order (`regions`),
+    filled in by who needs them."""
+
+    exact = windows = False
+
+    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float, upscale: float = 0.0):
+        self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
+        self.upscale = upscale
+        self.labels: list[np.ndarray] = []
+        self._kept: dict[str, list[Shot]] = {}
+
+    def shots(self, window: str = "off") -> Iterator[Shot]:
+        """Return the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded,
+        small ones with upscaling; or, if `windows` are available, any other mode of `WindowChooser`."""
+        window = "off" if self.windows and window == "given" and not self.upscale else window
+        if window in self._kept:
+            yield from self._kept[window]
+            return
+        made = []
+        for shot in self._make(window):
+            if made is not None:
+                made.append(shot)
+                if len(made) * self.width * self.height * _BYTES_PER_PIXEL > _MOST_KEPT:
+                    made = None
+            yield shot
+        if made is not None:
+            self._kept[window] = made
+
+    def render_size(self, window: str) -> tuple[int, int]:
+        """Width and height of the frames of `shots(window)`, pixels."""
+        return self.width, self.height
+
+    @property
+    def knows_rendered(self) -> bool:
+        """Whether `Shot.shown` is a reference for rendered frames: not if it is a small one, resampled."""
+        return self.exact or not self.upscale
+
+    def _make(self, window: str) -> Iterator[Shot]:
+        raise NotImplementedError
+
+
+class _Scene(Footage):
+    exact = windows = True
+
+    def __init__(self, subject: SceneSubject, device: Device):
+        self._scene, self._device = load_scene(subject.scene, subject.seed), device
+        if subject.turn_rate:
+            self._scene = turning(self._scene, subject.turn_rate, subject.frames // 2 / subject.fps)
+        self._subject = subject
+        size = (subject.width, subject.height)
+        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale)
+        self._renderer = SceneRenderer(device, self._scene, *size)
+        self._small = jittered_renderer(device, self._scene, size, subject.upscale) if subject.upscale else None
+
+    def render_size(self, window):
+        if self._small is None or window != "given":
+            return rendered_size(window, (self.width, self.height))
+        return self._small[0].width, self._small[0].height
+
+    def _make(self, window):
+        size = (self.width, self.height)
+        if window == "given":
+            assert self._small is not None  # else no window is given
+            frames = SceneFrames(self._small[0], size=size, jitter=self._small[1])
+        else:
+            renderer = self._renderer
+            if (larger := self.render_size(window)) != size:
+                renderer = SceneRenderer(self._device, self._scene, *larger)
+            frames = SceneFrames(renderer, chooser_of(window, size, self._subject.alphas), size)
+        reference = self._reference(window)
+        before = None
+        for frame in frames.sequence(self._subject.frames + 1, self.fps, self._subject.start / self.fps):
+            if before is not None:
+                shown, moments, moving = next(reference)
+                yield Shot(before, shown, moments, frame, moving)
+            before = frame
+
+    def _reference(self, window):
+        """Return the displayed picture, the later moments and the movers of each rendered frame: the same for all
+        windows."""
+        if "off" in self._kept:
+            yield from ((shot.shown, shot.moments, shot.moving) for shot in self._kept["off"])
+            return
+        before, start = None, self._subject.start
+        for k in range(start, start + self._subject.frames):
+            now = k / self.fps, self._scene.camera(k / self.fps, self.width, self.height)
+            image = self._renderer.render(*now, *(before or now)).numpy()
+            moving = moving_pixels(image.motion, image.depth, now[1], (before or now)[1])
+            times = self._times(k) if k >= start + NO_HISTORY else []
+            yield image.color, tuple(self._moment(*now, *at) for at in times), moving
+            before = now
+
+    def _times(self, k: int) -> list[tuple[float, float, float]]:
+        """(time, α, degrees of turn) of the moments after rendered frame `k`."""
+        if self._subject.turns:
+            return [(k / self.fps, 0.0, turn) for turn in self._subject.turns]
+        return [((k + alpha) / self.fps, alpha, 0.0) for alpha in self._subject.alphas]
+
+    def _moment(self, source_time: float, source: Camera, time: float, alpha: float, turn: float) -> Moment:
+        camera = turned(self._scene.camera(time, self.width, self.height), turn)
+        image = self._renderer.render(time, camera, source_time, source).numpy()
+        moving = moving_pixels(image.motion, image.depth, camera, source)
+        z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
+        z = np.where(np.isfinite(image.motion).all(-1), z, np.nan).astype(np.float32)
+        guide = Guide(image.depth, image.motion, z, moving)
+
+        def true_positions() -> np.ndarray:
+            return _positions(self._renderer.render(source_time, source, time, camera).numpy())
+
+        return Moment(time, alpha, camera, image.color, guide, turn, true_positions)
+
+
+class _Folder(Footage):
+    def __init__(self, subject: FolderSubject, device: Device):
+        self._sequence, self._device = open_capture(subject.path), device
+        s = self._sequence
+        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, subject.upscale)
+        self._given_size = Recorded(s, device, upscale=subject.upscale).render_size
+
+    def render_size(self, window):
+        return (self.width, self.height) if window == "off" else self._given_size
+
+    def _make(self, window):
+        shown = self.shots("off") if window != "off" else None
+        is_off = window == "off"
+        recorded = Recorded(self._sequence, self._device, "off" if is_off else None, 0.0 if is_off else self.upscale)
+        truths = truths_after(self._sequence)
+        before = None
+        for entry, frame in recorded.frames([], strict=False):
+            if before is not None:
+                yield self._shot(*before, None if frame.reset else frame, truths, shown)
+            before = entry, frame
+        if before is not None:
+            yield self._shot(*before, None, truths, shown)
+
+    def _shot(self, entry, frame, following, truths, shown) -> Shot:
+        if shown is not None:
+            same = next(shown)
+            return Shot(frame, same.shown, same.moments, following)
+        read, index = self._sequence.read_color, self._sequence.rendered.index(entry_of(self._sequence, entry))
+        interval, moments = interval_at(self._sequence, index), []
+        for truth in truths.get(entry.file, ()):
+            camera = self._sequence.camera_at(truth.time)
+            alpha = (truth.time - entry.time) / interval
+            moments.append(Moment(truth.time, alpha, camera, read(truth)))
+        return Shot(frame, frame.color[..., :3], tuple(moments), following)
+
+
+_MOVES = 0.5  # pixels from which a surface counts as moving by itself
+
+
+def open_subject(subject: Subject, device: Device) -> Footage:
+    """Its footage; nothing is rendered or decoded before it is asked for."""
+    return _Scene(subject, device) if isinstance(subject, SceneSubject) else _Folder(subject, device)
+
+
+def parse_subject(
+    text: str,
+    size: tuple[int, int],
+    frames: int,
+    fps: float,
+    alphas: tuple[float, ...],
+    *,
+    upscale: float = 0.0,
+    turn_rate: float = 0.0,
+) -> Subject:
+    """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth, or of
+    frames that are not `upscale` times smaller than that."""
+    name, colon, seed = text.partition(":")
+    if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
+        if colon and not seed.isdigit():
+            raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
+        load_scene(name, int(seed or 0))
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), (), upscale, turn_rate)
+    if not Path(text).exists():
+        raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
+    sequence = open_capture(text)
+    count = sum(map(len, truths_after(sequence).values()))
+    if not count:
+        raise GffeError(
+            f"{text}: no ground truth between rendered frames with history, nothing to measure against"
+            " (expected frames of kind ground_truth, as `gffe render --ground-truth` writes)"
+        )
+    recorded = Recorded(sequence, None, upscale=upscale)
+    if (recorded.width, recorded.height) != (sequence.width, sequence.height):
+        raise GffeError(
+            f"{text}: its frames are as large as its ground truth, {sequence.width}×{sequence.height} (expected smaller"
+            " ones for --upscale, as `gffe render --scale` writes)"
+        )
+    return FolderSubject(text, count, upscale)
+
+
+def truths_after(sequence: Sequence) -> dict[str, list]:
+    """Return entries of ground truth by the file of the rendered frame before them. That frame must have history and
+    a rendered frame after it, because interpolation needs it and all methods are measured at the same moments."""
+    found: dict[str, list] = {}
+    rendered, since, usable = sequence.rendered, 0, []
+    for k, entry in enumerate(rendered):
+        since = 0 if entry.reset or k == 0 else since + 1
+        followed = k + 1 < len(rendered) and not rendered[k + 1].reset
+        usable.append(since >= NO_HISTORY and followed)
+    for truth in sequence.ground_truth:
+        index = sequence.rendered_before(truth.time)
+        if index is not None and usable[index]:
+            found.setdefault(rendered[index].file, []).append(truth)
+    return found
+
+
+def interval_at(sequence: Sequence, index: int) -> float:
+    """Seconds from the rendered frame before to rendered frame `index`, which has one before it."""
+    rendered = sequence.rendered
+    return rendered[index].time - rendered[index - 1].time if index else 1 / sequence.fps
+
+
+def entry_of(sequence: Sequence, entry):
+    """The sequence's own entry of that file: `Recorded` may hand out changed ones."""
+    return next(own for own in sequence.rendered if own.file == entry.file)
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    """The same camera, turned to the right about its own vertical axis."""
+    if not degrees:
+        return camera
+    angle = np.radians(degrees)
+    turn = np.eye(4)
+    turn[0, 0] = turn[2, 2] = np.cos(angle)
+    turn[0, 2], turn[2, 0] = -np.sin(angle), np.sin(angle)
+    return Camera(turn @ camera.world_to_view, *camera.intrinsics)
+
+
+def turning(scene: Scene, rate: float, half: float) -> Scene:
+    """The same scene with a camera that turns to the right by `rate` degrees per second until `half` (seconds), then
+    back."""
+    forward = scene.target(0.0) - scene.eye(0.0)
+    start = np.arctan2(forward[0], -forward[2])
+    level = np.hypot(forward[0], forward[2])
+
+    def target(time):
+        angle = start + np.radians(rate) * (half - abs(half - time))
+        return scene.eye(time) + np.array((level * np.sin(angle), forward[1], -level * np.cos(angle)))
+
+    return replace(scene, target=target)
+
+
+def _positions(future) -> np.ndarray:
+    """(H, W, 4) float32 `target_position` of every fragment, of a rendering whose `other` is the target."""
+    position = np.zeros((*future.depth.shape, 4), np.float32)
+    position[..., :2] = _centers(*future.depth.shape) + future.motion
+    position[..., 2] = future.other_position[..., 2]
+    position[~np.isfinite(position[..., :2]).all(-1)] = (0, 0, -1, 0)
+    return position
+
+
+def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
+    """(H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at `depth`."""
+    static_px, _ = other.project(_world(camera, depth))
+    with np.errstate(invalid="ignore"):
+        off = np.linalg.norm(motion + _centers(*depth.shape) - static_px, axis=-1)
+    return (off > _MOVES) & np.isfinite(depth)
+
+
+def _centers(height: int, width: int) -> np.ndarray:
+    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
+    return np.stack([x, y], -1)
+
+
+def _world(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """(H, W, 3); sky is put very far away."""
+    return camera.unproject(_centers(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))

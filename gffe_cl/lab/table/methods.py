@@ -1,0 +1,338 @@
+"""The methods of the table, and how each is run."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.inference import network as inference
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.lab.table import baselines, libraries
+from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject
+from gffe_cl.lab.table.network import OnnxModel, OnnxRunner
+from gffe_cl.lab.table.pipelines import (
+    PipelineRunner,
+    RenderedUpscaled,
+    Resampled,
+    TrueGeometry,
+    TrueMotion,
+    UpscaledFirst,
+)
+
+FULL = "gffe"
+LIBRARY = "library"
+GIVEN = "given"  # rendered frames as the sequence has them
+
+
+class Runner(Protocol):
+    """A method at work on one sequence."""
+
+    def submit(self, shot: Shot) -> None:
+        """Take the next rendered frame."""
+        ...
+
+    def make(self, moment: Moment) -> np.ndarray:
+        """The picture of a moment after it: (H, W, 3) linear."""
+        ...
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name, title : on the command line and in JSON; for people
+    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "filling"
+        (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise), "baseline" or
+        "library" (a few calls of OpenCV or PyTorch)
+    options : of the pipeline, if it is one
+    window : what rendered frames it sees, as of `Footage.shots`
+    camera : False: the pipeline predicts the camera of the new frame
+    needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes),
+        "upscale" (rendered frames smaller than what is shown)
+    package : module that must be importable, and the extra that brings it
+    model : of the ONNX contract
+    pipelines : how our pipeline is used, if it is one
+    make : footage → Runner, where it is no pipeline
+    """
+
+    name: str
+    title: str
+    group: str
+    options: Options | None = None
+    window: str = "off"
+    camera: bool = True
+    needs: frozenset[str] = frozenset()
+    package: tuple[str, str] | None = None
+    model: Path | None = None
+    pipelines: type[PipelineRunner] = PipelineRunner
+    make: Callable[[Footage], Runner] | None = None
+
+    def missing(self, footage: Subject | Footage) -> str | None:
+        """Why it cannot be run there; None if it can."""
+        if self.package and importlib.util.find_spec(self.package[0]) is None:
+            return f"needs {self.package[0]}: {how_to_install(self.package[1])}"
+        if "guide" in self.needs and not footage.exact:
+            return "needs G-buffers of the new frames, which only built-in scenes have"
+        if "windows" in self.needs and not footage.windows:
+            return "windows can be chosen for built-in scenes only"
+        if "upscale" in self.needs and not footage.upscale:
+            return "needs rendered frames smaller than the display (--upscale)"
+        if footage.upscale and self.window != GIVEN:
+            return "takes rendered frames of the display's size, not --upscale's"
+        return None
+
+    def identity(self) -> dict:
+        """Return the identity of the computation for the cache, besides the sources of the program."""
+        known = {"name": self.name, "window": self.window, "camera": self.camera}
+        if self.options:
+            known["options"] = asdict(self.options)
+            if self.options.corrects_shading:
+                weights = Path(self.options.scn_model) if self.options.scn_model else inference.default_model()
+                assert weights is not None  # the package's own
+                known["weights"] = inference.digest_of_weights(weights)
+        if self.model:
+            known["model"] = hashlib.sha256(self.model.read_bytes()).hexdigest()
+        return known
+
+    def runner(self, footage: Footage, device: Device) -> Runner:
+        """At the start of a sequence. Raises GffeError."""
+        if self.options is None:
+            assert self.make is not None
+            return self.make(footage)
+        return self.pipelines(self.options, self.window, self.camera, footage, device)
+
+
+def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool = True, **options) -> Method:
+    needs = frozenset() if window in (GIVEN, "off") else frozenset({"windows"})
+    return Method(name, title, group, Options(**options), window, camera, needs)
+
+
+def _upscaling(name: str, title: str, pipelines: type[PipelineRunner], *needs: str) -> Method:
+    return Method(name, title, "upscaling", Options(), GIVEN, needs=frozenset({"upscale", *needs}), pipelines=pipelines)
+
+
+def _filling(hole_filling: str, levels: int) -> Method:
+    title = f"{hole_filling} holes, {levels} level{'s' * (levels != 1)} of background"
+    options = {"hole_filling": hole_filling, "levels": levels, "shading_correction": False}
+    return _gffe(f"{hole_filling}-{levels}", title, "filling", **options)
+
+
+def _library(name: str, title: str, package: str, extra: str, make: Callable[[Footage], Runner]) -> Method:
+    return Method(name, title, LIBRARY, package=(package, extra), make=make)
+
+
+def _flow(flow: str) -> Method:
+    name, title = ("farneback", "Farneback") if flow == "farneback" else (f"dis-{flow}", f"DIS {flow}")
+    title = f"optical flow ({title}), extrapolated by a bilinear remap"
+    return _library(name, title, "cv2", "opencv", lambda footage: libraries.RemappedFlow(flow, footage.exposure))
+
+
+def _remap(name: str, cubic: bool) -> Method:
+    title = f"motion vectors, {'cubic' if cubic else 'bilinear'} remap"
+    return _library(name, title, "cv2", "opencv", lambda footage: libraries.Remapped(cubic))
+
+
+def _window(name: str, title: str, mode: str) -> Method:
+    return _gffe(f"window-{name}", title, "window", mode, shading_correction=False)
+
+
+_PAPERS_WAY = {
+    "resampling": "linear",
+    "crack_closing": False,
+    "blocks": False,
+    "camera_fixed": False,
+    "acceleration": False,
+    "hidden_parts": False,
+    "levels": 2,
+    "hole_filling": "downsample",
+    "soft_silhouettes": False,
+}
+
+_ALL = (
+    _gffe(FULL, "GFFE", "gffe"),
+    _gffe("no-motion", "no motion estimation", "ablation", motion=False),
+    _gffe("order-2", "prediction of order 2", "ablation", history=3, order=2),
+    _gffe("order-5", "prediction of order 5", "ablation", history=6, order=5),
+    _gffe("no-background", "no background", "ablation", levels=0),
+    _gffe("levels-2", "two levels of background, as in the paper", "ablation", levels=2),
+    _gffe("levels-3", "three levels of background", "ablation", levels=3),
+    _gffe("adaptive-window", "adaptive rendering window", "ablation", "adaptive"),
+    _gffe("fixed-window", "fixed rendering window, 1.2 times", "ablation", "fixed:1.2"),
+    _gffe("no-scn", "no shading correction", "ablation", shading_correction=False),
+    _gffe("no-focus-mask", "no focus mask", "ablation", focus_mask=False),
+    _gffe("predicted-camera", "camera of the new frame predicted", "ablation", camera=False),
+    _gffe("single-pixel-splats", "fragments are single pixels", "deviation", crack_closing=False, blocks=False),
+    _gffe("constant-speed", "movers keep their speed", "deviation", acceleration=False),
+    _gffe("background-only", "holes are never a mover's", "deviation", hidden_parts=False),
+    _gffe("downsampled-holes", "holes from the image downsampled 32×", "deviation", hole_filling="downsample"),
+    _gffe("hard-silhouettes", "silhouettes as the warp leaves them", "deviation", soft_silhouettes=False),
+    _gffe("linear-camera", "camera predicted along a line", "deviation", camera=False, camera_order=1),
+    _gffe("papers-way", "all of these the paper's way", "deviation", **_PAPERS_WAY),
+    _upscaling("bicubic", "no upscaling: small frames, resampled", Resampled),
+    _upscaling("rendered-upscaled", "rendered frames upscaled, new ones as extrapolated", RenderedUpscaled),
+    _upscaling("upscaled-first", "new frames extrapolated from upscaled ones", UpscaledFirst),
+    _upscaling("true-geometry", "upscaling fed by true depth and motion of new frames", TrueGeometry, "guide"),
+    *(_filling("downsample", levels) for levels in range(4)),
+    *(_filling("push-pull", levels) for levels in (0, 2)),
+    *(_filling("far-side", levels) for levels in range(4)),
+    _window("off", "no rendering window", "off"),
+    *(_window(f, f"fixed rendering window, {f} times", f"fixed:{f}") for f in ("1.1", "1.2", "1.4")),
+    _window("adaptive", "adaptive rendering window", "adaptive"),
+    _window("dense", "adaptive rendering window, pixels as small as the display's", "adaptive, dense"),
+    _window("wide", "half more of the view on every side, pixels as small as the display's", "wide"),
+    Method(
+        "true-motion",
+        "every fragment where it truly is (oracle), no shading correction",
+        "baseline",
+        Options(shading_correction=False),
+        needs=frozenset({"guide"}),
+        pipelines=TrueMotion,
+    ),
+    Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
+    _gffe(
+        "static-reprojection",
+        "static reprojection (depth and camera only)",
+        "baseline",
+        "off",
+        motion=False,
+        levels=0,
+        hole_filling="push-pull",
+        soft_silhouettes=False,
+        shading_correction=False,
+        overlays=False,
+    ),
+    Method(
+        "flow",
+        "optical flow (DIS), extrapolated",
+        "baseline",
+        package=("cv2", "opencv"),
+        make=lambda footage: baselines.OpticalFlow(footage.exposure),
+    ),
+    Method(
+        "motion-vectors",
+        "motion vectors in image space, linear",
+        "baseline",
+        make=lambda footage: baselines.MotionVectors(1),
+    ),
+    Method(
+        "motion-vectors-2",
+        "motion vectors in image space, quadratic",
+        "baseline",
+        make=lambda footage: baselines.MotionVectors(2),
+    ),
+    Method(
+        "guided",
+        "extrapolation guided by G-buffers of the new frame",
+        "baseline",
+        needs=frozenset({"guide"}),
+        make=lambda footage: baselines.GuidedExtrapolation(),
+    ),
+    Method(
+        "interpolation",
+        "interpolation with the next frame (adds latency)",
+        "baseline",
+        needs=frozenset({"following"}),
+        make=lambda footage: baselines.Interpolation(),
+    ),
+    _remap("remap-bilinear", cubic=False),
+    _remap("remap-cubic", cubic=True),
+    *map(_flow, libraries.FLOWS),
+    _library("torch-splat", "motion vectors, forward splat", "torch", "train", lambda footage: libraries.TorchSplat()),
+)
+METHODS: dict[str, Method] = {method.name: method for method in _ALL}
+GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
+_ON_REQUEST = ("filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
+LATE_WARP = (FULL, "static-reprojection", "repeat")
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Gain of a part of the method: the rows `with_it` and `without`, the region that it is for, and
+    the name of the paper's row without it."""
+
+    title: str
+    with_it: str
+    without: str
+    region: str
+    paper: str = ""
+
+
+GAINS = (
+    Gain("motion estimation", FULL, "no-motion", "dynamic", "w/o ME"),
+    Gain("background collection", FULL, "no-background", "dynamic disocclusion", "w/o BGC"),
+    Gain("adaptive window", "adaptive-window", FULL, "out of screen", "w/o AW"),
+    Gain("shading correction", FULL, "no-scn", "focus", "w/o SCN"),
+    Gain("focus mask", FULL, "no-focus-mask", "rest", "w/o FM"),
+    Gain("linear prediction, against order 5", FULL, "order-5", "dynamic"),
+    Gain("background at full resolution", FULL, "levels-2", "static disocclusion"),
+    Gain("fragments cover what they map to", FULL, "single-pixel-splats", "rest"),
+    Gain("acceleration of movers", FULL, "constant-speed", "dynamic"),
+    Gain("hidden parts of movers", FULL, "background-only", "static disocclusion"),
+    Gain("holes continue their far side", FULL, "downsampled-holes", "static disocclusion"),
+    Gain("soft silhouettes", FULL, "hard-silhouettes", "silhouettes"),
+)
+
+
+def onnx_method(name: str, path: str | Path) -> Method:
+    """A network of `network`'s contract as a method. Raises GffeError."""
+    if not name or name in METHODS:
+        raise GffeError(f"--onnx {name}={path}: the name is empty or a method's own (expected another one)")
+    model = OnnxModel(path)
+    needs = frozenset({"following"}) if model.interpolates else frozenset()
+    title = f"{name} (ONNX{', adds latency' if needs else ''})"
+    return Method(
+        name, title, "baseline", needs=needs, model=Path(path),
+        make=lambda footage: OnnxRunner(model, footage.exposure),
+    )  # fmt: skip
+
+
+def chosen_methods(
+    words: Iterable[str] | None,
+    onnx: Iterable[str] = (),
+    upscale: bool = False,
+    network: tuple[str | None, str] = (None, "cpu"),
+) -> dict[str, Method]:
+    """Methods and groups by name (None: all of them, but shading correction's where there are no weights, and
+    those of `_ON_REQUEST`; upscaling's with `upscale`), and networks as "NAME=FILE", in the order of the table.
+    `network`: file (None: the package's own) and execution provider of the shading correction network. Raises
+    GffeError."""
+    networks = {}
+    for text in onnx:
+        name, equals, path = text.partition("=")
+        if not equals:
+            raise GffeError(f"--onnx {text}: expected NAME=FILE")
+        networks[name] = onnx_method(name, path)
+    known = METHODS | networks
+    groups = {*GROUPS} - {*_ON_REQUEST} | ({"upscaling"} if upscale else set())
+    wanted = {name for name, method in known.items() if method.group in groups}
+    wanted = wanted if words is None else set()
+    for word in words or ():
+        found = {word} if word in known else {name for name, method in known.items() if method.group == word}
+        if not found:
+            raise GffeError(f"--methods: '{word}' is none of {', '.join((*GROUPS, *known))}")
+        wanted |= found
+    wanted |= set(networks)
+    if network[0] is None and inference.default_model() is None:
+        wanted -= {"no-scn", "no-focus-mask"}
+    return {name: _with_network(method, *network) for name, method in known.items() if name in wanted}
+
+
+def _with_network(method: Method, model: str | None, provider: str) -> Method:
+    """The method with another shading correction network or provider, where it has a network."""
+    options = method.options
+    if options is None or options.shading_correction is False or (model is None and provider == options.scn_provider):
+        return method
+    corrects = True if model else options.shading_correction
+    return replace(
+        method, options=replace(options, shading_correction=corrects, scn_model=model, scn_provider=provider)
+    )

@@ -1,0 +1,264 @@
+"""Results of a filled table: one document, from which console, JSON, CSV, page and documentation are made."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import math
+import platform
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.lab.metrics import METRICS, RegionErrors
+from gffe_cl.lab.metrics.regions import REGIONS
+from gffe_cl.lab.table.jobs import Cell
+from gffe_cl.lab.table.methods import FULL, GAINS
+from gffe_cl.lab.table.runner import Filled
+from gffe_cl.lab.table.videos import VIDEO_METRICS
+
+_PACKAGES = (
+    "gffe-cl",
+    "numpy",
+    "pyopencl",
+    "onnxruntime",
+    "scikit-image",
+    "flip-evaluator",
+    "opencv-python-headless",
+    "torch",
+)
+
+# The paper's averages over its eight scenes: its tables 'Quantitative' and 'Ablation study'.
+PAPER = {
+    "Ours Full": {"psnr": 24.20, "ssim": 0.8593, "lpips": 0.0967, "fvvdp": 7.65},
+    "w/o ME": {"psnr": 23.44, "ssim": 0.8521, "lpips": 0.1036, "fvvdp": 7.57},
+    "w/o BGC": {"psnr": 24.11, "ssim": 0.8591, "lpips": 0.0979, "fvvdp": 7.62},
+    "w/o AW": {"psnr": 24.15, "ssim": 0.8591, "lpips": 0.0971, "fvvdp": 7.62},
+    "w/o SCN": {"psnr": 23.93, "ssim": 0.8586, "lpips": 0.0923, "fvvdp": 7.60},
+    "w/o FM": {"psnr": 23.86, "ssim": 0.8139, "lpips": 0.3563, "fvvdp": 7.49},
+    "IFRNet (interpolation)": {"psnr": 24.24, "ssim": 0.8439, "lpips": 0.1801, "fvvdp": 7.17},
+    "UPR-Net (interpolation)": {"psnr": 24.87, "ssim": 0.8495, "lpips": 0.2841, "fvvdp": 7.55},
+    "ExtraSS-E (G-buffers)": {"psnr": 24.64, "ssim": 0.8793, "lpips": 0.1556, "fvvdp": 7.19},
+    "DMVFN": {"psnr": 21.73, "ssim": 0.7609, "lpips": 0.2078, "fvvdp": 6.80},
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure of the table: its key in JSON, how people read it, and whether more of it is better."""
+
+    name: str
+    title: str
+    digits: int
+    higher_is_better: bool
+
+    def text(self, value: float | None, signed: bool = False) -> str:
+        """Return a figure as text, "–" if undefined."""
+        if value is None or not math.isfinite(value):
+            return "–"
+        return f"{round(value, self.digits) + 0.0:{'+' if signed else ''}.{self.digits}f}"
+
+
+METRIC_COLUMNS = tuple(Column(m.name, m.title, m.digits, m.higher_is_better) for m in METRICS.values())
+AGAINST = Column("against", f"against {FULL}, dB", 2, True)
+FLICKER = Column("flicker", "flicker, %", 2, False)
+RENDERED_COLUMNS = tuple(  # of rendered frames, where they are upscaled
+    Column(f"rendered_{m}", f"rendered: {METRICS[m].title}", METRICS[m].digits, True) for m in ("psnr", "ssim")
+)
+VIDEO_COLUMNS = tuple(
+    Column(m.name, f"{m.label}, {m.unit}" if m.unit else m.label, m.digits, m.higher_is_better)
+    for m in VIDEO_METRICS.values()
+)
+COST = (Column("milliseconds", "ms", 1, False), Column("bytes_per_pixel", "B/px", 0, False))
+_PICTURE = (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], *RENDERED_COLUMNS, FLICKER)
+COLUMNS = {c.name: c for c in (*_PICTURE, *VIDEO_COLUMNS, *COST)}
+
+
+def results_of(filled: Filled, late: dict[float, Filled] | None = None, command: str = "") -> dict:
+    """Everything, for JSON. `late`: tables of late warps by degrees of turn; `command`: how it was made."""
+    cells = [_cell(sequence, name, cell) for (sequence, name), cell in filled.cells.items()]
+    full = {cell["sequence"]: cell["psnr"] for cell in cells if cell["method"] == FULL}
+    for cell in cells:
+        known = cell["method"] != FULL and cell["sequence"] in full
+        cell["against"] = cell["psnr"] - full[cell["sequence"]] if known else None
+    names = [subject.name for subject in filled.subjects]
+    means = [mean for name in filled.methods if (mean := _mean(name, cells, filled, names))]
+    present = [c.name for c in COLUMNS.values() if any(mean.get(c.name) is not None for mean in means)]
+    return {
+        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
+        "command": command,
+        "versions": versions(),
+        "machine": filled.machine,
+        "columns": [asdict(COLUMNS[name]) for name in present],
+        "regions": REGIONS,
+        "methods": [{"name": m.name, "title": m.title, "group": m.group} for m in filled.methods.values()],
+        "sequences": [{"name": name, **filled.described[name].document} for name in names],
+        "cells": cells,
+        "means": means,
+        "gains": gains(filled),
+        "budget": {name: budget(of) for name, of in _budgeted(filled).items()},
+        "late": _late(late) if late else [],
+        "skipped": _skipped(filled),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return versions of Python and of the installed packages that figures depend on."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def budget(errors: RegionErrors) -> list[dict]:
+    """Where the squared error is: by region its share of the pixels and of the error, and the gain in dB of the whole
+    frame if the region were perfect (None: all of the error is there)."""
+    sums = errors.sums["psnr"]
+    total = sums["whole"]
+    rows = []
+    for name in REGIONS:
+        share = sums[name] / total if total else 0.0
+        rows.append(
+            {
+                "region": name,
+                "pixels": errors.share(name),
+                "error": share,
+                "gain": -10 * math.log10(1 - share) if share < 1 else None,
+            }
+        )
+    return sorted(rows, key=lambda row: -row["error"])
+
+
+def gains(filled: Filled) -> list[dict]:
+    """Return each of `GAINS`, pooled over the sequences that have both rows: the increase of PSNR in dB over the
+    whole frame, over its region and in the mean of the frames, and the paper's gain."""
+    found = []
+    for gain in GAINS:
+        both = [
+            (filled.cells[s.name, gain.with_it], filled.cells[s.name, gain.without])
+            for s in filled.subjects
+            if (s.name, gain.with_it) in filled.cells and (s.name, gain.without) in filled.cells
+        ]
+        if not both:
+            continue
+        errors = [RegionErrors.pooled(cell.errors for cell in cells) for cells in zip(*both, strict=True)]
+        row: dict[str, Any] = {
+            "title": gain.title,
+            "with": gain.with_it,
+            "without": gain.without,
+            "region": gain.region,
+        }
+        for key, region in (("whole", "whole"), ("in_region", gain.region)):
+            row[key] = _finite(errors[0].figure("psnr", region) - errors[1].figure("psnr", region))
+        row["mean"] = float(np.mean([_average(a, "psnr") - _average(b, "psnr") for a, b in both]))
+        row["paper"] = round(PAPER["Ours Full"]["psnr"] - PAPER[gain.paper]["psnr"], 2) if gain.paper else None
+        found.append(row)
+    return found
+
+
+def to_csv(results: dict) -> str:
+    """One figure a line: sequence, method, region, metric, value."""
+    stream = io.StringIO()
+    lines = csv.writer(stream, lineterminator="\n")
+    lines.writerow(("sequence", "method", "region", "metric", "value"))
+    for cell in results["cells"]:
+        place = cell["sequence"], cell["method"]
+        for column in results["columns"]:
+            if cell.get(column["name"]) is not None:
+                lines.writerow((*place, "whole", column["name"], repr(cell[column["name"]])))
+        for region, figures in cell["regions"].items():
+            lines.writerows((*place, region, name, repr(value)) for name, value in figures.items() if value is not None)
+    return stream.getvalue()
+
+
+def _cell(sequence: str, method: str, cell: Cell) -> dict:
+    document, timing = cell.document, cell.timing or {}
+    figures = {column.name: _finite(_average(cell, column.name)) for column in METRIC_COLUMNS}
+    regions = {
+        region: {name: _finite(value) for name, value in values.items()}
+        for region, values in cell.errors.figures().items()
+        if region != "whole"
+    }
+    cost = {name: timing.get(name) for name in ("milliseconds", "bytes_per_pixel")}
+    timed = {"timed": timing.get("of"), "timed_on": timing.get("machine")}
+    whole = {"sequence": sequence, "method": method, **figures, "flicker": document["flicker"]}
+    whole |= document["rendered"] | document["videos"]
+    return whole | cost | timed | {"regions": regions, "frames": document["frames"]}
+
+
+def _mean(name: str, cells: list[dict], filled: Filled, names: list[str]) -> dict | None:
+    """Over sequences; regions are pooled."""
+    own = [cell for cell in cells if cell["method"] == name]
+    if not own:
+        return None
+    mean = {"method": name, "sequences": len(own)}
+    for column in COLUMNS:
+        values = [cell[column] for cell in own if cell.get(column) is not None]
+        mean[column] = float(np.mean(values)) if values else None
+    pooled = RegionErrors.pooled(filled.cells[cell["sequence"], name].errors for cell in own)
+    figures = pooled.figures()
+    mean["regions"] = {region: {key: _finite(value) for key, value in figures[region].items()} for region in REGIONS}
+    return mean
+
+
+def _budgeted(filled: Filled) -> dict[str, RegionErrors]:
+    own = {s.name: filled.cells[s.name, FULL].errors for s in filled.subjects if (s.name, FULL) in filled.cells}
+    return ({"all": RegionErrors.pooled(own.values())} if own else {}) | own
+
+
+def _late(late: dict[float, Filled]) -> list[dict]:
+    """By method and degrees of turn: means over sequences, and the share of the pixels that the rendered frame does not
+    show."""
+    rows = []
+    hidden = [name for name in REGIONS if name.endswith("disocclusion") or name == "out of screen"]
+    for turn, filled in late.items():
+        for name in filled.methods:
+            cells = [cell for (_, method), cell in filled.cells.items() if method == name]
+            row = {"method": name, "title": filled.methods[name].title, "turn": turn}
+            for column in METRIC_COLUMNS:
+                row[column.name] = float(np.mean([_average(cell, column.name) for cell in cells]))
+            errors = RegionErrors.pooled(cell.errors for cell in cells)
+            row["disoccluded"] = sum(errors.share(region) for region in hidden)
+            rows.append(row)
+    return rows
+
+
+def _skipped(filled: Filled) -> list[dict]:
+    """Why something is missing: once for each reason."""
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for (sequence, method), reason in filled.skipped.items():
+        reasons.setdefault((method, reason), []).append(sequence)
+    for cell in filled.cells.values():
+        for name, reason in cell.document["skipped"].items():
+            label = VIDEO_METRICS[name].label
+            reasons.setdefault((label, reason.removeprefix(f"{label} ")), [])
+    reasons |= {(name, reason): [] for name, reason in filled.broken.items()}
+    return [{"what": what, "reason": reason, "sequences": where} for (what, reason), where in reasons.items()]
+
+
+def _average(cell: Cell, name: str) -> float:
+    """Return the mean of defined values over frames."""
+    values = [frame[name] for frame in cell.document["frames"] if frame.get(name) is not None]
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def columns_of(results: dict) -> list[Column]:
+    """Return the columns that have figures."""
+    return [COLUMNS[column["name"]] for column in results["columns"]]
+
+
+def ranked(rows: Iterable[dict], column: Column) -> list[dict]:
+    """Best first; rows without a figure last."""
+    sign = -1 if column.higher_is_better else 1
+    return sorted(rows, key=lambda row: (row.get(column.name) is None, sign * (row.get(column.name) or 0)))

@@ -1,0 +1,148 @@
+"""Filling the table: cells that are there are taken, others are computed, here or on a cluster, and kept one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.lab.table.cache import Cache, key_of
+from gffe_cl.lab.table.datasets import Subject
+from gffe_cl.lab.table.jobs import Cell, compute_cell, machine_of
+from gffe_cl.lab.table.methods import Method, chosen_methods
+
+# (work items, arguments of `compute_cell` beside) → the items with their cells, as they come.
+# A GffeError in place of a cell: the sequence cannot be measured.
+Executor = Callable[[list["Work"], dict], Iterator[tuple["Work", Cell | GffeError]]]
+
+
+@dataclass(frozen=True)
+class Work:
+    """A cell to compute; `method` None stands for the description of the sequence."""
+
+    subject: Subject
+    method: str | None
+    key: str
+
+
+@dataclass
+class Filled:
+    """The table: cells by (name of the sequence, name of the method), the description of each sequence, and reasons
+    for missing cells; `broken`: reasons by name for sequences that cannot be measured; `computed`: number of cells
+    not taken from the cache."""
+
+    methods: dict[str, Method]
+    subjects: list[Subject]
+    machine: str
+    cells: dict[tuple[str, str], Cell] = field(default_factory=dict)
+    described: dict[str, Cell] = field(default_factory=dict)
+    skipped: dict[tuple[str, str], str] = field(default_factory=dict)
+    broken: dict[str, str] = field(default_factory=dict)
+    computed: int = 0
+
+    def drop(self, name: str, reason: str) -> None:
+        """Leave out a sequence that cannot be measured."""
+        self.broken.setdefault(name, reason)
+        self.subjects = [subject for subject in self.subjects if subject.name != name]
+        self.described.pop(name, None)
+        for table in (self.cells, self.skipped):
+            for key in [key for key in table if key[0] == name]:
+                del table[key]
+
+
+@dataclass(frozen=True)
+class Order:
+    """Requested evaluation. `methods`, `onnx` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`; `recompute`:
+    take no cell that is there; `network`: as of `chosen_methods`."""
+
+    subjects: tuple[Subject, ...]
+    methods: tuple[str, ...] | None = None
+    onnx: tuple[str, ...] = ()
+    videos: tuple[str, ...] = ()
+    recompute: bool = False
+    network: tuple[str | None, str] = (None, "cpu")
+
+
+def fill(
+    order: Order,
+    folder: Path,
+    device: str | None = None,
+    executor: Executor | None = None,
+    on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
+) -> Filled:
+    """Fill the table; cells are cached in `folder`. `on_plan` takes the number of moments to come and returns a
+    function that is called after each of them. Finished cells survive an interrupt. Sequences with faults are left
+    out. Raises GffeError if all have faults."""
+    names = [subject.name for subject in order.subjects]
+    if len(set(names)) < len(names):
+        raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
+    methods = chosen_methods(order.methods, order.onnx, any(s.upscale for s in order.subjects), order.network)
+    filled = Filled(methods, list(order.subjects), _machine(device, executor))
+    cache, missing = Cache(folder), []
+    for subject in order.subjects:
+        try:
+            identity = subject.identity()
+        except OSError as error:
+            filled.drop(subject.name, f"{error.filename}: {error.strerror or error}")
+            continue
+        for name in (None, *methods):
+            method = methods[name] if name else None
+            if method and name and (reason := method.missing(subject)):
+                filled.skipped[subject.name, name] = reason
+                continue
+            work = Work(subject, name, key_of(identity, method and method.identity()))
+            cell = None if order.recompute else cache.read(work.key)
+            if cell and set(order.videos if method else ()) <= _tried(cell):
+                _take(filled, work, cell, cache)
+            else:
+                missing.append(work)
+    advance = on_plan(sum(work.subject.moments for work in missing if work.method))
+    arguments = {"onnx": order.onnx, "videos": order.videos, "device": device, "network": order.network}
+    compute = executor or _in_this_process
+    for work, cell in compute(missing, arguments | {"on_moment": advance}):
+        if isinstance(cell, GffeError):
+            filled.drop(work.subject.name, str(cell))
+            continue
+        cache.write(work.key, cell)
+        filled.computed += 1
+        if work.subject.name not in filled.broken:
+            _take(filled, work, cell, cache)
+    if filled.broken and not filled.subjects:
+        raise GffeError("; ".join(f"{name}: {reason}" for name, reason in filled.broken.items()))
+    return filled
+
+
+def _machine(device: str | None, executor: Executor | None) -> str:
+    """This one; a machine without a device may have others compute."""
+    try:
+        return machine_of(device)
+    except GffeError:
+        if executor is None:
+            raise
+        return "a cluster"
+
+
+def _in_this_process(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
+    broken = set()
+    for work in items:
+        if work.subject.name in broken:
+            continue
+        try:
+            yield work, compute_cell(work.subject, work.method, **arguments)
+        except GffeError as error:
+            broken.add(work.subject.name)
+            yield work, error
+
+
+def _tried(cell: Cell) -> set[str]:
+    """Names of the video metrics that were measured, or could not be."""
+    return {*cell.document.get("videos", {}), *cell.document.get("skipped", {})}
+
+
+def _take(filled: Filled, work: Work, cell: Cell, cache: Cache) -> None:
+    if work.method is None:
+        filled.described[work.subject.name] = cell
+    else:
+        cell.timing = cache.timing(work.key, filled.machine)
+        filled.cells[work.subject.name, work.method] = cell

@@ -1,0 +1,235 @@
+"""Training data: short clips of varied built-in scenes, extrapolated, with ground truth; cached on disk, resumable."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.lib.stride_tricks import sliding_window_view
+
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.remote_workers import Cluster, device_of_worker
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.shading_trend import TREND_PLANES
+from gffe_cl.lab.metrics import focus_mask
+from gffe_cl.lab.training import images, network
+from gffe_cl.lab.training.domain_randomization import vary_scene
+
+TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
+CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask
+PLANES = {"gae": slice(0, 3), "previous": slice(3, 6), "truth": slice(6, 9), "side": slice(9, 11)}
+HALVED_CHANNELS = CHANNELS + TREND_PLANES  # at half resolution the trends of shading come after
+CROP = 256
+VERSION = 7
+_SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
+_SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
+_ALPHAS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 1.0)
+_RENDERED = 4  # rendered frames per clip
+_UNSEEN = 2  # the first ones, without samples: trends need two intervals
+_PER_FRAME = 2  # ground truths after each of the others
+_MOST_INVERSE_DEPTH = 8.0
+_CROPS_PER_FRAME = 6  # times the number that would cover the frame once
+
+
+@dataclass(frozen=True)
+class ClipPlan:
+    """Plan of clip number `index` of the data with `seed`; depends on nothing else."""
+
+    seed: int
+    index: int
+    scene: str
+    scene_seed: int
+    width: int
+    height: int
+    fps: float
+    start: float
+    alphas: tuple
+
+    @classmethod
+    def draw(cls, seed: int, index: int) -> ClipPlan:
+        rng = np.random.default_rng([seed, index])
+        width, height = _SIZES[int(rng.choice(len(_SIZES), p=_SIZE_SHARES))]
+        alphas = tuple(
+            tuple(sorted(float(a) for a in rng.choice(_ALPHAS, _PER_FRAME, replace=False)))
+            for _ in range(_RENDERED - _UNSEEN)
+        )
+        scene = TRAINING_SCENES[index % len(TRAINING_SCENES)]
+        fps = float(2.0 ** rng.uniform(np.log2(15), np.log2(60)))
+        return cls(seed, index, scene, int(rng.integers(1, 10**6)), width, height, fps, rng.uniform(0, 20), alphas)
+
+    def make_scene(self):
+        rng = np.random.default_rng([self.seed, self.index, 1])
+        middle = self.start + 0.5 * _RENDERED / self.fps
+        return vary_scene(load_scene(self.scene, self.scene_seed), rng, middle)
+
+
+def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 8, H/2, W/2),
+    of which the pipeline has every second row and column, and α."""
+    scene = plan.make_scene()
+    scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
+    options = Options(shading_inputs=True, shading_correction=False)
+    pipeline = Pipeline(device, plan.width, plan.height, options, fps=plan.fps)
+    pipeline.exposure = scene.exposure
+    samples, trends, alphas = [], [], []
+    for k, frame in enumerate(scene_frames.sequence(_RENDERED, plan.fps, plan.start)):
+        pipeline.submit(frame)
+        for alpha in plan.alphas[k - _UNSEEN] if k >= _UNSEEN else ():
+            time = frame.time + alpha / plan.fps
+            made = pipeline.extrapolate(scene_frames.display_camera(time), time)
+            gae, depth = made.numpy("color"), made.numpy("depth")
+            previous = pipeline.stages["shading"].read("warped_previous")[..., :3]
+            mask = pipeline.stages["shading"].read("input_mask")
+            truth = scene_frames.truth(time).read("color")
+            samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
+            carried = pipeline.stages["shading_trend"].read("trends").repeat(2, -1).repeat(2, -2)
+            trends.append(carried[:, : plan.height // 2, : plan.width // 2].astype(np.float16))
+            alphas.append(alpha)
+    return np.stack(samples), np.stack(trends), alphas
+
+
+def _sample(gae, previous, truth, depth, mask, exposure) -> np.ndarray:
+    colors = np.concatenate((gae, previous, truth), -1).astype(np.float32) * np.float32(exposure)
+    side = np.stack((inverse_depth(depth), mask.astype(np.float32)), -1)
+    planes = np.concatenate((np.clip(np.nan_to_num(colors), 0, HALF_MAX), side), -1)
+    return np.ascontiguousarray(planes.transpose(2, 0, 1).astype(np.float16))
+
+
+def inverse_depth(depth: np.ndarray) -> np.ndarray:
+    """median / depth, clamped to [0, 8]; 0 for sky. Design: 'Shading correction network'."""
+    finite = depth[np.isfinite(depth)]
+    median = np.median(finite) if finite.size else 1.0
+    return np.clip(median / np.maximum(depth, 1e-6), 0, _MOST_INVERSE_DEPTH).astype(np.float32)
+
+
+def crops_of(sample: np.ndarray, rng: np.random.Generator) -> list[tuple[int, int, float]]:
+    """Random crops of a sample: (y, x, share of focus pixels that lie in areas at least three pixels wide). Thin lines
+    are outlines, where geometry was wrong: fences have more focus pixels than any shadow."""
+    _, height, width = sample.shape
+    planes = {name: sample[part].astype(np.float32).transpose(1, 2, 0) for name, part in PLANES.items()}
+    focus = _opened(focus_mask(planes["gae"], planes["truth"], planes["side"][..., 1] == 1))
+    total = np.zeros((height + 1, width + 1))
+    total[1:, 1:] = focus.cumsum(0).cumsum(1)
+    crops = []
+    for _ in range(round(_CROPS_PER_FRAME * height * width / CROP**2)):
+        y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
+        count = total[y + CROP, x + CROP] - total[y, x + CROP] - total[y + CROP, x] + total[y, x]
+        crops.append((y, x, float(count) / CROP**2))
+    return crops
+
+
+def _opened(mask: np.ndarray) -> np.ndarray:
+    """Return the part of a mask (H, W) that is covered by squares of 3×3 inside it."""
+    for within in (np.all, np.any):
+        mask = within(sliding_window_view(np.pad(mask, 1), (3, 3)), axis=(2, 3))
+    return mask
+
+
+def halve(samples: np.ndarray) -> np.ndarray:
+    """Samples at half resolution: means over 2×2 pixels, of colors' codes as the network's input has them."""
+    colors, side = torch.from_numpy(samples.astype(np.float32)).tensor_split((PLANES["side"].start,), 1)
+    seen = network.decode(images.halve(network.encode(colors)))
+    return torch.cat((seen, images.halve(side)), 1).half().numpy()
+
+
+def halved_path(path: Path) -> Path:
+    """Where the samples of `path` are at half resolution, with their trends."""
+    return path.with_name(f"{path.stem}_half.npy")
+
+
+def clip_path(folder: Path, seed: int, index: int) -> Path:
+    """Of a clip's files, which end in .npy and .json."""
+    return Path(folder) / f"clip_{seed}_{index:06d}.npy"
+
+
+def finished_clips(folder: Path, seed: int, count: int) -> list[Path]:
+    """Descriptions (`clip_*.json`) of those of the clips 0 … count − 1 that are in `folder`."""
+    paths = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
+    return [path for path in paths if path.exists()]
+
+
+def complete_clips(folder: Path, seed: int, count: int) -> int:
+    """How many of the clips 0 … count − 1 are in `folder` before the first that is not."""
+    names = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
+    return next((index for index, name in enumerate(names) if not name.exists()), count)
+
+
+def make_clips(
+    folder: Path,
+    device: Device | None,
+    seed: int,
+    count: int,
+    on_clip: Callable[[bool], None] = lambda made: None,
+    part: tuple[int, int] = (0, 1),
+    until: float | None = None,
+    least: int = 0,
+    cluster: Cluster | None = None,
+) -> int:
+    """Make the missing clips of 0 … count − 1 in `folder`. Returns the number made.
+
+    Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
+    from i on.
+    Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart. `on_clip` is told
+    after each whether it was made or there already. With a `cluster` its workers make them, each on the device that
+    GFFE_DEVICE chooses there, and `device` may be None. Raises GffeError where nothing can be written.
+    """
+    indices = range(part[0], count, part[1])
+    made = 0
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        missing = [k for k in indices if not clip_path(folder, seed, k).with_suffix(".json").exists()]
+        for _ in range(len(indices) - len(missing)):
+            on_clip(False)
+        for index, data in _made(missing, seed, device, cluster, until, least):
+            _keep(clip_path(folder, seed, index), *data)
+            made += 1
+            on_clip(True)
+    except OSError as error:
+        raise GffeError(f"{folder}: cannot write training data: {error.strerror or error}") from None
+    return made
+
+
+def _made(indices, seed, device, cluster, until, least) -> Iterator[tuple[int, tuple]]:
+    """Yield the result of `clip_data` for each, in order, as far as time allows."""
+    plans = {str(index): (ClipPlan.draw(seed, index),) for index in indices}
+    if cluster:
+        results = cluster.compute(_clip_on_worker, plans, in_order=True)
+    else:
+        results = ((name, clip_data(device, *plan)) for name, plan in plans.items())
+    for index in indices:
+        if index >= least and until is not None and time.monotonic() > until:
+            break
+        yield index, next(results)[1]
+    results.close()
+
+
+def _clip_on_worker(plan: ClipPlan) -> tuple:
+    return clip_data(device_of_worker(None), plan)
+
+
+def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Return the stored data of a clip: samples, the same at half resolution (`make_clip`, `halve`) with trends, and
+    their description."""
+    samples, trends, alphas = make_clip(device, plan)
+    rng = np.random.default_rng([plan.seed, plan.index, 2])
+    crops = [crops_of(sample, rng) for sample in samples]
+    halved = np.concatenate((halve(samples), trends), 1)
+    return samples, halved, {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
+
+
+def _keep(name: Path, samples: np.ndarray, halved: np.ndarray, document: dict) -> None:
+    np.save(name, samples)
+    np.save(halved_path(name), halved)
+    part_file = name.with_suffix(".part")
+    part_file.write_text(json.dumps(document))
+    os.replace(part_file, name.with_suffix(".json"))

@@ -1,0 +1,170 @@
+"""Export of a trained network: ONNX, checked against PyTorch, and a model card."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import os
+import subprocess
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inference.model_interface import (
+    HEAD,
+    INPUT_PLANES,
+    INPUTS,
+    MULTIPLE,
+    OUTPUT,
+    head_text,
+    head_weights,
+    shapes_at,
+)
+from gffe_cl.engine.inference.network import load_onnxruntime
+from gffe_cl.engine.stages.shading_trend import TREND_PLANES
+from gffe_cl.lab.training.channels import pad_file
+from gffe_cl.lab.training.network import ShadingCorrectionNetwork
+from gffe_cl.lab.training.quantization import rounded_weights, store_integers
+
+OPSET = 18
+TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
+INTEGER_TOLERANCE = 0.2  # of integers, the root of the mean square of values in about −10 … 10
+
+
+def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = False) -> float:
+    """Write `network` to `path`: its convolutions, for frames of any height and width, and the head's weights; returns
+    the largest difference between onnxruntime and PyTorch on random input of two sizes. `integers`: the network was
+    quantized; returns the root of the mean squared difference, for integers may be off by one.
+
+    Raises GffeError if they disagree, or the file cannot be written; then there is none.
+    """
+    convert: Any = network.eval().cpu().to  # the stub lacks this form of it
+    network = convert(memory_format=torch.contiguous_format)
+    convolutions = rounded_weights(network.convolutions) if integers else network.convolutions
+    path, part = Path(path), Path(path).with_suffix(".part.onnx")
+    example = example_inputs(4 * MULTIPLE, 6 * MULTIPLE)
+    try:
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("ignore")
+            logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+            torch.onnx.export(
+                convolutions,
+                tuple(example.values()),
+                str(part),
+                input_names=list(example),
+                output_names=[OUTPUT],
+                dynamic_axes={
+                    "frames": {2: "height", 3: "width"},
+                    "candidates": {2: "half_height", 3: "half_width"},
+                    OUTPUT: {2: "half_height", 3: "half_width"},
+                },
+                opset_version=OPSET,
+                dynamo=False,
+            )
+        if integers:
+            store_integers(part)
+        pad_file(part, part, {HEAD: head_text(network.head_weights())})
+        largest, mean = differences(network, part)
+        difference, most = (mean, INTEGER_TOLERANCE) if integers else (largest, TOLERANCE)
+        if not difference <= most:
+            raise GffeError(f"{path}: onnxruntime and PyTorch differ by {difference:.2g} (expected at most {most:g})")
+        os.replace(part, path)
+    except OSError as error:
+        raise GffeError(f"{path}: cannot write the model: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+    return difference
+
+
+def example_inputs(height: int, width: int) -> dict[str, torch.Tensor]:
+    """Random input of the model, in the order of its arguments; equal sizes, equal numbers."""
+    generator, shapes = torch.Generator().manual_seed(height), shapes_at(height, width)
+    return {name: torch.rand(shapes[name], generator=generator) for name in INPUTS}
+
+
+def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The weights in a network that `export_onnx` wrote: of the convolutions, by the names of their parameters, and of
+    the head. Raises GffeError."""
+    import onnx
+
+    try:
+        model = onnx.load(str(path))
+        weights = {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
+        head = next((item.value for item in model.metadata_props if item.key == HEAD), "")
+    except Exception as error:  # of protobuf, onnx or the system
+        raise GffeError(
+            f"{path}: not an ONNX network ({getattr(error, 'strerror', None) or type(error).__name__})"
+        ) from None
+    return weights, head_weights(head)
+
+
+def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, float]:
+    """Between the outputs of onnxruntime and PyTorch: the largest, and the root of the mean square."""
+    session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    found = []
+    for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
+        inputs = example_inputs(height, width)
+        (onnx,) = session.run(None, {name: value.numpy() for name, value in inputs.items()})
+        with torch.no_grad():
+            found.append((onnx - network.convolutions(*inputs.values()).numpy()).ravel())
+    difference = np.concatenate(found)
+    return float(np.abs(difference).max()), float(np.sqrt((difference**2).mean()))
+
+
+def count_operations(network: ShadingCorrectionNetwork, width: int, height: int) -> tuple[int, float]:
+    """Parameters, and GFLOP (two per multiply-add) for one frame of `width` × `height` display pixels."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
+    shape_only = copy.deepcopy(network).to("meta").eval()
+    with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
+        trends = torch.zeros(1, TREND_PLANES, *(side // 2 for side in sides))
+        shape_only(torch.zeros(1, INPUT_PLANES, *sides), torch.zeros(1), trends)
+    return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
+
+
+def commit() -> str:
+    """Of the source this runs from; "unknown" outside a git checkout, "…, changed" where it is not committed."""
+    folder = Path(__file__).resolve().parent
+
+    def git(*arguments):
+        return subprocess.run(
+            ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    try:
+        name = git("rev-parse", "--short=12", "HEAD")
+        return name + (
+            ", changed" if git("status", "--porcelain", "--untracked-files=no", "..", "../../kernels") else ""
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def model_card(facts: dict[str, str], figures: dict[str, float], command: str) -> str:
+    """Markdown: data, recipe, figures and the command that gives the weights again."""
+    rows = "\n".join(f"| {name} | {value} |" for name, value in facts.items())
+    numbers = "\n".join(f"| {name} | {value:.4g} |" for name, value in figures.items())
+    return f"""# Shading correction network
+
+Corrects the shading of extrapolated frames: shadows, lights and reflections that move over static surfaces.
+Input, output and composition: `gffe_cl/lab/training/network.py`. Made by
+
+    {command}
+
+| | |
+| --- | --- |
+{rows}
+
+Validation, on clips that were not trained on (mean absolute error of encoded color):
+
+| | |
+| --- | --- |
+{numbers}
+"""

@@ -1,0 +1,502 @@
+"""Training the shading correction network: resumable, on a CPU, a GPU or several (`gffe train`)."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.distributed as distributed
+from torch import Tensor, nn
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_seed
+from gffe_cl.lab.metrics import FOCUS
+from gffe_cl.lab.training import losses
+from gffe_cl.lab.training.augmentation import Augmentation
+from gffe_cl.lab.training.clips import VERSION
+from gffe_cl.lab.training.crops import Batch, Crop, keep_crops, load_batch
+from gffe_cl.lab.training.export import commit, weights_of
+from gffe_cl.lab.training.images import double
+from gffe_cl.lab.training.network import ShadingCorrectionNetwork, compose, encode
+from gffe_cl.lab.training.quantization import quantize
+
+CHECKPOINT = "checkpoint.pt"
+_FORMAT = 4
+_CHECKPOINT_SECONDS = 120
+_VALIDATION_SHARE = 0.06  # of the clips
+_VALIDATION_CROPS = 96
+_CALIBRATION_STEPS = 24
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Recipe of a training: everything that determines the result, except the data.
+
+    Learning rates are the paper's (appendix, 'Training'); a step takes `batch` crops, in all processes together.
+    `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` counts the error of the frame as it
+    is shown, which the paper's reconstruction loss, with the ground truth in place of the GAE frame, does not see. Full
+    resolution, where the network's output is composed, is needed for its `keep` only, and takes more than half of a
+    step's time: all but every `full_every`-th step do with half. `integers`: for convolutions in 8-bit integers
+    (`quantization`).
+    """
+
+    seed: int = 0
+    steps: int = 20000
+    batch: int = 16
+    learning_rate: float = 1e-4
+    final_learning_rate: float = 1e-5
+    shading: float = 0.6
+    blend_weight: float = 1.0
+    full_every: int = 4
+    bfloat16: bool = False
+    integers: bool = False
+
+    def __post_init__(self):
+        if self.bfloat16 and self.integers:
+            raise GffeError("training: expected bfloat16 or integers, got both")
+        for name in ("steps", "batch", "full_every"):
+            if getattr(self, name) < 1:
+                raise GffeError(f"training: {name} must be at least 1, got {getattr(self, name)}")
+        require_seed(self.seed, "training: seed")
+        if not 0 <= self.shading <= 1 or not 0 <= self.blend_weight < math.inf:
+            raise GffeError(
+                "training: expected shading from 0 to 1 and blend weight ≥ 0,"
+                f" got {self.shading:g} and {self.blend_weight:g}"
+            )
+        if not 0 < self.final_learning_rate <= self.learning_rate < 1:
+            raise GffeError(
+                "training: learning rates must be 0 < final ≤ first < 1,"
+                f" got {self.final_learning_rate:g} and {self.learning_rate:g}"
+            )
+
+    def learning_rate_at(self, step: int) -> float:
+        """From the first to the final one along half a cosine."""
+        share = 0.5 + 0.5 * math.cos(math.pi * min(step / self.steps, 1.0))
+        return self.final_learning_rate + share * (self.learning_rate - self.final_learning_rate)
+
+
+@dataclass
+class Progress:
+    """Report of a step, or of the end of a slice."""
+
+    step: int
+    terms: dict[str, float]
+
+
+class Processes:
+    """This process among those that torchrun started; alone without it."""
+
+    def __init__(self):
+        self.count, self.rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
+        cuda, local = torch.cuda.is_available(), int(os.environ.get("LOCAL_RANK", 0))
+        self.device = torch.device("cuda", local) if cuda else torch.device("cpu")
+        if cuda:
+            if local >= torch.cuda.device_count():
+                raise GffeError(f"training: process {local} on a machine of {torch.cuda.device_count()} GPUs")
+            torch.cuda.set_device(self.device)
+        if self.count > 1 and not distributed.is_initialized():
+            # Processes wait for the slowest one's clips.
+            distributed.init_process_group("nccl" if cuda else "gloo", timeout=timedelta(hours=12))
+
+    @property
+    def first(self) -> bool:
+        return self.rank == 0
+
+    def any(self, flag: bool) -> bool:
+        """Return whether the flag is set in any process."""
+        if self.count == 1:
+            return flag
+        flags = torch.tensor(float(flag), device=self.device)
+        distributed.all_reduce(flags)
+        return flags.item() > 0
+
+    def wrap(self, model: nn.Module) -> nn.Module:
+        if self.count == 1:
+            return model
+        return nn.parallel.DistributedDataParallel(model, [self.device] if self.device.type == "cuda" else None)
+
+    def close(self) -> None:
+        if self.count > 1 and distributed.is_initialized():
+            distributed.destroy_process_group()
+
+
+def loss_terms(
+    correction: Tensor,
+    likely: Tensor,
+    batch: Batch,
+    focus: Tensor,
+    perceptual,
+    taught_by: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """The terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
+
+    The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
+    of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing, and, a
+    little, all others. How much of it is worth showing, and so the mask, is for the error of the final frame to say:
+    small changes of shading are many, and no focus pixels. `taught_by`: the correction of a network to stay close to.
+    """
+    refined, final, mask = compose(batch.gae, correction)
+    truth = encode(batch.truth)
+    taught = torch.maximum(mask.detach(), focus.float()).clamp(min=losses.TAUGHT)
+    shown = encode(batch.truth + taught * (refined - batch.truth))
+    likely = likely.float()
+    terms = {
+        "reconstruction": losses.charbonnier(shown, truth),
+        "focus": losses.focus_loss(likely if batch.halved else double(likely), focus),
+        "perceptual": perceptual(shown, truth),
+        "blend": losses.shown_loss(final, batch.truth),
+    }
+    if taught_by is not None:
+        terms["teacher"] = losses.shown_loss(final, compose(batch.gae, taught_by)[1])
+    return terms
+
+
+def weights(recipe: Recipe) -> dict[str, float]:
+    return {
+        "reconstruction": 1.0,
+        "focus": losses.FOCUS_WEIGHT,
+        "perceptual": losses.PERCEPTUAL_WEIGHT,
+        "blend": recipe.blend_weight,
+        "teacher": losses.TEACHER_WEIGHT,
+    }
+
+
+class Training:
+    """One run in `folder` on the crops of `clips` clips. It continues from its checkpoint if there is one, and else
+    starts with the weights of the network `start`, if given. `sources`: commits that trained it.
+
+    Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        recipe: Recipe,
+        crops: list[Crop],
+        processes: Processes,
+        vgg: Path | None = None,
+        clips: int = 0,
+        start: Path | None = None,
+    ):
+        if recipe.batch % processes.count:
+            raise GffeError(
+                f"training: batch must be a multiple of the number of processes, got {recipe.batch}"
+                f" and {processes.count}"
+            )
+        self.folder, self.recipe, self.processes = Path(folder), recipe, processes
+        validation, train = split_crops(crops, recipe.seed)
+        self.crops, self.validation = keep_crops(train, recipe.seed), validation
+        self.device = processes.device
+        torch.manual_seed(recipe.seed)
+        self.network = ShadingCorrectionNetwork()
+        if start:
+            self._begin_with(start)
+        self.teacher: ShadingCorrectionNetwork | None = None
+        if recipe.integers:
+            self.teacher = copy.deepcopy(self.network).eval().requires_grad_(False).to(self.device)
+            quantize(self.network.convolutions, self._seen_by_convolutions())
+        convert: Any = self.network.to  # the stub lacks this form of it
+        self.network = convert(self.device, memory_format=torch.channels_last)
+        self.parallel = processes.wrap(self.network)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
+        self.perceptual = losses.perceptual_loss(vgg).to(self.device)
+        self.step, self.seconds, self.sources = 0, 0.0, []
+        self.conditions = asdict(recipe) | {
+            "clips": clips,
+            "crops": len(self.crops),
+            "data version": VERSION,
+            "losses": losses.VERSION,
+            "perceptual loss": self.perceptual.name,
+            "processes": processes.count,
+            "start": hashlib.sha256(start.read_bytes()).hexdigest()[:12] if start else "nothing",
+        }
+        self._load()
+        source = commit()
+        if source not in self.sources[-1:]:
+            self.sources.append(source)
+
+    def run(
+        self,
+        until: float | None = None,
+        on_step: Callable[[Progress], None] = lambda progress: None,
+        validate_every: int = 500,
+    ) -> bool:
+        """Train until all steps are done, or `time.monotonic()` passes `until`; returns whether all are.
+
+        A checkpoint is written every two minutes and at the end, also when interrupted: SIGINT and SIGTERM wait for the
+        end of a step. Raises GffeError, and leaves the last checkpoint, if the loss is not finite.
+        """
+        started = saved = time.monotonic()
+        spent = self.seconds
+        log = _Log(self.folder, self.step) if self.processes.first else None
+        whole = True  # between two steps
+        try:
+            with _signals() as received:
+                while self.step < self.recipe.steps:
+                    now = time.monotonic()
+                    self.seconds = spent + now - started
+                    if now - saved > _CHECKPOINT_SECONDS:
+                        self.save()
+                        saved = now
+                    if self.processes.any(bool(received) or (until is not None and now > until)):
+                        break
+                    whole = False
+                    halved, terms = self._train_step()
+                    self.step += 1
+                    whole = True
+                    if log:
+                        log.add("train" if halved else "train, full resolution", terms, self.step)
+                        if self.validation and (self.step % validate_every == 0 or self.step == self.recipe.steps):
+                            log.write("validation", self.validate(), self.step)
+                    on_step(Progress(self.step, terms))
+            if received:
+                raise KeyboardInterrupt(f"step {self.step} is kept in {self.folder}")
+        finally:
+            if whole:
+                self.seconds = spent + time.monotonic() - started
+                self.save()
+            if log:
+                log.close()
+        return self.step >= self.recipe.steps
+
+    def _train_step(self) -> tuple[bool, dict[str, float]]:
+        """Whether it was at half resolution, and the terms of its loss."""
+        recipe, processes = self.recipe, self.processes
+        halved = (self.step + 1) % recipe.full_every != 0
+        batch = self._batch(self.step, halved).to(self.device)
+        for group in self.optimizer.param_groups:
+            group["lr"] = recipe.learning_rate_at(self.step)
+        self.parallel.train()
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
+            correction, likely = self.parallel(*self._inputs(batch))
+        taught_by = self.teacher(*self._inputs(batch)) if self.teacher else None
+        terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual, taught_by)
+        factors = weights(recipe)
+        loss: Any = sum(factors[name] * value for name, value in terms.items())
+        self.optimizer.zero_grad()
+        loss.backward()
+        length = nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        if processes.any(not math.isfinite(length)):
+            raise GffeError(
+                f"training: the loss is not finite at step {self.step} (expected a lower learning rate; the last"
+                " checkpoint is kept)"
+            )
+        self.optimizer.step()
+        return halved, {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
+
+    def _batch(self, step: int, halved: bool) -> Batch:
+        """Augmented crops of a step."""
+        generator = torch.Generator().manual_seed(_mixed(self.recipe.seed, step, self.processes.rank))
+        return Augmentation(generator, self.recipe.shading)(load_batch(self._chosen(step), halved))
+
+    def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        """The network's arguments."""
+        frames, trends = (x.contiguous(memory_format=torch.channels_last) for x in (batch.frames(), batch.trends))
+        return frames, batch.alpha, trends
+
+    def _chosen(self, step: int) -> list[Crop]:
+        """Return this process's share of the crops of a step: every crop once per epoch, in the process's own order."""
+        recipe, count = self.recipe, len(self.crops)
+        share = recipe.batch // self.processes.count
+        first = step * recipe.batch + self.processes.rank * share
+        orders: dict[int, np.ndarray] = {}
+        chosen = []
+        for k in range(first, first + share):
+            epoch = k // count
+            if epoch not in orders:
+                orders[epoch] = np.random.default_rng([recipe.seed, 4, epoch]).permutation(count)
+            chosen.append(self.crops[orders[epoch][k % count]])
+        return chosen
+
+    def validate(self) -> dict[str, float]:
+        """On crops of clips that are not trained on, not augmented: mean absolute encoded error of the GAE and the
+        final frame on focus pixels that are not disoccluded, and on all; recall and precision of the focus mask."""
+        self.network.eval()
+        sums: dict[str, float] = {}
+
+        def add(name, value):
+            sums[name] = sums.get(name, 0.0) + float(value)
+
+        with torch.no_grad():
+            for k in range(0, len(self.validation), self.recipe.batch):
+                batch = load_batch(self.validation[k : k + self.recipe.batch]).to(self.device)
+                correction = self.network(*self._inputs(batch))
+                _, final, mask = compose(batch.gae, correction)
+                regions = batch.regions()
+                focus, mask = regions[FOCUS], mask * ~regions["disoccluded"]
+                truth = encode(batch.truth)
+                for name, image in (("gae", batch.gae), ("final", final)):
+                    error = (encode(image) - truth).abs().mean(1, keepdim=True)
+                    add(f"{name}, focus", (error * focus).sum())
+                    add(f"{name}, all", error.sum())
+                add("focus", focus.sum())
+                add("pixels", focus.numel())
+                add("mask", mask.sum())
+                add("hit", (mask * focus).sum())
+        focus, pixels = max(sums["focus"], 1.0), sums["pixels"]
+        return {
+            "gae error, focus": sums["gae, focus"] / focus,
+            "final error, focus": sums["final, focus"] / focus,
+            "gae error": sums["gae, all"] / pixels,
+            "final error": sums["final, all"] / pixels,
+            "recall": sums["hit"] / focus,
+            "precision": sums["hit"] / max(sums["mask"], 1e-6),
+        }
+
+    @torch.no_grad()
+    def _seen_by_convolutions(self) -> list[tuple[Tensor, Tensor]]:
+        """Inputs of the convolutions in some steps, for their ranges."""
+        seen: list[tuple[Tensor, Tensor]] = []
+        hook = self.network.convolutions.register_forward_pre_hook(lambda _, inputs: seen.append(inputs))
+        for step in range(_CALIBRATION_STEPS):
+            self.network(*self._inputs(self._batch(step, halved=True)))
+        hook.remove()
+        return seen
+
+    def _begin_with(self, start: Path) -> None:
+        try:
+            self.network.take(*weights_of(start))
+        except ValueError as error:
+            raise GffeError(f"{start}: not a network of this kind, {error} (expected one that gffe trained)") from None
+
+    # ---- checkpoints -----------------------------------------------------------------------------------
+
+    def save(self) -> None:
+        """Write the checkpoint; whole, or the one before stays."""
+        if not self.processes.first:
+            return
+        state = {
+            "format": _FORMAT,
+            "conditions": self.conditions,
+            "sources": self.sources,
+            "step": self.step,
+            "seconds": self.seconds,
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
+        path = self.folder / CHECKPOINT
+        part = path.with_suffix(".part")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            torch.save(state, part)
+            os.replace(part, path)
+        except (OSError, RuntimeError) as error:
+            with suppress(OSError):
+                part.unlink()
+            raise GffeError(
+                f"{path}: cannot write the checkpoint: {getattr(error, 'strerror', None) or error}"
+            ) from None
+
+    def _load(self) -> None:
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return
+        with _readable(path):
+            state = _read(path, self.device)
+            was = state["conditions"]
+            differing = [f"{key} {was.get(key)}" for key, value in self.conditions.items() if was.get(key) != value]
+            if differing:
+                raise GffeError(
+                    f"{path}: was started with {', '.join(differing)} (expected the same options, or another folder)"
+                )
+            self.network.load_state_dict(state["network"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.step, self.seconds, self.sources = int(state["step"]), float(state["seconds"]), state["sources"]
+
+
+def clips_of_run(folder: Path) -> int | None:
+    """How many clips the run in `folder` was started with; None if none was. Raises GffeError as `Training`."""
+    path = Path(folder) / CHECKPOINT
+    if not path.exists():
+        return None
+    with _readable(path):
+        return int(_read(path, torch.device("cpu"))["conditions"]["clips"])
+
+
+def _read(path: Path, device: torch.device) -> dict:
+    state = torch.load(path, map_location=device, weights_only=True)
+    if state["format"] != _FORMAT:
+        raise GffeError(f"{path}: checkpoint of format {state['format']}, expected {_FORMAT} (use another folder)")
+    return state
+
+
+class _Log:
+    """TensorBoard's files in `folder`/log."""
+
+    _EVERY = 50
+
+    def __init__(self, folder: Path, step: int):
+        from torch.utils.tensorboard import SummaryWriter
+
+        self.writer = SummaryWriter(str(folder / "log"), purge_step=step + 1)
+        self.pending: dict[str, list[dict[str, float]]] = {}
+
+    def add(self, group: str, terms: dict[str, float], step: int) -> None:
+        """Means of the terms since the last point are written now and then."""
+        self.pending.setdefault(group, []).append(terms)
+        if step % self._EVERY == 0 or step == 1:
+            for name, rows in self.pending.items():
+                self.write(name, {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}, step)
+            self.pending.clear()
+
+    def write(self, group: str, values: dict[str, float], step: int) -> None:
+        for name, value in values.items():
+            self.writer.add_scalar(f"{group}/{name}", value, step)
+
+    def close(self) -> None:
+        self.writer.close()
+
+
+@contextmanager
+def _signals():
+    """The list of SIGINT and SIGTERM received meanwhile, which do nothing else; in the main thread only."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, lambda number, frame: received.append(number)) for kind in kinds]
+    try:
+        yield received
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
+
+
+def split_crops(crops: list[Crop], seed: int) -> tuple[list[Crop], list[Crop]]:
+    """Crops of some clips, of each those with the most focus pixels, to validate with; and those of the others."""
+    paths = sorted({crop.path for crop in crops})
+    count = math.ceil(_VALIDATION_SHARE * len(paths)) if len(paths) > 1 else 0
+    held = {paths[i] for i in np.random.default_rng([seed, 5]).choice(len(paths), count, replace=False)}
+    validation = []
+    for path in sorted(held):
+        ranked = sorted((crop for crop in crops if crop.path == path), key=lambda crop: -crop.focus)
+        validation += ranked[: math.ceil(_VALIDATION_CROPS / count)]
+    return validation, [crop for crop in crops if crop.path not in held]
+
+
+@contextmanager
+def _readable(path: Path):
+    try:
+        yield
+    except GffeError:
+        raise
+    except Exception as error:  # torch.load raises many kinds
+        raise GffeError(f"{path}: not a checkpoint of this program ({type(error).__name__})") from None
+
+
+def _mixed(seed: int, step: int, rank: int) -> int:
+    return int(np.random.SeedSequence([seed, step, rank]).generate_state(1)[0])

@@ -1,0 +1,251 @@
+"""Images of foreign captures: what is read is what was written; what is hostile is told in a line, at once."""
+
+import io
+import os
+import struct
+import time
+import tracemalloc
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+from foreign import write_exr, write_parts
+from PIL import Image
+
+from gffe_cl import GffeError
+from gffe_cl.captures.formats.images import check_planes, read_planes
+
+W, H = 23, 17
+RNG = np.random.default_rng(4)
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def filtered(image, bits, filters):
+    """Lines of (H, W, C) integers as PNG stores them; line y has the filter `filters[y % len]`."""
+    height, width = image.shape[:2]
+    lines = image.astype(">u2" if bits == 16 else ">u1").tobytes()
+    step = image.shape[2] * bits // 8
+    stride = width * step
+    before, out = bytes(stride), b""
+    for y in range(height):
+        line, number = lines[y * stride : (y + 1) * stride], filters[y % len(filters)]
+        coded = bytearray()
+        for i, value in enumerate(line):
+            a, b = (line[i - step] if i >= step else 0), before[i]
+            c = before[i - step] if i >= step else 0
+            p = a + b - c
+            nearest = min((abs(p - a), 0, a), (abs(p - b), 1, b), (abs(p - c), 2, c))[2]
+            coded.append((value - (0, a, b, (a + b) // 2, nearest)[number]) & 255)
+        out += bytes([number]) + coded
+        before = line
+    return out
+
+
+ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+
+
+def png(image, bits, kind, filters=(0,), interlaced=False):
+    """A PNG of (H, W, C) integers, by the specification."""
+    passes = [image[y::dy, x::dx] for x, y, dx, dy in ADAM7] if interlaced else [image]
+    data = zlib.compress(b"".join(filtered(part, bits, filters) for part in passes if part.size))
+    header = struct.pack(">IIBBBBB", image.shape[1], image.shape[0], bits, kind, 0, 0, interlaced)
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"tEXt", b"a\0b")
+        + chunk(b"IDAT", data[:9])
+        + chunk(b"IDAT", data[9:])
+        + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize("filters", [(0,), (1,), (2,), (3,), (4,), (4, 1, 3, 0, 2)])
+@pytest.mark.parametrize(("channels", "kind"), [("RGB", 2), ("RGBA", 6), ("YA", 4), ("Y", 0)])
+def test_png_of_16_bits(tmp_path, channels, kind, filters):
+    image = RNG.integers(0, 65536, (H, W, len(channels)))
+    image[4:9] = image[4:5] // 2 + np.arange(W)[None, :, None]  # something to predict
+    (tmp_path / "a.png").write_bytes(png(image, 16, kind, filters))
+    found = read_planes(tmp_path / "a.png", channels, "a", (W, H))
+    assert found.dtype == np.uint16
+    np.testing.assert_array_equal(found, image)
+    np.testing.assert_array_equal(read_planes(tmp_path / "a.png", channels[::-1], "a", (W, H)), image[..., ::-1])
+
+
+def test_png_of_8_bits_and_palettes(tmp_path):
+    image = RNG.integers(0, 256, (H, W, 4)).astype(np.uint8)
+    Image.fromarray(image).save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_planes(tmp_path / "a.png", "RGBA", "a", (W, H)), image)
+    Image.fromarray(image[..., 0]).save(tmp_path / "gray.png")
+    gray = read_planes(tmp_path / "gray.png", "RGB", "a", (W, H))
+    np.testing.assert_array_equal(gray, np.repeat(image[..., :1], 3, -1))
+    few = (image[..., :3] // 128 * 255).astype(np.uint8)
+    Image.fromarray(few).quantize(16).save(tmp_path / "few.png")
+    np.testing.assert_array_equal(read_planes(tmp_path / "few.png", "RGB", "a", (W, H)), few)
+    Image.fromarray(image[..., 0] > 99).save(tmp_path / "bit.png")
+    np.testing.assert_array_equal(read_planes(tmp_path / "bit.png", "R", "a", (W, H))[..., 0] > 0, image[..., 0] > 99)
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f2", "<f8", "|u1", "<u2", ">i4"])
+def test_numpy_files(tmp_path, dtype):
+    image = (RNG.normal(size=(H, W, 3)) * 50 + 100).astype(dtype)
+    np.save(tmp_path / "a.npy", image)
+    np.save(tmp_path / "f.npy", np.asfortranarray(image))
+    np.savez_compressed(tmp_path / "a.npz", image=image, other=image[..., 0] + 1)
+    for path, array in (("a.npy", None), ("f.npy", None), ("a.npz", "image")):
+        np.testing.assert_array_equal(read_planes(tmp_path / path, "RGB", "a", (W, H), array), image)
+        np.testing.assert_array_equal(read_planes(tmp_path / path, "2", "a", (W, H), array), image[..., 2:])
+    np.testing.assert_array_equal(read_planes(tmp_path / "a.npz", "R", "a", (W, H), "other")[..., 0], image[..., 0] + 1)
+
+
+def test_exr_layers(tmp_path):
+    image = {name: RNG.normal(size=(H, W)).astype(np.float32) for name in ("R", "G", "Z")}
+    write_parts(tmp_path / "parts.exr", {"other": {"R": image["G"]}, "beauty": {n: image[n] for n in "RG"}})
+    found = read_planes(tmp_path / "parts.exr", ["beauty.R", "beauty.G", "other.R"], "a", (W, H))
+    np.testing.assert_array_equal(found, np.stack([image["R"], image["G"], image["G"]], -1))
+    write_exr(tmp_path / "one.exr", {"Depth.Z": image["Z"]})
+    np.testing.assert_array_equal(read_planes(tmp_path / "one.exr", ["R"], "a", (W, H))[..., 0], image["Z"])
+
+
+def fault(path, names="R", array=None):
+    """The message, which both checking and reading give, quickly and without much memory."""
+    said = []
+    for read in (check_planes, read_planes):
+        tracemalloc.start()
+        start = time.thread_time()
+        with pytest.raises(GffeError) as error:
+            read(path, names, path.name, (W, H), array)
+        assert time.thread_time() - start < 1 and tracemalloc.get_traced_memory()[1] < 50e6
+        tracemalloc.stop()
+        said.append(str(error.value))
+    assert said[0] == said[1] and said[0].startswith(path.name) and "\n" not in said[0]
+    return said[0]
+
+
+def test_images_of_another_size_are_not_decoded(tmp_path):
+    """Bombs: a small file that would become gigabytes."""
+    bomb = struct.pack(">IIBBBBB", 60000, 60000, 16, 2, 0, 0, 0)
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", bomb) + chunk(b"IDAT", zlib.compress(b"")))
+    assert "60000×60000 pixels, expected 23×17" in fault(tmp_path / "a.png")
+
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (90000, 90000)})
+    (tmp_path / "a.npy").write_bytes(header.getvalue())
+    assert "90000×90000 pixels" in fault(tmp_path / "a.npy")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", header.getvalue() + bytes(30_000_000))
+    assert "90000×90000 pixels" in fault(tmp_path / "a.npz")
+
+    np.save(tmp_path / "deep.npy", np.zeros((H, W, 1), np.float32))
+    deep = io.BytesIO()
+    np.lib.format.write_array_header_1_0(deep, {"descr": "<f8", "fortran_order": False, "shape": (H, W, 10**8)})
+    (tmp_path / "deep.npy").write_bytes(deep.getvalue())
+    assert "MiB to decode (expected at most 64 MiB for 391 pixels)" in fault(tmp_path / "deep.npy")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damage_inside_of_npz_files(tmp_path, method):
+    """Whichever decoder meets it; a few bytes of the container mean nothing."""
+    stream = io.BytesIO()
+    np.save(stream, np.random.default_rng(1).random((H, W, 3)))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
+        archive.writestr("a.npy", stream.getvalue())
+    whole, said = (tmp_path / "a.npz").read_bytes(), []
+    for at in range(40, len(whole) - 200, 97):
+        (tmp_path / "a.npz").write_bytes(whole[:at] + bytes(8 * [255]) + whole[at + 8 :])
+        try:
+            read_planes(tmp_path / "a.npz", ("0",), "a.npz", (W, H))
+        except GffeError as error:
+            said.append(str(error))
+    assert len(said) > 50 and all("NPZ" in text or "NPY" in text for text in said), said
+
+
+@pytest.mark.parametrize("interlaced", [False, True])
+@pytest.mark.parametrize("size", [(1, 300), (300, 1), (8, 20), (9, 21)])
+def test_png_of_16_bits_of_any_size(tmp_path, size, interlaced):
+    for channels, kind in (("RGB", 2), ("RGBA", 6), ("YA", 4), ("Y", 0)):
+        image = RNG.integers(0, 65536, (*size, len(channels)))
+        (tmp_path / "a.png").write_bytes(png(image, 16, kind, (4, 1, 3, 0, 2), interlaced))
+        np.testing.assert_array_equal(read_planes(tmp_path / "a.png", channels, "a", size[::-1]), image)
+
+
+def test_more_pixels_than_the_header_says_are_not_inflated(tmp_path):
+    image = np.zeros((H, W, 3), np.uint16)
+    whole = png(image, 16, 2)
+    at = whole.index(b"IDAT") - 4
+    (tmp_path / "a.png").write_bytes(whole[:at] + chunk(b"IDAT", zlib.compress(bytes(60_000_000), 9)))
+    tracemalloc.start()
+    np.testing.assert_array_equal(read_planes(tmp_path / "a.png", "RGB", "a", (W, H)), image)
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
+
+
+def test_numpy_files_with_python_in_them(tmp_path):
+    marker = tmp_path / "was run"
+
+    class Evil:
+        def __reduce__(self):
+            return os.mkdir, (str(marker),)
+
+    objects = np.full((H, W), Evil(), object)
+    np.save(tmp_path / "a.npy", objects, allow_pickle=True)
+    np.savez(tmp_path / "a.npz", depth=objects)
+    assert "expected numbers" in fault(tmp_path / "a.npy")
+    assert "expected numbers" in fault(tmp_path / "a.npz", array="depth")
+    assert not marker.exists()
+    (tmp_path / "b.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", 2000) + b"(" * 2000)
+    assert "damaged NPY header" in fault(tmp_path / "b.npy")
+    (tmp_path / "c.npy").write_bytes(b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31) + b" " * 2000)
+    assert "damaged NPY header" in fault(tmp_path / "c.npy")
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png", "a.npy", "a.npz", "deep.png"])
+def test_cut_off_anywhere(tmp_path, name):
+    image = RNG.integers(0, 200, (H, W, 3)).astype(np.uint8)
+    path = tmp_path / name
+    if name == "a.exr":
+        write_exr(path, {n: image[..., 0].astype(np.float32) for n in "RGB"})
+    elif name == "deep.png":
+        path.write_bytes(png(image, 16, 2, (4,)))
+    elif name == "a.png":
+        Image.fromarray(image).save(path)
+    else:
+        (np.save if name == "a.npy" else np.savez_compressed)(path, image)
+    whole = path.read_bytes()
+    for length in (0, 3, 9, 20, 40, 90, len(whole) // 2, len(whole) - 30):
+        path.write_bytes(whole[:length])
+        with pytest.raises(GffeError, match=f"^{name}"):
+            read_planes(path, "RGB", name, (W, H))
+    path.unlink()
+    with pytest.raises(GffeError, match="no such file"):
+        read_planes(path, "RGB", name, (W, H))
+
+
+def test_damaged_anywhere(tmp_path):
+    """One line, whatever byte is another one; or an image of the right shape."""
+    image = RNG.integers(0, 200, (H, W, 3)).astype(np.uint8)
+    np.savez_compressed(tmp_path / "a.npz", image)
+    np.save(tmp_path / "a.npy", image)
+    (tmp_path / "a.png").write_bytes(png(image, 16, 2, (4, 2)))
+    for name in ("a.npz", "a.npy", "a.png"):
+        path = tmp_path / name
+        whole = path.read_bytes()
+        for at in RNG.integers(0, len(whole), 60):
+            path.write_bytes(whole[:at] + bytes([whole[at] ^ int(RNG.integers(1, 256))]) + whole[at + 1 :])
+            try:
+                assert read_planes(path, "RGB", name, (W, H)).shape == (H, W, 3)
+            except GffeError as error:
+                assert str(error).startswith(name)
+
+
+@pytest.mark.parametrize(("names", "words"), [("RGA", "no channel 'A'"), (["7"], "no channel '7'")])
+def test_missing_channels(tmp_path, names, words):
+    image = np.zeros((H, W, 3), np.uint8)
+    Image.fromarray(image).save(tmp_path / "a.png")
+    np.save(tmp_path / "a.npy", image)
+    write_exr(tmp_path / "a.exr", {n: image[..., 0].astype(np.float32) for n in "RGB"})
+    for name in ("a.png", "a.npy", "a.exr"):
+        assert words in fault(tmp_path / name, names)

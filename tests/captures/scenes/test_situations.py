@@ -1,0 +1,134 @@
+"""Situations: small scenes that each hold one thing that is hard. Geometry against the NumPy caster, and whether each
+shows what it is named for."""
+
+import numpy as np
+import pytest
+from scene_oracle import cast, clearances
+
+from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, is_scene, load_scene
+from gffe_cl.captures.scenes.scene_types import Flicker
+from gffe_cl.captures.scenes.situations import BUILDERS
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.lab.table.datasets import parse_subject
+
+W, H = 64, 36
+TIME, STEP = 0.7, 1 / 30
+MOVERS, SHADING = ("bars", "ropes", "balls", "rotors"), ("lamps", "shadows", "fan", "screen")
+
+
+def render(device, scene, time=TIME, other_time=TIME - STEP, size=(W, H), camera=None, **more):
+    camera = camera or scene.camera(time, *size)
+    renderer = SceneRenderer(device, scene, *size, samples=2)
+    return renderer.render(time, camera, other_time, scene.camera(other_time, *size), **more).numpy()
+
+
+def moving(scene):
+    return np.array([group.motion.moves for group in scene.groups])
+
+
+# ---- pure ----
+
+
+def test_catalogue():
+    assert list(BUILDERS) == list(SITUATIONS) and not set(SITUATIONS) & set(SCENES)
+    assert is_scene("bars") and parse_subject("bars:2", (8, 8), 4, 30, (0.5,)).name == "bars:2"
+    with pytest.raises(GffeError, match=r"corridor, .*; bars, ropes"):
+        load_scene("fence")
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_motion_is_rigid_and_the_camera_keeps_clear(name):
+    for seed in range(2):
+        scene = load_scene(name, seed)
+        for group in scene.groups:
+            a, b = group.motion(2.0), group.motion(2.0 + 1e-4)
+            assert np.allclose(a[:3, :3] @ a[:3, :3].T, np.eye(3), atol=1e-9)
+            assert np.abs(a - b).max() < 5e-3, (name, group.name)
+        times = np.linspace(0, 8, 16)
+        assert min(clearances(scene, times, [scene.eye(t) for t in times])) > 0.5
+
+
+def test_flicker_holds_and_jumps():
+    flicker = Flicker(rate=10.0, least=0.2, seed=3)
+    values = np.array([[flicker((k + part) / 10) for part in (0.0, 0.4, 0.9)] for k in range(40)])
+    assert np.ptp(values, axis=1).max() == 0 and 0.2 <= values.min() < 0.3 and 0.9 < values.max() <= 1
+    assert np.abs(np.diff(values[:, 0])).mean() > 0.15
+    assert values[5, 0] != Flicker(rate=10.0, least=0.2, seed=4)(0.5)
+
+
+def test_a_handheld_camera_accelerates_and_others_hardly_move():
+    """How far a point straight ahead would be from where the last two poses lead it, px of a picture of 480×270."""
+
+    def bent(name, seed):
+        scene = load_scene(name, seed)
+        found = []
+        for t in np.arange(0.2, 3.0, STEP):
+            a, b, c = (scene.camera(t + k * STEP, 480, 270) for k in (-1, 0, 1))
+            ahead = np.asarray(scene.target(t))
+            px = [camera.project(ahead[None])[0][0] for camera in (a, b, c)]
+            found.append(np.linalg.norm(px[2] - 2 * px[1] + px[0]))
+        return np.median(found)
+
+    assert all(bent("handheld", seed) > 0.7 for seed in range(3))
+    assert all(bent(name, 0) < 0.1 for name in SITUATIONS if name not in ("handheld", "cab", "wipers", "quantized"))
+
+
+# ---- device ----
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_surfaces_match_the_oracle_and_color_is_well_exposed(device, name):
+    scene = load_scene(name, 2)
+    out = render(device, scene)
+    depth, object_id, _ = cast(scene, TIME, scene.camera(TIME, W, H))
+    same = out.object_id == object_id
+    assert same.mean() > 0.99  # the rest are silhouettes; ropes are thin
+    error = np.abs(out.depth / np.where(object_id >= 0, depth, 1) - 1)[same & (object_id >= 0)]
+    assert np.quantile(error, 0.99) < 1e-5
+    color = out.color.astype(np.float32)
+    assert np.isfinite(color).all() and 0.015 < np.median(color) < 0.5
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", MOVERS)
+def test_something_moves(device, name):
+    scene, size = load_scene(name, 0), (120, 68)
+    shown = render(device, scene, size=size).object_id
+    share = (moving(scene)[shown] & (shown >= 0)).mean()
+    assert 0.02 < share < 0.3
+    if name == "bars":  # movers seen between bars: along rows, a bar with movers on both sides
+        bars = [i for i, group in enumerate(scene.groups) if group.name == "railing"]
+        before, bar, after = shown[:, :-4], shown[:, 2:-2], shown[:, 4:]
+        behind = [moving(scene)[side] & (side >= 0) for side in (before, after)]
+        assert (np.isin(bar, bars) & behind[0] & behind[1]).sum() >= 5
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", SHADING)
+def test_light_moves_over_still_surfaces(device, name):
+    """Nearly all that changes is light: with the camera held, few pixels show movers, many are lit otherwise."""
+    scene = load_scene(name, 0)
+    shares = []
+    for time in (0.5, 1.1, 2.3):
+        camera = scene.camera(time, W, H)
+        one, two = (render(device, scene, t, t, camera=camera) for t in (time, time + 1.5 * STEP))
+        still = (one.object_id == two.object_id) & ~moving(scene)[one.object_id]
+        a, b = (out.color.astype(np.float32) for out in (one, two))
+        assert still.mean() > 0.9
+        shares.append(((2 * np.abs(a - b) / (a + b + 0.01)).mean(-1) > 0.1)[still].mean())
+    assert np.mean(shares) > 0.05, shares
+
+
+@pytest.mark.device
+def test_rounded_motion(device):
+    """Rendered frames have it, truth is exact; nothing else of a frame changes."""
+    scene = load_scene("quantized", 1)
+    made = SceneFrames(SceneRenderer(device, scene, W, H, samples=1))
+    _, frame = made.sequence(2, 30.0)
+    truth = made.truth(frame.time).numpy()
+    exact = made.renderer.render(frame.time, frame.camera, 0.0, scene.camera(0.0, W, H)).numpy()
+    assert np.array_equal(frame.motion, np.round(frame.motion)) and not np.array_equal(exact.motion, frame.motion)
+    assert 0.3 < np.abs(exact.motion - frame.motion).max() <= 0.5
+    assert np.array_equal(frame.depth, exact.depth) and np.array_equal(frame.color, truth.color)
+    assert load_scene("bars", 1).motion_step == 0

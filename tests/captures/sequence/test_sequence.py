@@ -1,0 +1,321 @@
+"""Sequences on disk: round trips, other people's files, warnings, prefetching."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import OpenEXR
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tiny_sequence import H, W, camera, contiguous, edit, pixels, write
+
+from gffe_cl.captures.sequence import (
+    FrameEntry,
+    SequenceWriter,
+    named_channels,
+    open_sequence,
+    require_clean,
+)
+from gffe_cl.captures.sequence.checks import zero_motion_warning
+from gffe_cl.captures.sequence.exr_layout import ExrPart
+from gffe_cl.captures.sequence.header_camera import camera_attributes, header_cameras
+from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write(tmp_path / "sequence")
+
+
+# Round trips
+
+
+def test_round_trip(folder):
+    sequence = open_sequence(folder)
+    assert (sequence.width, sequence.height, sequence.fps, sequence.exposure) == (W, H, 30.0, 1.0)
+    assert [len(x) for x in (sequence.frames, sequence.rendered, sequence.ground_truth)] == [6, 3, 3]
+    assert open_sequence(folder / "sequence.json").frames == sequence.frames
+    for i, entry in enumerate(sequence.rendered):
+        frame, (color, depth, motion) = sequence.read(entry), pixels(i)
+        assert frame.color.dtype == np.float16 and np.array_equal(frame.color, color)
+        assert frame.depth.dtype == np.float32 and np.array_equal(frame.depth, depth)
+        assert frame.camera == camera(i) and frame.display_camera is None and frame.time == i / 30
+        assert frame.reset == (i == 0)
+        if i:
+            assert frame.motion.dtype == np.float32 and np.array_equal(frame.motion, motion)
+        else:
+            assert frame.motion is None
+    truth = sequence.ground_truth[1]
+    assert np.array_equal(sequence.read_color(truth), pixels(101)[0])
+    assert truth.display_camera == camera(1.5) and truth.render_camera is None
+    assert sorted(p.name for p in folder.iterdir()) == sorted(
+        ["sequence.json"] + [entry.file for entry in sequence.frames]
+    )
+
+
+def test_stored_types(tmp_path):
+    color = np.linspace(0, 1e5, H * W * 3, dtype=np.float32).reshape(H, W, 3)
+    filled_by = np.arange(H * W, dtype=np.uint8).reshape(H, W)
+    identifiers = np.full((H, W), 2**31, np.uint32)
+    entry = FrameEntry("e.exr", 0.0, "extrapolated", source="frame_0.exr", alpha=0.5)
+    with SequenceWriter(tmp_path, W, H, 30, exposure=2.5) as writer:
+        channels = named_channels(color, np.ones((H, W)), np.zeros((H, W, 2), np.float16))
+        writer.add(entry, {**channels, "mask.filled_by": filled_by, "id": identifiers})
+        color[:] = -1  # the writer has copied
+    sequence = open_sequence(tmp_path)
+    (back,) = sequence.extrapolated
+    assert (back.source, back.alpha, sequence.exposure) == ("frame_0.exr", 0.5, 2.5)
+    read = sequence.read_channels(back, ["R", "Z", "motion.x", "mask.filled_by", "id"])
+    assert [a.dtype.name for a in read.values()] == ["float32"] * 3 + ["float16", "uint32"]
+    assert np.array_equal(read["mask.filled_by"], filled_by) and read["R"].max() > 65504
+    assert np.array_equal(read["id"], identifiers)
+
+
+def test_window(tmp_path):
+    """An overscanned frame: other sizes and cameras for rendering and display, also without JSON cameras."""
+    render = camera(cx=6.2 + 2, cy=4.1 + 3)
+    entry = FrameEntry("f.exr", 0.0, "rendered", True, (W + 5, H + 4), render, camera())
+    with SequenceWriter(tmp_path, W, H, 30) as writer:
+        writer.add(entry, named_channels(*pixels(0, H + 4, W + 5)))
+    sequence = open_sequence(tmp_path)
+    frame = sequence.read(sequence.frames[0])
+    assert frame.color.shape == (H + 4, W + 5, 3)
+    assert frame.camera == render and frame.display_camera == camera()
+
+    edit(
+        tmp_path,
+        lambda d: [d["frames"][0].pop(k) for k in ("render_size", "render_camera", "display_camera")],
+    )
+    (entry,) = open_sequence(tmp_path).frames
+    assert entry.render_size == (W + 5, H + 4)
+    np.testing.assert_allclose(entry.render_camera.intrinsics, render.intrinsics, rtol=1e-5)
+    np.testing.assert_allclose(entry.display_camera.intrinsics, camera().intrinsics, rtol=1e-5)
+
+
+def test_first_rendered_frame_is_a_reset(folder):
+    edit(folder, lambda d: [f.pop("reset", None) for f in d["frames"]])
+    assert [entry.reset for entry in open_sequence(folder).rendered] == [True, False, False]
+
+
+def test_dynamic_resolution_without_display_camera(tmp_path):
+    """No display camera and another size: the frustum of the render camera."""
+    with SequenceWriter(tmp_path, 2 * W, 2 * H, 30) as writer:
+        writer.add(FrameEntry("f.exr", 0.0, "rendered", True, (W, H), camera()), named_channels(*pixels()))
+    frame = open_sequence(tmp_path).read(open_sequence(tmp_path).frames[0])
+    assert frame.display_camera == camera().scaled(2, 2)
+
+
+finite = st.floats(-1, 1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.tuples(finite, finite, finite),
+    st.tuples(finite, finite, finite),
+    st.floats(-50, 70),
+    st.floats(5, 400),
+    st.booleans(),
+    st.booleans(),
+)
+def test_header_camera(position, direction, cx, fx, transposed, mirrored):
+    direction = np.add(direction, (0, 0, 1.01))
+    camera = Camera.from_pose(np.multiply(position, 30), direction, (0.1, 1, 0.2), fx, 1.3 * fx, cx, 4.5)
+    if mirrored:
+        camera = Camera(np.diag([-1.0, 1, 1, 1]) @ camera.world_to_view, *camera.intrinsics)
+    matrices = camera_attributes(camera, W, H)
+    part = ExrPart(data_window=(0, 0, W - 1, H - 1), display_window=(0, 0, W - 1, H - 1))
+    part.matrices = {k: ("m44d", np.float64(m.T if transposed else m).tobytes()) for k, m in matrices.items()}
+    for back in header_cameras(part):
+        np.testing.assert_allclose(back.world_to_view, camera.world_to_view, atol=2e-4)
+        np.testing.assert_allclose(back.intrinsics, camera.intrinsics, rtol=1e-3, atol=2e-2)
+
+
+def test_header_camera_semantics():
+    """OpenEXR: v·M, camera space y up and z forward, NDC (0, 0) at the upper left."""
+    matrices = camera_attributes(camera(1.0), W, H)
+    world_pos = camera(1.0).unproject([3.0, 2.0], 2.5)
+    in_camera = [*world_pos, 1] @ matrices["worldToCamera"]
+    ndc = [*world_pos, 1] @ matrices["worldToNDC"]
+    np.testing.assert_allclose(in_camera, [-3.2 / 12 * 2.5, 2.1 / 11 * 2.5, 2.5, 1], atol=1e-5)
+    np.testing.assert_allclose(ndc[:2] / ndc[3], [3 / W, 2 / H], atol=1e-5)
+
+
+def test_cameras_from_headers(folder):
+    edit(folder, lambda d: [f.pop(k, None) for f in d["frames"] for k in ("render_camera", "display_camera")])
+    sequence = open_sequence(folder)
+    for i, entry in enumerate(sequence.rendered):
+        np.testing.assert_allclose(entry.render_camera.world_to_view, camera(i).world_to_view, atol=1e-5)
+        assert sequence.read(entry).display_camera is None
+    np.testing.assert_allclose(sequence.ground_truth[0].display_camera.intrinsics, (12, 11, 6.2, 4.1), rtol=1e-5)
+
+
+# Other people's EXRs
+
+
+def foreign(folder, parts, i=1):
+    OpenEXR.File(parts).write(str(folder / f"frame_{i}.exr"))
+
+
+@pytest.mark.parametrize("compression", ["NO", "RLE", "ZIPS", "PIZ", "PXR24", "DWAA", "DWAB", "B44"])
+def test_compressions(folder, compression):
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, contiguous(named_channels(*pixels(1)))).write(str(folder / "frame_1.exr"))
+    sequence = open_sequence(folder)
+    frame = sequence.read(sequence.rendered[1])
+    np.testing.assert_allclose(frame.depth, pixels(1)[1], rtol=1e-2)
+
+
+def test_multi_part_types_and_shifted_window(folder):
+    color, depth, motion = pixels(1)
+    window = (np.array([7, -4], np.int32), np.array([7 + W - 1, -4 + H - 1], np.int32))
+    header = {"type": OpenEXR.scanlineimage, "dataWindow": window, "displayWindow": window}
+    red = color[..., 0].astype(np.float32)
+    rgb = {"R": red, "G": np.full((H, W), 7, np.uint32), "B": np.ascontiguousarray(color[..., 2])}
+    rest = contiguous({"Z": depth.astype(np.float16), "motion.x": motion[..., 0], "motion.y": motion[..., 1]})
+    foreign(folder, [OpenEXR.Part(dict(header), rgb, "beauty"), OpenEXR.Part(dict(header), rest, "data")])
+    sequence = open_sequence(folder)
+    frame = sequence.read(sequence.rendered[1])
+    assert frame.color.dtype == np.float32 and (frame.color[..., 1] == 7).all()
+    assert np.array_equal(frame.color[..., 0], red) and np.array_equal(frame.motion, motion)
+    assert frame.depth.dtype == np.float32 and np.array_equal(frame.depth, depth.astype(np.float16))
+    assert np.array_equal(sequence.read_channels(sequence.rendered[1], ["data.Z"])["data.Z"], depth.astype(np.float16))
+
+
+# Warnings and strict
+
+
+def test_strict():
+    require_clean("frame_000003.exr", BadPixels())
+    with pytest.raises(GffeError, match=r"^frame_000003.exr: 12 × NaN or infinite motion \(strict\)$"):
+        require_clean("frame_000003.exr", BadPixels(motion=12))
+
+
+def test_time_warnings(folder):
+    assert open_sequence(folder).warnings() == []
+    edit(folder, lambda d: [f.update(time=f["time"] * 1000) for f in d["frames"]])
+    assert "33.3 s: milliseconds?" in open_sequence(folder).warnings()[0]
+    edit(folder, lambda d: [f.update(time=f["time"] / 2500) for f in d["frames"]])
+    assert "fps is 30" in open_sequence(folder).warnings()[0]
+
+
+def test_zero_motion_warning(folder):
+    depth, still = np.full((H, W), 2.0, np.float32), np.zeros((H, W, 2), np.float32)
+    assert zero_motion_warning(still, depth, camera(0), camera(1))
+    assert zero_motion_warning(still, depth, camera(0), camera(0)) is None
+    assert zero_motion_warning(still + 1, depth, camera(0), camera(1)) is None
+    assert zero_motion_warning(still, depth * np.inf, camera(0), camera(1)) is None
+    assert zero_motion_warning(None, depth, camera(0), camera(1)) is None
+
+    color, depth, _ = pixels(2)
+    channels = contiguous(named_channels(color, depth, still))
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / "frame_2.exr"))
+    sequence = open_sequence(folder)
+    for _ in range(2):
+        for _ in sequence.prefetch(sequence.rendered):
+            pass
+    assert sequence.warnings() == ["frame_2.exr: motion is zero everywhere although the camera moved"]
+
+
+# Prefetch
+
+
+def test_prefetch_order_and_packing(folder):
+    sequence = open_sequence(folder)
+
+    def read(entry):
+        return host_arrays(sequence.read(entry), H, W), threading.current_thread()
+
+    seen = list(sequence.prefetch(sequence.rendered * 4, read, ahead=3))
+    assert [entry.file for entry, _ in seen] == [entry.file for entry in sequence.rendered * 4]
+    assert np.array_equal(seen[5][1][0].color[..., :3], pixels(2)[0])
+    assert all(thread is not threading.main_thread() for _, (_, thread) in seen)
+
+
+def test_prefetch_error_at_its_frame(folder):
+    sequence = open_sequence(folder)
+    (folder / "frame_1.exr").unlink()
+    seen = []
+    with pytest.raises(GffeError, match=r"frame_1.exr"):
+        for entry, _ in sequence.prefetch(sequence.rendered):
+            seen.append(entry.file)
+    assert seen == ["frame_0.exr"]
+
+
+def test_prefetch_stops_with_its_consumer(folder):
+    sequence = open_sequence(folder)
+    started = []
+    reading = sequence.prefetch(sequence.rendered * 20, lambda entry: started.append(entry), ahead=2)
+    for _ in reading:
+        break
+    reading.close()
+    assert len(started) <= 4
+    assert not [t for t in threading.enumerate() if t.name.startswith("gffe-read")]
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_bad_pixels_of_every_type(dtype):
+    """Colors beyond half or not finite, in any channel, whether few or none."""
+    rng = np.random.default_rng(1)
+    most = np.finfo(np.float16).max
+    beyond = [value for value in (1e5, -1e5) if dtype != np.float16]
+    for bad in ((), (np.nan,), (np.inf,), (-np.inf,), *((value,) for value in beyond), (np.nan, np.inf, *beyond)):
+        for channels in (3, 4):
+            color = rng.uniform(-1, 1, (5, 7, channels)).astype(dtype)
+            color[0, 0, 0], color[0, 1, 1] = most, -most
+            expected = color[..., :3].astype(np.float64)
+            for k, value in enumerate(bad):
+                color[1 + k, 2, k % 3] = value
+                expected[1 + k, 2, k % 3] = np.clip(np.nan_to_num(value), -most, most)
+            frame = RenderedFrame(color, np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32), None, 0.0)
+            packed = host_arrays(frame, 5, 7).packed()
+            clamped = sum(map(np.isfinite, bad))
+            assert packed.bad == BadPixels(color=len(bad) - clamped, clamped=clamped)
+            assert np.array_equal(packed.color[..., :3], expected.astype(np.float16)) and not packed.color[..., 3].any()
+
+
+def test_bad_depth_and_motion_are_counted():
+    depth, motion = np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32)
+    depth[0, :4] = np.nan, 0, -1, np.inf  # the last one is sky
+    motion[2, 0], motion[2, 1, 1], motion[2, 2, 0] = np.nan, np.inf, -np.inf
+    frame = RenderedFrame(np.zeros((5, 7, 3), np.float16), depth, motion, None, 0.0)
+    assert host_arrays(frame, 5, 7).bad == BadPixels(depth=3, motion=3)
+
+
+def test_halves_that_were_read_are_not_copied(tmp_path):
+    """What is read stays as it is, also where a pixel is bad."""
+    sequence = open_sequence(write(tmp_path))
+    frame = sequence.read(sequence.rendered[0])
+    assert frame.color.dtype == np.float16 and frame.color.shape == (H, W, 3)
+    host = host_arrays(frame, H, W)
+    assert np.shares_memory(host.color, frame.color) and not host.color[..., 3].any()
+    frame.color[1, 2, 0] = np.nan
+    packed = host.packed()
+    assert packed.bad.color == 1 and packed.color[1, 2, 0] == 0 and np.isnan(frame.color[1, 2, 0])
+
+
+def test_freed_memory_is_kept():
+    """Pages that were fetched once serve again, instead of new ones for each array."""
+    code = (
+        "import resource, numpy as np\nfrom gffe_cl.engine.opencl.malloc_tuning import keep_freed_memory\n{}\n"
+        "def faults():\n    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "np.ones(1 << 22)\nbefore = faults()\nfor k in range(20): np.ones(1 << 22)\nprint(faults() - before)"
+    )
+    environment = os.environ | {"NUMPY_MADVISE_HUGEPAGE": "0"}
+    fetched = [
+        int(subprocess.run([sys.executable, "-c", code.format(call)], env=environment, capture_output=True).stdout)
+        for call in ("", "keep_freed_memory()")
+    ]
+    assert fetched[0] < 50_000 or fetched[1] < fetched[0] / 10  # glibc's own way is to give them back
+
+
+def test_reading_ahead_starts_at_once():
+    started = threading.Event()
+    ahead = read_ahead([1, 2, 3], lambda item: started.set() or 10 * item)
+    assert started.wait(5)
+    assert list(ahead) == [(1, 10), (2, 20), (3, 30)]

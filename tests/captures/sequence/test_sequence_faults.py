@@ -1,0 +1,420 @@
+"""Every structural fault is one line that says what is wrong and where."""
+
+import contextlib
+import ctypes
+import json
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from tiny_sequence import H, W, contiguous, edit, pixels, write
+
+from gffe_cl.captures.sequence import SequenceWriter, exr_layout, named_channels, open_sequence, openexr_stderr
+from gffe_cl.captures.sequence.checks import zero_motion_warning
+from gffe_cl.captures.sequence.exr_layout import _Cursor, _parse
+from gffe_cl.captures.sequence.header_camera import header_cameras
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.metrics import focus_mask, smape, to_display
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write(tmp_path / "sequence")
+
+
+def fault(folder):
+    with pytest.raises(GffeError) as info:
+        open_sequence(folder)
+    assert "\n" not in str(info.value)
+    return str(info.value)
+
+
+@pytest.mark.parametrize("keep", [0, 3, 20, 150, 0.5, 0.9, -10, -1])
+def test_truncated(folder, keep, capfd):
+    path = folder / "frame_2.exr"
+    data = path.read_bytes()
+    path.write_bytes(data[: int(keep * len(data))] if isinstance(keep, float) else data[:keep])
+    message = fault(folder)
+    assert message.startswith("frame_2.exr: ") and ("truncated" in message or "not an OpenEXR" in message)
+    assert capfd.readouterr() == ("", "")  # the library was never asked
+
+
+def test_truncated_after_opening(folder):
+    sequence = open_sequence(folder)
+    path = folder / "frame_2.exr"
+    path.write_bytes(path.read_bytes()[:-10])
+    with pytest.raises(GffeError, match=r"^frame_2.exr: truncated"):
+        sequence.read(sequence.rendered[2])
+
+
+def test_damaged_and_unfinished(folder, capfd):
+    path = folder / "frame_2.exr"
+    flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))  # so that it is compressed
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
+    data = path.read_bytes()
+    path.write_bytes(data[:-15] + b"\xff" * 15)
+    sequence = open_sequence(folder)
+    with pytest.raises(GffeError, match=r"^frame_2.exr: damaged.*Unable to decompress") as info:
+        sequence.read(sequence.rendered[2])
+    assert "\n" not in str(info.value)
+    assert capfd.readouterr() == ("", "")  # what the library says is in the message
+    path.write_bytes(b"P6 480 270 255 not an exr at all")
+    assert fault(folder) == "frame_2.exr: not an OpenEXR file"
+    table = _parse(_Cursor(data))[0].end
+    path.write_bytes(data[:table] + b"\0" * 8 + data[table + 8 :])
+    assert "incomplete, 1 of 1 chunks" in fault(folder)
+
+
+def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
+    """Three threads read damaged files, two print meanwhile, from Python and C; standard error is what it was."""
+    path = folder / "frame_2.exr"
+    flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
+    path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
+    sequence = open_sequence(folder)
+    done, stderr = threading.Event(), os.fstat(2)
+
+    def read(_):
+        with pytest.raises(GffeError, match=r"unable to decompress|Unable to decompress"):
+            sequence.read(sequence.rendered[2])
+
+    def talk(k):
+        while not done.is_set():
+            assert os.path.samestat(os.fstat(2), stderr)
+            sys.stdout.write(f"out {k}\n")
+            os.write(2, b"error %d\n" % k)
+            time.sleep(1e-4)
+
+    with ThreadPoolExecutor(5) as pool:
+        talking = [pool.submit(talk, k) for k in range(2)]
+        try:
+            list(pool.map(read, range(90)))
+        finally:
+            done.set()
+        for future in talking:
+            future.result()
+    out, err = capfd.readouterr()
+    assert set(out.splitlines()) == {"out 0", "out 1"} and set(err.splitlines()) == {"error 0", "error 1"}
+    assert out.count("\n") == err.count("\n")
+    os.write(2, b"as before\n")
+    assert capfd.readouterr() == ("", "as before\n")
+
+
+@pytest.mark.parametrize(("at", "words"), [(6, None), (40, "; Csiz does not match the SIZ marker size")])
+def test_damaged_htj2k(folder, capfd, at, words):
+    """Its decoder prints warnings through C's standard output, errors through standard error."""
+    path, ramp = folder / "frame_2.exr", np.add.outer(np.arange(H), np.arange(W)).astype(np.float32)
+    options = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.HTJ2K256_COMPRESSION}
+    OpenEXR.File(options, contiguous(dict.fromkeys(named_channels(*pixels()), ramp))).write(str(path))
+    data = bytearray(path.read_bytes())
+    start = data.index(b"\xff\x4f\xff\x51") + at
+    data[start : start + 2] = b"\xff\xff"
+    path.write_bytes(data)
+    sequence = open_sequence(folder)
+    with pytest.raises(GffeError, match=words) if words else contextlib.nullcontext():  # a warning alone
+        sequence.read(sequence.rendered[2])
+    ctypes.CDLL(None).fflush(None)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads have no descriptors of their own")
+@pytest.mark.parametrize("damaged", [False, True])
+def test_decoding_leaves_no_file_open(folder, monkeypatch, damaged):
+    """The descriptors of its thread mean other files on all others."""
+    path, seen, read = folder / "frame_2.exr", [], openexr_stderr._read
+    if damaged:
+        flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
+        path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
+    monkeypatch.setattr(
+        openexr_stderr, "_read", lambda file: (seen.append(os.listdir("/proc/thread-self/fd")), read(file))[1]
+    )
+    sequence = open_sequence(folder)
+    with pytest.raises(GffeError) if damaged else contextlib.nullcontext():
+        sequence.read(sequence.rendered[2])
+    assert all(set(numbers) == set("012345") for numbers in seen) and seen  # 3, 4: what is printed; 5: the list itself
+
+
+@pytest.mark.parametrize("window", [(0, 0, -1, 35), (0, 0, -2, 35), (0, 5, 12, 3)])
+def test_empty_display_window(folder, window):
+    header = {"type": OpenEXR.scanlineimage}
+    path = folder / "frame_1.exr"
+    OpenEXR.File(header, contiguous(named_channels(*pixels(1)))).write(str(path))
+    data = path.read_bytes()
+    box = data.index(b"displayWindow\0box2i\0") + len(b"displayWindow\0box2i\0") + 4
+    path.write_bytes(data[:box] + struct.pack("<4i", *window) + data[box + 16 :])
+    edit(folder, lambda d: d["frames"][2].pop("display_camera", None))
+    numbers = " ".join(map(str, window))
+    assert fault(folder) == (f"frame_1.exr: the display window {numbers} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
+
+
+@pytest.mark.parametrize("file", ["frame_1.exr", "sequence.json"])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "folder"])
+def test_regular_files_only(folder, file, kind):
+    """Opening a pipe waits for its other end, a device may never end."""
+    path = folder / file
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        here = Path.cwd()
+        os.chdir(folder)  # the name of a socket must be short
+        try:
+            socket.socket(socket.AF_UNIX).bind(file)
+        finally:
+            os.chdir(here)
+    said = []
+
+    def opening():
+        said.append(fault(folder))
+
+    thread = threading.Thread(target=opening, daemon=True)
+    thread.start()
+    thread.join(10)
+    assert said and file in said[0] and "cannot be read" in said[0]
+
+
+def test_names_are_shown_escaped(folder):
+    """Neither a line break nor a terminal's control sequence of a file's name gets through."""
+    name = "a\n\x1b[31mred\u202e.exr"
+    edit(folder, lambda d: d["frames"][2].update(file=name))
+    assert fault(folder).startswith(r"a\n\x1b[31mred\u202e.exr: no such file")
+    edit(folder, lambda d: d["frames"][2].update(file="half \ud800.exr"))
+    assert "file must be the name of an EXR file" in fault(folder)
+    edit(folder, lambda d: d["frames"][2].update(file="not UTF-8 \udcff.exr"))  # but a name on disk
+    assert fault(folder).startswith(r"not UTF-8 \udcff.exr: no such file")
+    for name in ("../\x1b[2J", "\n/../.."):
+        edit(folder, lambda d, name=name: d["frames"][2].update(file=name))
+        assert fault(folder).isprintable()
+
+
+def test_missing_file_and_folder(folder, tmp_path):
+    (folder / "truth_1.exr").unlink()
+    assert fault(folder).startswith("truth_1.exr: no such file")
+    (folder / "sequence.json").unlink()
+    assert "no sequence.json in this folder" in fault(folder)
+    assert "no such folder" in fault(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", ["Z", "R", "motion.y"])
+def test_missing_channel(folder, name):
+    channels = contiguous(named_channels(*pixels(1)))
+    del channels[name]
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / "frame_1.exr"))
+    needed = "R, G, B, Z, motion.x, motion.y"
+    assert fault(folder) == f"frame_1.exr: no channel '{name}' (rendered frames need {needed})"
+
+
+def test_missing_named_channel(folder):
+    sequence = open_sequence(folder)
+    with pytest.raises(GffeError, match=r"truth_0.exr: no channel 'mask.x'"):
+        sequence.read_channels(sequence.ground_truth[0], ["mask.x"])
+    with pytest.raises(GffeError, match=r"expected a rendered frame"):
+        sequence.read(sequence.ground_truth[0])
+
+
+@pytest.mark.parametrize("file", ["frame_1.exr", "truth_1.exr"])
+def test_wrong_size(folder, file):
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, contiguous(named_channels(*pixels(1, H + 1)))).write(
+        str(folder / file)
+    )
+    assert fault(folder) == f"{file}: {W}×{H + 1} pixels, expected {W}×{H}"
+
+
+def set_camera(value):
+    return lambda d: d["frames"][2]["render_camera"].update(value)
+
+
+BROKEN = {
+    "singular camera": (set_camera({"world_to_view": [[0] * 4] * 3 + [[0, 0, 0, 1]]}), "singular"),
+    "non-finite camera": (set_camera({"fx": float("nan")}), "must be a finite number"),
+    "infinite camera": (set_camera({"cx": 1e999}), "must be a finite number"),
+    "huge camera": (set_camera({"cx": 10**400}), "must be a finite number"),
+    "camera of text": (set_camera({"fy": "wide"}), "must be a finite number"),
+    "number as text": (set_camera({"fx": "1"}), "must be a finite number"),
+    "truth value": (set_camera({"fx": True}), "must be a finite number"),
+    "matrix of text": (set_camera({"world_to_view": np.eye(4).astype(str).tolist()}), "of numbers"),
+    "matrix of truth values": (set_camera({"world_to_view": np.eye(4, dtype=bool).tolist()}), "real numbers"),
+    "one truth value": (set_camera({"world_to_view": [[True, 0, 0, 0], *np.eye(4)[1:].tolist()]}), "real numbers"),
+    "matrix of one number": (set_camera({"world_to_view": 0.5}), "shape (4, 4), got ()"),
+    "ragged matrix": (set_camera({"world_to_view": [[1, 0, 0, 0], [0, 1]]}), "of numbers"),
+    "time of text": (lambda d: d["frames"][2].update(time="1"), "time must be a finite number"),
+    "time of truth": (lambda d: d["frames"][2].update(time=True), "time must be a finite number"),
+    "alpha of truth": (lambda d: d["frames"][2].update(alpha=True), "alpha must be a finite number"),
+    "3×3 camera": (set_camera({"world_to_view": [[1, 0, 0]] * 3}), "shape (4, 4)"),
+    "camera without fx": (lambda d: d["frames"][2]["render_camera"].pop("fx"), "must have world_to_view"),
+    "camera no object": (lambda d: d["frames"][2].update(render_camera=[1]), "must have world_to_view"),
+    "same time": (lambda d: d["frames"][2].update(time=d["frames"][1]["time"]), "times must increase"),
+    "time going back": (lambda d: d["frames"][2].update(time=-1), "times must increase"),
+    "time NaN": (lambda d: d["frames"][2].update(time=float("nan")), "time must be a finite number"),
+    "time missing": (lambda d: d["frames"][2].pop("time"), "time must be a finite number, got nothing"),
+    "unknown kind": (lambda d: d["frames"][2].update(kind="drawn"), "kind must be one of"),
+    "kind a list": (lambda d: d["frames"][2].update(kind=["rendered"]), "kind must be one of"),
+    "reset a number": (lambda d: d["frames"][2].update(reset=1), "reset must be true or false"),
+    "size of one": (lambda d: d["frames"][2].update(render_size=[W]), r"render_size must be"),
+    "size zero": (lambda d: d["frames"][2].update(render_size=[0, H]), "whole pixels"),
+    "alpha": (lambda d: d["frames"][2].update(alpha=0), "alpha must be greater than 0"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_frame(folder, name):
+    change, expected = BROKEN[name]
+    edit(folder, change)
+    message = fault(folder)
+    assert message.startswith("sequence.json, frame 2 (frame_1.exr)") and expected in message
+
+
+@pytest.mark.parametrize("file", ["../frame_1.exr", "/etc/passwd", "a/../../b.exr", "..\\b.exr", "C:\\b.exr", "", 7])
+def test_paths_stay_inside(folder, file):
+    edit(folder, lambda d: d["frames"][2].update(file=file))
+    message = fault(folder)
+    assert "frame 2" in message and ("stay inside" in message or "must be the name" in message)
+
+
+BAD_EXPOSURES = [0, -1, 1e-300, 9e-7, 1.1e6, 1e299, float("inf"), float("nan"), "1", True, [1], {}]
+
+
+@pytest.mark.parametrize("exposure", [*BAD_EXPOSURES, None])
+def test_exposures_are_checked_wherever_one_is_taken(tmp_path, exposure):
+    image = np.zeros((H, W, 3), np.float32)
+    takers = [
+        lambda: SequenceWriter(tmp_path / "out", W, H, 30, exposure),
+        lambda: to_display(image, exposure),
+        lambda: smape(image, image, exposure),
+        lambda: focus_mask(image, image, image[..., 0], exposure),
+        lambda: Pipeline.exposure.fset(object.__new__(Pipeline), exposure),
+    ]
+    for take in takers:
+        with pytest.raises(GffeError, match="exposure must be a finite number from"):
+            take()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "change, expected",
+    [
+        ({"version": 2}, "unknown version 2 (expected 1)"),
+        ({"version": None}, "unknown version nothing"),
+        ({"format": "film"}, "not a sequence"),
+        ({"width": 0}, "width must be whole pixels"),
+        ({"height": 9.5}, "height must be whole pixels"),
+        ({"fps": 0}, "fps must be greater than 0"),
+        *(({"exposure": e}, "exposure must be a finite number from 1e-06 to 1e+06") for e in BAD_EXPOSURES),
+        ({"fps": True}, "fps must be a finite number"),
+        ({"width": True}, "width must be whole pixels"),
+        ({"unfinished": 1}, "unfinished must be true or false"),
+        ({"frames": []}, "at least one frame"),
+        ({"frames": [3]}, "frame 0: must be an object"),
+    ],
+)
+def test_broken_document(folder, change, expected):
+    edit(folder, lambda d: d.update(change))
+    assert fault(folder).startswith("sequence.json") and expected in fault(folder)
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b'{"format": ', b"[1]", b"\xff\xfe{}", b"[" * 100000])
+def test_unreadable_json(folder, text):
+    (folder / "sequence.json").write_bytes(text)
+    assert "sequence.json: not" in fault(folder)
+
+
+def test_a_byte_order_mark_is_no_fault(folder):
+    """As editors of Windows write it."""
+    path = folder / "sequence.json"
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert len(open_sequence(folder).rendered) == 3
+
+
+def test_sizes_that_change_are_named_at_opening(folder):
+    edit(folder, lambda said: said["frames"][2].update(render_size=[W + 1, H]))
+    edit(folder, lambda said: said["frames"][4].update(render_size=[W + 2, H]))
+    for file, width in (("frame_1.exr", W + 1), ("frame_2.exr", W + 2)):
+        channels = contiguous(named_channels(*pixels(1, H, width)))
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / file))
+    said = rf"one size \(frame_0.exr is {W}×{H}, frame_1.exr is {W + 1}×{H}\)"
+    with pytest.raises(GffeError, match=rf"{folder}: rendered frames must have {said}"):
+        open_sequence(folder)
+
+
+def test_no_camera_at_all(folder):
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, contiguous(named_channels(*pixels(1)))).write(
+        str(folder / "frame_1.exr")
+    )
+    edit(folder, lambda d: d["frames"][2].pop("render_camera"))
+    assert fault(folder).startswith("sequence.json, frame 2 (frame_1.exr): no render_camera")
+    broken = {name: np.zeros((4, 4), np.float32) for name in ("worldToCamera", "worldToNDC")}
+    OpenEXR.File({"type": OpenEXR.scanlineimage, **broken}, contiguous(named_channels(*pixels(1)))).write(
+        str(folder / "frame_1.exr")
+    )
+    assert "EXR header, camera: world_to_view is singular" in fault(folder)
+
+
+def test_extrapolated_frames_may_coincide(folder):
+    """With α = 1 an extrapolated frame has the time of the next rendered one."""
+
+    def change(document):
+        frames = document["frames"]
+        frames.insert(3, {"file": "truth_0.exr", "kind": "extrapolated", "time": frames[2]["time"], "alpha": 1})
+
+    edit(folder, change)
+    assert open_sequence(folder).extrapolated[0].alpha == 1
+
+
+@pytest.mark.long
+def test_many_frames(folder, monkeypatch):
+    """Opening takes the same few steps per frame however many there are: a header is parsed once."""
+    parsed, real = [], exr_layout._parse
+    monkeypatch.setattr(exr_layout, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
+    count = 200_000
+    document = json.loads((folder / "sequence.json").read_text())
+    frame = next(f for f in document["frames"] if f["file"] == "frame_1.exr")
+    document["frames"] = [frame | {"time": k / 30} for k in range(count)]
+    (folder / "sequence.json").write_text(json.dumps(document))
+    sequence = open_sequence(folder)
+    assert len(parsed) <= 3
+    assert (
+        len(sequence.rendered) == count and sequence.rendered[-1].display_camera == sequence.rendered[0].render_camera
+    )
+
+
+def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):
+    folder = write(tmp_path / "sequence", 40)
+    parsed = []
+    real = exr_layout._parse
+    monkeypatch.setattr(exr_layout, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
+    sequence = open_sequence(folder)
+    assert len(parsed) == 3  # the first frame, without motion; rendered; truth
+    for entry in sequence.frames[1:]:  # and yet each has its own camera
+        header = exr_layout.read_header(sequence.path / entry.file, "")
+        camera = entry.render_camera or entry.display_camera
+        np.testing.assert_allclose(header_cameras(header.parts[0])[1].position, camera.position, atol=1e-4)
+    reader = exr_layout.HeaderReader()
+    for entry in sequence.frames[1:]:
+        shown = header_cameras(reader.read(sequence.path / entry.file, "").parts[0])[1]
+        camera = entry.render_camera or entry.display_camera
+        np.testing.assert_allclose(shown.position, camera.position, atol=1e-4)
+
+
+def test_signaling_nan_in_motion_is_taken_as_nan():
+    """Without a warning of NumPy's, which users would see."""
+    motion, depth = np.full((9, 12, 2), 0x7FA00000, np.uint32).view(np.float32), np.ones((9, 12), np.float32)
+    camera = Camera(np.eye(4), 10, 10, 6, 4.5)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert zero_motion_warning(motion, depth, camera, camera) is None

@@ -1,0 +1,464 @@
+"""Writers that are interrupted, that fail, and that meet files of others."""
+
+import _thread
+import errno
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from tiny_sequence import H, W, edit, names, pixels, rendered, write
+
+from gffe_cl.captures.sequence import (
+    FrameEntry,
+    SequenceWriter,
+    named_channels,
+    open_sequence,
+    refuse_same_folder,
+)
+from gffe_cl.captures.sequence import exr as exr_module
+from gffe_cl.captures.sequence import writer as writer_module
+from gffe_cl.captures.sequence.exr_layout import read_header
+from gffe_cl.captures.sequence.output_folder import OutputFolder
+from gffe_cl.engine.core.errors import GffeError
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write(tmp_path / "sequence")
+
+
+def contents(path):
+    return {name: (path / name).read_bytes() for name in names(path) if (path / name).is_file()}
+
+
+def test_interrupted_writer_keeps_what_was_finished(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt), SequenceWriter(out, W, H, 30) as writer:
+        for i in range(5):
+            writer.add(rendered(i), named_channels(*pixels(i)))
+            if i == 2:
+                raise KeyboardInterrupt
+    sequence = open_sequence(out)
+    assert [entry.file for entry in sequence.frames] == ["frame_0.exr", "frame_1.exr", "frame_2.exr"]
+    assert names(out) == ["frame_0.exr", "frame_1.exr", "frame_2.exr", "sequence.json"]
+    assert sequence.unfinished and f"{out}: unfinished" in sequence.warnings()[0]
+
+
+def test_interrupted_over_an_earlier_output(tmp_path):
+    """It stays; the new frames are beside it until the next run, which does not read from there."""
+    out = write(tmp_path / "out", 4)
+    before = contents(out)
+    with pytest.raises(KeyboardInterrupt) as stop, SequenceWriter(out, W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels(7)))
+        raise KeyboardInterrupt
+    assert stop.value.__notes__ == [f"1 finished frames are in {out}/gffe-unfinished, {out} stays as it was"]
+    kept = open_sequence(out / "gffe-unfinished")
+    assert kept.unfinished and np.array_equal(kept.read_color(kept.frames[0]), pixels(7)[0])
+    assert {name: data for name, data in contents(out).items() if "gffe-unfinished" not in name} == before
+    assert not open_sequence(out).unfinished
+    with pytest.raises(GffeError, match="overwrite its input"):
+        refuse_same_folder(out, out / "gffe-unfinished")
+    write(out, 1)
+    assert names(out) == ["frame_0.exr", "sequence.json", "truth_0.exr"]
+
+
+@pytest.mark.parametrize("fault", [ZeroDivisionError, GffeError("wrong")])
+def test_failing_over_an_earlier_output(tmp_path, fault):
+    out = write(tmp_path / "out", 2)
+    (out / "notes.txt").write_text("mine")
+    before = contents(out)
+    with pytest.raises((ZeroDivisionError, GffeError)), SequenceWriter(out, W, H, 30) as writer:
+        for i in range(4):
+            writer.add(rendered(i), named_channels(*pixels(50 + i)))
+        (writer.folder("stages") / "notes.txt").write_text("of the run")
+        raise fault
+    assert contents(out) == before
+
+
+def test_interrupted_while_it_ends(tmp_path, monkeypatch):
+    """Ctrl-C during the last steps waits for them: the result is complete."""
+    real = OutputFolder._move
+
+    def move(folder, files):
+        _thread.interrupt_main()
+        time.sleep(0.2)
+        real(folder, files)
+
+    monkeypatch.setattr(OutputFolder, "_move", move)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # shells have what runs behind them ignore it
+    try:
+        with pytest.raises(KeyboardInterrupt) as stop:
+            write(tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert stop.value.__notes__ == [f"{tmp_path / 'out'} is complete"]
+    assert len(open_sequence(tmp_path / "out").frames) == 6 and not open_sequence(tmp_path / "out").unfinished
+
+
+def test_one_writer_at_a_time(tmp_path):
+    """The second is refused while the first is at work, also from another process, and leaves it alone."""
+    out = tmp_path / "out"
+    child = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from tiny_sequence import write\nfrom gffe_cl.engine.core.errors import GffeError\n"
+        "try:\n    write(sys.argv[2])\nexcept GffeError as error:\n    print(error)"
+    )
+    with SequenceWriter(out, W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels()))
+        with pytest.raises(GffeError, match=f"another run is writing into it, process {os.getpid()}"):
+            write(out)
+        with pytest.raises(GffeError, match="is still being written"):
+            open_sequence(out)
+        arguments = [sys.executable, "-c", child, str(Path(__file__).parents[2] / "helpers"), str(out)]
+        said = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+        assert f"another run is writing into it, process {os.getpid()}" in said
+    assert [entry.file for entry in open_sequence(out).frames] == ["frame_0.exr"]
+
+
+def test_writers_in_turn(tmp_path):
+    """However they meet, each either is refused or ends with a whole sequence."""
+
+    def attempt(_):
+        try:
+            write(tmp_path / "out")
+        except GffeError as error:
+            assert "another run" in str(error) or "other runs" in str(error)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(attempt, range(24)))
+    assert len(open_sequence(tmp_path / "out").frames) == 6
+    assert "gffe-unfinished" not in names(tmp_path / "out")
+
+
+def test_interrupted_before_the_first_frame(tmp_path):
+    with pytest.raises(KeyboardInterrupt), SequenceWriter(tmp_path / "out", W, H, 30):
+        raise KeyboardInterrupt
+    assert names(tmp_path) == []
+
+
+def test_failing_writer_leaves_nothing(tmp_path):
+    keep = tmp_path / "a" / "notes.txt"
+    keep.parent.mkdir()
+    keep.write_text("mine")
+    with pytest.raises(ZeroDivisionError), SequenceWriter(tmp_path / "a" / "b" / "c", W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels()))
+        writer.add(FrameEntry("sub/e.exr", 0.1, "extrapolated"), named_channels(pixels()[0]))
+        raise ZeroDivisionError
+    assert names(tmp_path) == ["a", "a/notes.txt"]
+
+
+def test_wrong_shape_and_no_frames(tmp_path):
+    shape = r"channel 'R' must have shape \(9, 13\), got \(8, 13\)"
+    with pytest.raises(GffeError, match=shape), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels(0, H - 1)))
+    with pytest.raises(GffeError, match="no frame was written"), SequenceWriter(tmp_path / "out", W, H, 30):
+        pass
+    with (
+        pytest.raises(GffeError, match="is written twice"),
+        SequenceWriter(tmp_path / "out", W, H, 30) as writer,
+    ):
+        writer.add(rendered(0), named_channels(*pixels()))
+        writer.add(FrameEntry("frame_0.exr", 9.0, "extrapolated"), named_channels(*pixels()))
+    with pytest.raises(GffeError, match="no channels"), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), {})
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("below", ["file", "file/out", "file/a/out"])
+def test_impossible_output(tmp_path, below):
+    (tmp_path / "file").write_text("a regular file")
+    with pytest.raises(GffeError, match="expected a") as info, SequenceWriter(tmp_path / below, W, H, 30):
+        pass
+    assert str(tmp_path / below) in str(info.value) and names(tmp_path) == ["file"]
+
+
+@pytest.mark.skipif(os.name != "posix" or not Path("/proc/self").exists(), reason="needs /proc")
+def test_unwritable_output():
+    for path in ("/proc", "/proc/gffe"):
+        with pytest.raises(GffeError, match="cannot be written to"), SequenceWriter(path, W, H, 30):
+            pass
+
+
+@pytest.mark.limits
+def test_disk_full(tmp_path):
+    """The last bytes do not reach the disk: a limit on the size of files stands in for a full one."""
+    limit = 12_000
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    noise = np.random.default_rng(0).normal(size=(90, 91, 3)).astype(np.float32)
+    with pytest.raises(GffeError, match=r"frame_0.exr: cannot be written") as info:
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+            with SequenceWriter(tmp_path / "out", 91, 90, 30) as writer:
+                writer.add(rendered(0), named_channels(noise, noise[..., 0]))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "\n" not in str(info.value) and names(tmp_path) == []
+
+
+class FullDisk:
+    """Stands in for OpenEXR.File: writes half a file, or fails as the library does."""
+
+    real = OpenEXR.File
+
+    def __init__(self, header, channels):
+        self.file = FullDisk.real(header, channels)
+
+    def write(self, path):
+        self.file.write(path)
+        os.truncate(path, os.path.getsize(path) - 5)
+        if not FullDisk.silent:
+            raise RuntimeError(f'Failed to write "{path}".\n{os.strerror(errno.ENOSPC)}.')
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_disk_full_as_the_library_says_it(tmp_path, monkeypatch, silent):
+    FullDisk.silent = silent
+    out = write(tmp_path / "out")
+    monkeypatch.setattr(exr_module.OpenEXR, "File", FullDisk)
+    with pytest.raises(GffeError, match=r"frame_0.exr: cannot be written \((No space|.*full)"):
+        write(out)
+    assert len(open_sequence(out).frames) == 6  # the earlier one
+
+
+def test_disk_full_for_the_json(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(GffeError, match=r"sequence.json: cannot be written"):
+        write(tmp_path / "out")
+    assert names(tmp_path) == []
+
+
+def test_replaces_an_older_output(tmp_path):
+    out = write(tmp_path / "out", 4)
+    (out / "notes.txt").write_text("mine")
+    with SequenceWriter(out, W, H, 30) as writer:
+        assert len(open_sequence(out).rendered) == 4  # until the new one is whole
+        writer.add(rendered(0), named_channels(*pixels(7)))
+    assert names(out) == ["frame_0.exr", "notes.txt", "sequence.json"]
+    sequence = open_sequence(out)
+    assert np.array_equal(sequence.read_color(sequence.frames[0]), pixels(7)[0])
+
+
+def test_replaces_a_killed_output(tmp_path):
+    writer = SequenceWriter(tmp_path, W, H, 30).__enter__()
+    for i in range(3):
+        writer.add(rendered(i), named_channels(*pixels(i)))
+    writer._pool.shutdown()  # and then kill -9: no sequence.json, and no lock
+    writer._folder._release()
+    assert len(list(tmp_path.rglob("*.exr"))) == 3
+    with pytest.raises(GffeError, match=r"is unfinished: its writer was stopped"):
+        open_sequence(tmp_path)
+    with SequenceWriter(tmp_path, W, H, 30) as writer:
+        writer.add(rendered(1), named_channels(*pixels()))
+    assert names(tmp_path) == ["frame_1.exr", "sequence.json"]
+
+
+def test_replaces_an_output_killed_while_files_moved(tmp_path, monkeypatch):
+    def killed(*_):
+        raise OSError(errno.EIO, "power cut")
+
+    out = write(tmp_path / "out", 3)
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(GffeError, match="power cut"), SequenceWriter(out, W, H, 30) as writer:
+        writer.link(rendered(5), out / "frame_0.exr")
+        writer._pool.shutdown()
+        monkeypatch.setattr(os, "replace", killed)
+    monkeypatch.undo()
+    with pytest.raises(GffeError, match=r"is unfinished"):
+        open_sequence(out)
+    write(out, 1)
+    assert names(out) == ["frame_0.exr", "notes.txt", "sequence.json", "truth_0.exr"]
+
+
+def test_folders_of_others_are_not_cleared(tmp_path):
+    (tmp_path / "out" / "gffe-unfinished").mkdir(parents=True)
+    (tmp_path / "out" / "gffe-unfinished" / "thesis.tex").write_text("mine")
+    with pytest.raises(GffeError, match="was not written by gffe-cl"):
+        write(tmp_path / "out")
+    assert names(tmp_path / "out") == ["gffe-unfinished", "gffe-unfinished/thesis.tex"]
+
+
+@pytest.mark.parametrize("file", ["gffe-unfinished/a.exr", ".journal", "link/a.exr"])
+def test_files_that_are_in_the_way(tmp_path, file):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "link").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(GffeError, match="cannot be written there"), SequenceWriter(tmp_path / "out", W, H, 30) as out:
+        out.add(FrameEntry(file, 0.0, "extrapolated"), named_channels(pixels()[0]))
+    assert names(tmp_path) == ["elsewhere", "out", "out/link"]
+
+
+def test_leaves_other_peoples_files_alone(folder):
+    edit(folder, lambda d: d.pop("generator"))
+    before = names(folder)
+    with pytest.raises(GffeError, match="was not written by gffe-cl"), SequenceWriter(folder, W, H, 30):
+        pass
+    (folder / "sequence.json").unlink()
+    with pytest.raises(GffeError, match=r"frame_1.exr: exists"), SequenceWriter(folder, W, H, 30) as writer:
+        writer.add(rendered(1), named_channels(*pixels()))
+    before.remove("sequence.json")
+    assert names(folder) == before
+
+
+def test_link(folder, tmp_path, monkeypatch):
+    source = open_sequence(folder)
+    for copying in (False, False, True):  # twice: a link over a link of the same file
+        if copying:
+            monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError(errno.EXDEV, "other device")))
+        with SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+            for entry in source.rendered:
+                writer.link(entry, folder / entry.file)
+        out = open_sequence(tmp_path / "out")
+        assert out.rendered == source.rendered
+        assert os.path.samefile(folder / "frame_1.exr", tmp_path / "out" / "frame_1.exr") != copying
+        assert names(tmp_path / "out") == ["frame_0.exr", "frame_1.exr", "frame_2.exr", "sequence.json"]
+    shutil.rmtree(tmp_path / "out")
+    assert open_sequence(folder)
+    refused = pytest.raises(GffeError, match=r"frame_0.exr: cannot be written")
+    with refused, SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.link(rendered(0), tmp_path / "nothing.exr")
+
+
+def test_input_is_not_output(folder, tmp_path):
+    refuse_same_folder(tmp_path / "out", folder)
+    (tmp_path / "alias").symlink_to(folder)
+    for alias in (folder, folder / "sequence.json", tmp_path / "alias", f"{folder}/../sequence"):
+        with pytest.raises(GffeError, match="overwrite its input"):
+            refuse_same_folder(alias, folder)
+
+
+def test_header_of_written_file(folder):
+    (part,) = read_header(folder / "frame_1.exr", "").parts
+    assert part.size == (W, H) and part.compression == 3
+    assert part.channels == {
+        **dict.fromkeys("BGR", "float16"),
+        **dict.fromkeys(["Z", "motion.x", "motion.y"], "float32"),
+    }
+    assert set(part.matrices) == {"worldToCamera", "worldToNDC"}
+
+
+# ---- compression --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", exr_module.COMPRESSIONS)
+def test_compressions(tmp_path, compression):
+    """Whatever is chosen is what the file says; only dwaa and dwab change a bit, and of colors only."""
+    color, depth, motion = pixels(0)
+    with SequenceWriter(tmp_path / "out", W, H, 30, compression=compression) as writer:
+        writer.add(rendered(0), named_channels(color, depth, motion))
+    sequence = open_sequence(tmp_path / "out")
+    entry = sequence.frames[0]
+    stored = OpenEXR.File(str(tmp_path / "out" / entry.file), header_only=True).header()["compression"]
+    assert stored == getattr(OpenEXR, f"{'NO' if compression == 'none' else compression.upper()}_COMPRESSION")
+    frame = sequence.read(entry)
+    assert np.array_equal(frame.depth, depth) and np.array_equal(frame.motion, motion)
+    if compression.startswith("dwa"):
+        np.testing.assert_allclose(frame.color, color, rtol=0.2, atol=0.2)
+    else:
+        assert np.array_equal(frame.color, color)
+
+
+def test_unknown_compressions_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(GffeError, match=r'compression must be one of none, rle, .*, got "jpeg"'):
+        SequenceWriter(tmp_path, W, H, 30, compression="jpeg")
+    monkeypatch.delattr(OpenEXR, "HTJ2K256_COMPRESSION", raising=False)
+    with pytest.raises(GffeError, match="'htj2k256' needs a newer OpenEXR"):
+        SequenceWriter(tmp_path, W, H, 30, compression="htj2k256")
+
+
+def test_types_of_stored_channels():
+    """As NumPy converts them; a copy unless the array may be kept."""
+    rng = np.random.default_rng(2)
+    image = rng.uniform(0, 255, (7, 5, 3))
+    for dtype in (np.float16, np.float32, np.float64, np.uint8, np.bool_, np.uint32):
+        for array in (image[..., 0].astype(dtype), np.moveaxis(image.astype(dtype), -1, 0)[1], image[::2, ::2, 0] > 99):
+            small = array.dtype in (np.float16, np.uint8, np.bool_)
+            expected = np.float16 if small else np.uint32 if array.dtype == np.uint32 else np.float32
+            for copy in (True, False):
+                stored = exr_module.stored_type("mask.dynamic", array, copy)
+                assert stored.dtype == expected and np.array_equal(stored, array.astype(expected))
+                assert stored.flags.c_contiguous and not (copy and np.may_share_memory(stored, array))
+                assert exr_module.stored_type("Z", array, copy).dtype == np.float32
+
+
+def test_what_is_not_owned_is_copied_at_once(tmp_path):
+    color, depth, motion = (np.array(array) for array in pixels(0))
+    with SequenceWriter(tmp_path / "out", W, H, 30, threads=1) as writer:
+        for k in range(4):
+            depth[:] = k + 1
+            writer.add(rendered(k), named_channels(color, depth, motion))
+            writer.add(
+                FrameEntry(f"owned_{k}.exr", rendered(k).time + 1e-3, "extrapolated"),
+                {name: np.full((H, W), k, np.float32) for name in "RGB"},
+                owned=True,
+            )
+    sequence = open_sequence(tmp_path / "out")
+    assert [sequence.read(entry).depth.max() for entry in sequence.rendered] == [1, 2, 3, 4]
+    assert [sequence.read_color(entry).max() for entry in sequence.extrapolated] == [0, 1, 2, 3]
+
+
+def test_frames_under_way_are_few(tmp_path, monkeypatch):
+    """As many as there are threads and a few more, or as fit into memory; `add` waits for the rest."""
+    now, most, lock = [0], [0], threading.Lock()
+    really = exr_module.write_channels
+
+    def slowly(*arguments):
+        with lock:
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+        time.sleep(0.02)
+        really(*arguments)
+        with lock:
+            now[0] -= 1
+
+    monkeypatch.setattr(exr_module, "write_channels", slowly)
+    for threads, budget, allowed in ((3, 1 << 30, 3), (3, 1, 1), (1, 1 << 30, 1)):
+        most[0] = 0
+        monkeypatch.setattr(writer_module, "_MOST_BYTES", budget)
+        with SequenceWriter(tmp_path / "out", W, H, 30, threads=threads) as writer:
+            for k in range(6):
+                writer.add(rendered(k), named_channels(*pixels(k)))
+                assert len(writer._pending) <= (1 if budget == 1 else threads + 2)
+        assert most[0] == allowed
+
+
+def test_cpu_time_in_the_library_is_counted(tmp_path):
+    before = exr_module.codec_seconds()
+    write(tmp_path / "out", 3)
+    between = exr_module.codec_seconds()
+    sequence = open_sequence(tmp_path / "out")
+    assert between > before
+    sequence.read(sequence.frames[0])
+    assert exr_module.codec_seconds() > between
+
+
+def test_rendered_frames_of_several_sizes_are_refused(tmp_path):
+    sizes = rf"one size \(frame_0.exr is {W}×{H}, frame_1.exr is {W - 1}×{H}\)"
+    with pytest.raises(GffeError, match=sizes), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels(0)))
+        smaller = FrameEntry("truth.exr", 0.01, "ground_truth", render_size=(W - 2, H))
+        writer.add(smaller, named_channels(pixels(1, H, W - 2)[0]))
+        entry = rendered(1)
+        entry.render_size = (W - 1, H)
+        writer.add(entry, named_channels(*pixels(1, H, W - 1)))
+    assert not (tmp_path / "out").exists()
+
+
+def test_attributes_that_cannot_be_written_are_refused(tmp_path):
+    wrong = {"chromaticities": np.zeros(2, np.float32)}
+    refused = pytest.raises(GffeError, match=r"frame_0.exr: cannot be written \(.*chromaticities")
+    with refused, SequenceWriter(tmp_path / "out", W, H, 30, attributes=wrong) as writer:
+        writer.add(rendered(0), named_channels(*pixels(0)))
+    assert not (tmp_path / "out").exists()

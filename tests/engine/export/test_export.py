@@ -1,0 +1,622 @@
+"""`gffe export`: the pipeline in C gives the same bits as Python's, on the same device from the same buffers."""
+
+import ctypes as ct
+import os
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+import scn_models
+from exported import (
+    INVALID,
+    NETWORK,
+    NETWORK_FAILED,
+    CCamera,
+    CFrame,
+    CWindow,
+    Engine,
+    Failed,
+    compile_library,
+    load,
+    require_compiler,
+)
+
+from gffe_cl.captures.scenes import load_scene
+from gffe_cl.captures.scenes.renderer import SceneRenderer
+from gffe_cl.captures.scenes.sequences import SceneFrames
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_exposure, require_frame_rate
+from gffe_cl.engine.export.recording import record
+from gffe_cl.engine.export.writing import export
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.camera_prediction import predict_camera_at, rotation_matrix
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame, host_arrays
+from gffe_cl.engine.frame.window import WindowChooser, adaptive_window, nearest_depth
+from gffe_cl.engine.inference import network as inference
+from gffe_cl.engine.inference.model_interface import shapes_at
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.buffers import Owner, spread
+from gffe_cl.engine.stages.holes import Downsampled, FarSide
+
+W, H = 83, 61
+DEFAULT = Options(shading_correction=False)
+VARIED = replace(
+    DEFAULT, levels=1, crack_closing=False, soft_silhouettes=False, acceleration=False, history=4, order=3,
+    hole_filling="none", cut_detection=False, static_threshold=1.5, camera_order=1,
+)  # fmt: skip
+DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", shading_inputs=True, hidden_parts=False, blocks=False)
+UPSCALED = replace(DEFAULT, upscale=2.0)
+PYRAMID = replace(DEFAULT, hole_filling="push-pull")
+_libraries: dict = {}
+
+
+@pytest.fixture
+def library(device, request, tmp_path_factory):
+    """The compiled library of options, made once per run."""
+    require_compiler("cc")
+    slowly = request.node.get_closest_marker("slow") and "pocl" not in device.info.version.lower()
+    if slowly and not os.environ.get("GFFE_DEVICE"):
+        pytest.skip("builds its kernels anew with every pipeline: GFFE_DEVICE asks for it")
+
+    def made(options):
+        if options not in _libraries:
+            folder = tmp_path_factory.mktemp("export")
+            export(folder, device, options)
+            _libraries[options] = load(compile_library(folder, folder / "libgffe.so"))
+            _libraries[options]._folder = folder
+        return _libraries[options]
+
+    return made
+
+
+def on_device(device, frame: RenderedFrame, size):
+    """The frame with device buffers, which both pipelines take."""
+    host = host_arrays(frame, size[1], size[0]).in_device_layout()
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    buffers = [cl.Buffer(device.context, flags, hostbuf=a) for a in (host.color, host.depth, host.motion)]
+    return replace(frame, color=buffers[0], depth=buffers[1], motion=buffers[2])
+
+
+def moving(device, count, size=(W, H), render_size=None, window="off", start=0.0, scene="plaza"):
+    """Rendered frames of a built-in scene, on the device."""
+    scene = load_scene(scene, 1)
+    windows = WindowChooser(window, size, [0.5])
+    render_size = render_size or size
+    renderer = SceneRenderer(device, scene, *render_size)
+    frames = SceneFrames(renderer, windows, size)
+    return [on_device(device, frame, render_size) for frame in frames.sequence(count, 15.0, start)]
+
+
+def named_buffers(pipeline):
+    """What the pipeline's buffers hold, as they are stored, where they hold anything; by name."""
+    found = {}
+    for owner, spec in pipeline.named_buffers():
+        if owner.name == "correction" and spec.name == "refined":  # made for lookers only
+            continue
+        if owner.name == "backward_blocks" and not pipeline.options.blocks:  # never written: what was lent lies there
+            continue
+        _, flat = spec.host_array(spec.size(owner.sizes))
+        cl.enqueue_copy(pipeline.device.queue, flat, owner.buffer[spec.name])
+        found[f"{owner.name}.{spec.name}"] = (flat.view(np.uint8).reshape(-1), known_texels(owner, spec))
+    return found
+
+
+def known_texels(owner: Owner, spec):
+    """Where a buffer holds anything; None: everywhere."""
+    if not spec.known_where:
+        return None
+    telling = owner.spec(spec.known_where[0])
+    width, height = spec.size(owner.sizes)
+    return spread(owner.read(telling.name), telling.grid, spec.grid, 0, 0, width, height) >= spec.known_where[1]
+
+
+def assert_same_buffers(engine: Engine, pipeline: Pipeline):
+    compared = named_buffers(pipeline)
+    for name, (ours, known) in compared.items():
+        theirs = engine.bytes_of(name).reshape(-1)
+        if known is not None:
+            texels = np.repeat(known.reshape(-1), ours.size // known.size) if ours.size == theirs.size else None
+            ours, theirs = ours[texels], theirs[texels]
+        assert np.array_equal(ours, theirs), f"{name}: {np.count_nonzero(ours != theirs)} of {ours.size} bytes differ"
+    return set(compared)
+
+
+def assert_same_frame(engine: Engine, made, ours):
+    for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by", "gae"):
+        if getattr(made, name) is None:
+            continue
+        buffer = getattr(ours, name)
+        expected = np.empty(buffer.size, np.uint8)
+        cl.enqueue_copy(engine.device.queue, expected, buffer)
+        assert np.array_equal(engine.read(getattr(made, name), buffer.size), expected), name
+    assert made.camera.camera() == ours.camera and made.time == ours.time
+
+
+def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), cameras=None, **more):
+    """Both pipelines over frames; all buffers and outputs are compared after each extrapolated one."""
+    render_size, exposure = more.pop("render_size", size), more.pop("exposure", 1.0)
+    engine = Engine(library(options), device, *size, render_width=render_size[0], render_height=render_size[1], **more)
+    int64 = None if more.get("int64_atomics", -1) < 0 else bool(more["int64_atomics"])
+    pipeline = Pipeline(device, *size, options, render_size=render_size, int64_atomics=int64)
+    pipeline.exposure = exposure
+    engine.set_exposure(exposure)
+    compared, cuts = set(), []
+    for frame in frames:
+        pipeline.submit(frame)
+        if frame.overlays:
+            engine.set_overlays(frame.overlays)
+        buffers = (frame.color, frame.depth, frame.motion)
+        engine.submit(buffers, frame.camera, frame.time, frame.display_camera, frame.reset)
+        assert engine.is_cut == pipeline.is_cut
+        cuts.append(pipeline.is_cut)
+        assert_same_frame(engine, engine.present(), pipeline.present())
+        for alpha in alphas:
+            time = frame.time + alpha * pipeline.interval
+            camera = cameras and cameras(time)
+            assert_same_frame(engine, engine.extrapolate(time, camera), pipeline.extrapolate(camera, time))
+            compared |= assert_same_buffers(engine, pipeline)
+    engine.destroy()
+    return compared, cuts
+
+
+def test_ten_frames_of_a_scene_have_the_same_bits(device, library):
+    compared, _ = run_both(device, library, DEFAULT, moving(device, 10))
+    assert {"history.dynamic_mask", "background.color_0", "frame.filled_by", "silhouettes.coverage"} <= compared
+    assert len(compared) > 25
+
+
+@pytest.mark.slow
+def test_every_object_of_opencl_is_released(device, library):
+    """Each holds the context."""
+    context = cl.Context([device.cl_device])
+    queue = cl.CommandQueue(context)
+
+    def references():
+        found = context.get_info(cl.context_info.REFERENCE_COUNT)
+        return found, *(buffer.get_info(cl.mem_info.REFERENCE_COUNT) for buffer in buffers)
+
+    buffers = [cl.Buffer(context, cl.mem_flags.READ_WRITE, n * W * H) for n in (8, 4, 8)]
+    for buffer in buffers:
+        cl.enqueue_fill_buffer(queue, buffer, np.uint8(60), 0, buffer.size)
+    queue.finish()
+    before = references()
+    engine = Engine(library(DEFAULT), device, W, H, context=context.int_ptr, queue=queue.int_ptr)
+    camera = Camera(np.eye(4), 60, 60, 40, 30)
+    for k in range(4):
+        if k % 2:
+            engine.set_overlays(Overlays(effects=buffers[0], effects_motion=buffers[2], ui=buffers[0]))
+        engine.submit([*buffers[:2], buffers[2] if k else None], camera, k, camera.scaled(1.1, 1.1), reset=k == 0)
+        engine.extrapolate(k + 0.5)
+        engine.present()
+    assert references() > before
+    engine.destroy()
+    assert references() == before
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
+    """Rendered images smaller than the display and wider than what is shown; several new frames after each; uneven
+    intervals; a reset in the middle."""
+    size, render_size = (W, H), (67, 52)
+    frames = moving(device, 4, size, render_size, "fixed:1.25") + moving(device, 3, size, render_size, start=3.0)
+    assert frames[4].reset and frames[1].camera.intrinsics != frames[1].display_camera.intrinsics
+    scene = load_scene("plaza", 1)
+    compared, _ = run_both(
+        device, library, VARIED, frames, size, (0.25, 1.3), lambda time: scene.camera(time, *size),
+        render_size=render_size, int64_atomics=0,
+    )  # fmt: skip
+    assert {"presentation.motion", "history.history"} <= compared
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_cuts_that_nobody_tells_of(device, library):
+    frames = moving(device, 4) + [replace(f, reset=False) for f in moving(device, 3, start=9.0, scene="room")]
+    times = [0.1 * k + 0.01 * (k % 2) for k in range(len(frames))]
+    frames = [replace(frame, time=time) for frame, time in zip(frames, times, strict=True)]
+    compared, cuts = run_both(device, library, DEEP, frames, cameras=None)
+    assert cuts == [False] * 4 + [True, False, False]
+    assert {"shading.warped_previous", "background.color_3", "holes.downsampled_color"} <= compared
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(W, H), (3, 8999), (1, 1)], ids=["some", "14 levels", "one level"])
+def test_as_many_levels_as_the_image_has(device, library, size):
+    """Push-pull has one for each halving: what is launched hangs on the size."""
+    compared, _ = run_both(device, library, PYRAMID, moving(device, 3, size), size)
+    levels = {name for name in compared if name.startswith("holes.mean_")}
+    assert len(levels) == max(1, (max(size) - 1).bit_length())
+
+
+@pytest.mark.long
+@pytest.mark.slow
+@pytest.mark.parametrize("corrected", [False, True], ids=["plain", "corrected"])
+def test_upscaled_frames_have_the_same_bits(device, library, tmp_path, corrected):
+    """With jitter that nobody tells, and through a window; after the network, where there is one."""
+    size, render_size = (W, H), (47, 33)
+    frames = moving(device, 3, size, render_size)
+    frames = [replace(frame, camera=Jitter(8).camera(frame.camera, k)) for k, frame in enumerate(frames)]
+    frames += moving(device, 2, size, render_size, "fixed:1.25", start=5.0)
+    options, network = UPSCALED, {}
+    if corrected:
+        options = replace(options, shading_correction=True, scn_model=str(scn_models.movers_model(tmp_path / "m.onnx")))
+        options = replace(options, upscale_sharpening=0.5)
+        network["network"] = network_of(device, options.scn_model, [])
+    compared, _ = run_both(
+        device, library, options, frames, size, (0.5, 0.75), render_size=render_size, exposure=2.5, **network
+    )
+    assert {"upscaling.history", "upscaling.color", "presentation.motion"} <= compared
+    assert ("sharpening.rendered" in compared) == corrected
+
+
+@pytest.mark.slow
+def test_overlays_lie_over_the_picture(device, library):
+    """Of several kinds, of device buffers, in a window; some frames bring none."""
+    size, render_size, rng = (W, H), (67, 52), np.random.default_rng(6)
+
+    def layers(*names):
+        mask = np.zeros((52, 67), np.uint8)
+        mask[30:, 20:50] = 1
+        layer = {"effects": (52, 67), "ui": (H, W)}
+        arrays = {name: rng.uniform(0, 1, (*shape, 4)).astype(np.float16) for name, shape in layer.items()}
+        arrays |= {"fixed_mask": mask, "effects_motion": rng.uniform(-9, 9, (52, 67, 2)).astype(np.float32)}
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return Overlays(**{name: cl.Buffer(device.context, flags, hostbuf=arrays[name]) for name in names})
+
+    brought = [None, layers("fixed_mask", "effects", "effects_motion", "ui"), layers("ui"), layers("fixed_mask"), None]
+    frames = moving(device, len(brought), size, render_size, "fixed:1.25")
+    frames = [replace(frame, overlays=overlays) for frame, overlays in zip(frames, brought, strict=True)]
+    compared, _ = run_both(device, library, DEFAULT, frames, size, (0.25, 0.75), render_size=render_size)
+    assert "composition.color" in compared
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_one_pixel_per_work_item_as_on_gpus_gives_the_same_frames(device, library):
+    engine = Engine(library(DEFAULT), device, W, H, lanes=1, int64_atomics=0)
+    pipeline = Pipeline(device, W, H, DEFAULT)
+    for frame in moving(device, 3):
+        pipeline.submit(frame)
+        submit(engine, frame)
+        time = frame.time + 0.5 * pipeline.interval
+        assert_same_frame(engine, engine.extrapolate(time), pipeline.extrapolate(None, time))
+    engine.destroy()
+
+
+@pytest.mark.slow
+def test_the_network_runs_between_its_buffers(device, library, tmp_path):
+    path = str(scn_models.look_model(tmp_path / "scn.onnx"))
+    options = replace(DEFAULT, shading_correction=True, scn_model=path)
+    ran = []
+    frames = moving(device, 4)
+    run_both(device, library, options, frames, network=network_of(device, path, ran))
+    assert len(ran) == 3  # the first frame has none before
+    assert (library(options)._folder / "scn.onnx").read_bytes() == (tmp_path / "scn.onnx").read_bytes()
+
+    for shared in (0, 1):
+        run_both(device, library, options, frames[:2], network=network_of(device, path, ran), shared_memory=shared)
+        engine = Engine(library(options), device, W, H, shared_memory=shared)
+        for name in ("network_input.frames", "shading_flow.candidates", "correction.judgement"):
+            buffer = cl.Buffer.from_int_ptr(engine.get(name).memory, True)
+            assert bool(buffer.flags & cl.mem_flags.ALLOC_HOST_PTR) == bool(shared), name
+        engine.destroy()
+
+    engine = Engine(library(options), device, W, H, network=NETWORK(lambda *_: 7))
+    submit(engine, frames[0])
+    engine.extrapolate(frames[0].time)
+    submit(engine, frames[1])
+    with pytest.raises(Failed, match="the network's callback returned 7") as failure:
+        engine.extrapolate(frames[1].time)
+    assert failure.value.status == NETWORK_FAILED
+    engine.destroy()
+    engine = Engine(library(options), device, W, H)  # without a network the picture is the one before correction
+    submit(engine, frames[0])
+    submit(engine, frames[1])
+    made = engine.extrapolate(frames[1].time)
+    assert made.color != made.gae
+    assert np.array_equal(engine.read(made.color, 8 * W * H), engine.read(made.gae, 8 * W * H))
+    engine.destroy()
+
+
+def test_work_begins_after_events_and_ends_in_one(device, library):
+    """On a queue without profiling; the host does not wait; the bits are the same."""
+    options, frames = replace(DEFAULT, cut_detection=False), moving(device, 3)
+    context, queue = device.context, cl.CommandQueue(device.context)
+    engine = Engine(library(options), device, W, H, queue=queue.int_ptr)
+    pipeline = Pipeline(device, W, H, options)
+    states = cl.command_execution_status
+    for frame in frames:
+        pipeline.submit(frame)
+        written, read = cl.UserEvent(context), cl.UserEvent(context)
+        both, buffers = [written, cl.enqueue_marker(device.queue)], (frame.color, frame.depth, frame.motion)
+        taken = engine.submit(buffers, frame.camera, frame.time, frame.display_camera, frame.reset, wait_for=both)
+        shown, presented = engine.present(wait_for=[])
+        time = frame.time + 0.5 * pipeline.interval
+        made, done = engine.extrapolate(time, wait_for=[read])
+        assert all(event.command_execution_status > states.COMPLETE for event in (taken, presented, done))
+        written.set_status(states.COMPLETE)
+        cl.wait_for_events([taken, presented])
+        assert done.command_execution_status > states.COMPLETE
+        read.set_status(states.COMPLETE)
+        done.wait()
+        assert_same_frame(engine, shown, pipeline.present())
+        assert_same_frame(engine, made, pipeline.extrapolate(None, time))
+
+    other = cl.Context([device.cl_device])
+    foreign = cl.UserEvent(other)
+    for events, text in (([foreign], "event 0 is of another context"), ([taken, None], "event 1 is NULL")):
+        for call in (engine.present, lambda **given: engine.extrapolate(time, **given)):
+            with pytest.raises(Failed, match=text) as failure:
+                call(wait_for=events)
+            assert failure.value.status == INVALID
+        with pytest.raises(Failed, match=text):
+            engine.submit(buffers, frame.camera, frame.time + 1, wait_for=events)
+    failed = cl.UserEvent(context)
+    failed.set_status(-5)
+    for call in (engine.present, lambda **given: engine.extrapolate(time, **given)):
+        with pytest.raises(Failed, match=r"event 1 has failed \(OpenCL error -5\)") as failure:
+            call(wait_for=[taken, failed])
+        assert failure.value.status == INVALID
+    with pytest.raises(Failed, match="event 0 has failed"):
+        engine.submit(buffers, frame.camera, frame.time + 1, wait_for=[failed])
+    assert_same_frame(engine, engine.present(wait_for=[])[0], pipeline.present())  # nothing has happened
+    made = CFrame()
+    for count, given in ((1, None), (0, ct.byref(ct.c_void_p(taken.int_ptr)))):
+        assert engine.library.gffe_present_after(engine.handle, ct.byref(made), count, given, None) == INVALID
+    assert engine.library.gffe_present_after(engine.handle, ct.byref(made), 0, None, None) == 0
+    engine.destroy()
+
+
+def network_of(device, path, ran):
+    """A callback that runs the network of a file, and puts into `ran` the frames' sizes."""
+    network = inference.load_network(path)
+
+    @NETWORK
+    def run(user, queue, frames, candidates, judgement, width, height):
+        *given, made = (np.empty(shape[1:], np.float32) for shape in shapes_at(height, width).values())
+        for array, buffer in zip(given, (frames, candidates), strict=True):
+            cl.enqueue_copy(device.queue, array, cl.Buffer.from_int_ptr(buffer, True))
+        network.run(*given, made)
+        cl.enqueue_copy(device.queue, cl.Buffer.from_int_ptr(judgement, True), made)
+        ran.append((width, height))
+        return 0
+
+    return run
+
+
+def submit(engine, frame, **changes):
+    frame = replace(frame, **changes)
+    engine.submit((frame.color, frame.depth, frame.motion), frame.camera, frame.time, frame.display_camera, frame.reset)
+
+
+# ---- host arithmetic, without a device ---------------------------------------------------------------------
+
+
+def random_camera(rng, like=None):
+    """A camera anywhere; near `like`, turned a little; some worlds are left-handed."""
+    if like is None:
+        camera = Camera.from_pose(rng.normal(size=3) * 1e3, *rng.normal(size=(2, 3)), *rng.uniform(50, 900, 4))
+        if rng.random() < 0.3:
+            camera = replace(camera, world_to_view=np.diag([-1.0, 1, 1, 1]) @ camera.world_to_view)
+        return camera
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_matrix(rng.normal(size=3) * 0.03)
+    turn[:3, 3] = rng.normal(size=3) * 0.2
+    return replace(like, world_to_view=turn @ like.world_to_view, fx=like.fx * rng.uniform(0.98, 1.02))
+
+
+@pytest.mark.slow
+def test_predicted_cameras_have_the_same_bits(device, library):
+    host, rng = library(DEFAULT), np.random.default_rng(3)
+    for _ in range(300):
+        path = [random_camera(rng)]
+        while len(path) < rng.integers(1, 16):
+            path.append(path[-1] if rng.random() < 0.1 else random_camera(rng, path[-1]))
+        times = (1e3 - np.cumsum(rng.uniform(0.01, 0.1, len(path)))).tolist()
+        time, order = times[0] + rng.uniform(0, 0.2), int(rng.integers(0, 3))
+        cameras, made = (CCamera * len(path))(*map(CCamera.of, path)), CCamera()
+        numbers = (ct.c_double * len(path))(*times)
+        assert host.gffe_predict_camera_at(time, cameras, numbers, len(path), order, ct.byref(made)) is None
+        assert made.camera() == predict_camera_at(time, path, times, order or None)
+
+
+@pytest.mark.slow
+def test_windows_have_the_same_bits(device, library):
+    host, rng = library(DEFAULT), np.random.default_rng(4)
+    clamped = 0
+    for _ in range(300):
+        current = random_camera(rng)
+        if rng.random() < 0.1:
+            predicted = [random_camera(rng)]
+        else:
+            predicted = [random_camera(rng, current) for _ in range(rng.integers(1, 4))]
+        size, distance = tuple(rng.uniform(100, 2000, 2)), rng.choice([np.inf, rng.uniform(0.5, 50)])
+        how = {"max_enlargement": rng.uniform(1, 3), "distance": distance, "margin": rng.uniform(0, 2)}
+        expected = adaptive_window(current, predicted, size=size, least=0.001, **how)
+        options = host.gffe_default_window_options(*size)
+        for name, value in (how | {"least": 0.001}).items():
+            setattr(options, name, value)
+        cameras, made = (CCamera * len(predicted))(*map(CCamera.of, predicted)), CWindow()
+        fault = host.gffe_adaptive_window(
+            ct.byref(CCamera.of(current)), cameras, len(predicted), ct.byref(options), ct.byref(made)
+        )
+        assert fault is None
+        assert (made.u0, made.v0, made.u1, made.v1, bool(made.clamped)) == tuple(expected)
+        render = host.gffe_window_camera(ct.byref(made), ct.byref(CCamera.of(current)), *size, 640.0, 360.0)
+        assert render.camera() == expected.camera(current, size, (640, 360))
+        clamped += made.clamped
+    assert 10 < clamped < 290
+
+
+@pytest.mark.slow
+def test_the_nearest_depth_is_the_same(device, library):
+    host, rng = library(DEFAULT), np.random.default_rng(5)
+    for height, width in ((1, 1), (40, 61), (301, 333)):
+        depth = rng.uniform(-1, 20, (height, width)).astype(np.float32)
+        depth[rng.random(depth.shape) < 0.2] = np.inf
+        depth[rng.random(depth.shape) < 0.1] = np.nan
+        for image in (depth, np.full_like(depth, np.inf)):
+            assert host.gffe_nearest_depth(image.ctypes.data_as(ct.c_void_p), width, height) == nearest_depth(image)
+
+
+# ---- faults ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_faults_say_what_and_what_was_expected(device, library):
+    host, frames = library(DEFAULT), moving(device, 2)
+    first, second = frames
+    engine = Engine(host, device, W, H)
+    small = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 16)
+    bent, moved = np.diag([1.0, 2, 1, 1]), first.camera.moved((1, 0, 0))
+    bad = CCamera.of(first.camera)
+    bad.world_to_view[:] = bent.ravel()
+
+    def refused(text, call, *arguments, **changes):
+        with pytest.raises(Failed, match=text) as failure:
+            call(*arguments, **changes)
+        assert failure.value.status == INVALID
+
+    refused("submit a rendered frame first", engine.extrapolate, 1.0)
+    refused("submit a rendered frame first", engine.present)
+    refused("submit a rendered frame first", engine.predict_camera, 0.5)
+    refused(r"depth buffer must hold 20252 bytes \(83x61\), got 16", submit, engine, first, depth=small)
+    refused("there is no color buffer", submit, engine, first, color=None)
+    refused("must have the pose of the render camera", submit, engine, first, display_camera=moved)
+    refused("motion is missing", submit, engine, first, motion=None, reset=False)
+    for names, text in (
+        (("effects_motion",), "effects_motion without effects"),
+        (("ui",), "ui buffer must hold 40504"),
+    ):
+        refused(text, engine.set_overlays, Overlays(**dict.fromkeys(names, small)))
+    refused("time nan s must be finite", submit, engine, first, time=np.nan)
+    refused(r"frame: time 1e\+308 s must be finite, and below 1e\+300 s", submit, engine, first, time=1e308)
+    assert b"not rigid" in host.gffe_camera_fault(ct.byref(bad))
+    submit(engine, first, motion=None)  # a reset may lack it
+    refused("after the previous rendered frame's", submit, engine, second, time=first.time)
+    refused("is before the last rendered frame's", engine.extrapolate, first.time - 1)
+    refused(r"is more than 1e\+06 intervals after", engine.extrapolate, first.time + 1e6)
+    refused("there is no buffer 'history.none'", engine.get, "history.none")
+    refused("there is no buffer 'presentation.color'", engine.get, "presentation.color")  # nothing was resampled yet
+    submit(engine, second)
+    assert host.gffe_set_exposure(engine.handle, 0.0) == INVALID and host.gffe_set_exposure(engine.handle, 2.0) == 0
+    engine.destroy()
+    host.gffe_destroy(None)
+    refused("width and height must be 1 to 16384, got 0 and 61", Engine, host, device, 0, H)
+    refused("lanes must be 0, 1 or 8, got 3", Engine, host, device, W, H, lanes=3)
+    refused("shared_memory must be -1, 0 or 1, got 2", Engine, host, device, W, H, shared_memory=2)
+    refused("fps must be positive", Engine, host, device, W, H, fps=0.0)
+    refused(r"fps must be positive, 1e-06 to 1e\+06, got 1e\+308", Engine, host, device, W, H, fps=1e308)
+    refused(
+        "there is a network, but it was exported without", Engine, host, device, W, H, network=NETWORK(lambda *_: 0)
+    )
+    refused("needs a context and a queue", Engine, host, device, W, H, context=0)
+    other = cl.Context([device.cl_device])
+    refused("the queue is of another context", Engine, host, device, W, H, context=other.int_ptr)
+
+
+NUMBERS = (
+    np.nan, np.inf, -np.inf, 1e308, -1e308, 1e299, 1e16, 1e9, 1.1e6, 1e6, 16.0, 2.0, 1.0, 0.5, 0.0, -1.0, 1e-6, 1e-7,
+    1e-10, 5e-324,
+)  # fmt: skip
+
+
+def refuses(call, *arguments, **changes) -> bool:
+    try:
+        call(*arguments, **changes)
+    except (GffeError, Failed):
+        return True
+    return False
+
+
+@pytest.mark.slow
+def test_numbers_that_python_refuses_are_refused(device, library):
+    host, frames = library(DEFAULT), moving(device, 3)
+    engine, pipeline = Engine(host, device, W, H), Pipeline(device, W, H, DEFAULT)
+    for number in NUMBERS:
+        with pytest.raises(Failed) as failure:  # what is wrong for certain is looked at last
+            Engine(host, device, W, H, fps=number, lanes=3)
+        assert ("fps" in str(failure.value)) == refuses(require_frame_rate, number), number
+        again = {"time": number, "reset": True}
+        ours = refuses(pipeline.submit, replace(frames[0], **again))
+        assert refuses(submit, engine, frames[0], **again) == ours, number
+    for frame in (replace(frames[0], reset=True), *frames[1:]):
+        pipeline.submit(frame)
+        submit(engine, frame)
+    for number in NUMBERS:
+        assert refuses(engine.predict_camera, number) == refuses(pipeline.predict_camera, number), number
+        assert refuses(engine.extrapolate, number) == refuses(pipeline.extrapolate, time=number), number
+        exposure = host.gffe_set_exposure(engine.handle, number) == INVALID
+        assert exposure == refuses(require_exposure, number), number
+    engine.destroy()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["max_enlargement", "distance", "margin", "least", "width", "height"])
+def test_windows_that_python_refuses_are_refused(device, library, name):
+    host, camera, made = library(DEFAULT), Camera(np.eye(4), 80, 80, W / 2, H / 2), CWindow()
+    for number in NUMBERS:
+        options, sizes = host.gffe_default_window_options(W, H), {"width": float(W), "height": float(H)}
+        setattr(options, name, number)
+        how = {} if name in sizes else {name: number}
+        size = tuple((sizes | ({name: number} if name in sizes else {})).values())
+        one = ct.byref(CCamera.of(camera))
+        fault = host.gffe_adaptive_window(one, one, 1, ct.byref(options), ct.byref(made))
+        assert bool(fault) == refuses(adaptive_window, camera, camera, size=size, **how), (number, fault)
+
+
+@pytest.mark.slow
+def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch):
+    def twice(self, step):
+        extrapolated(self, step)
+        if self.sizes.target[0] > 1000:
+            extrapolated(self, step)
+
+    extrapolated = Downsampled.extrapolated
+    monkeypatch.setattr(Downsampled, "extrapolated", twice)
+    with pytest.raises(GffeError, match=r"holes.fill_from_downsampled depends on the image or the frame"):
+        record(device, DEEP, True)
+
+
+@pytest.mark.slow
+def test_a_grid_that_c_does_not_know_stops_the_export(device, monkeypatch, tmp_path):
+    kernels = tuple(replace(kernel, grid="diamonds") for kernel in FarSide.kernels)
+    monkeypatch.setattr(FarSide, "kernels", kernels)
+    with pytest.raises(GffeError, match=r"C does not have the grid 'diamonds' \(expected once, source, target, "):
+        export(tmp_path, device, DEFAULT)
+
+
+@pytest.mark.slow
+def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
+    """Numbers that change with the image or the frame belong into the frame block, which C fills, too."""
+
+    def other(self, step):
+        self.launch("fill_from_downsampled", step, after_far_side=self.sizes.target[0] // 9)
+
+    monkeypatch.setattr(FarSide, "extrapolated", other)
+    complaint = r"kernels/holes.cl, fill_from_downsampled: argument 'after_far_side' depends on"
+    with pytest.raises(GffeError, match=complaint):
+        record(device, DEFAULT, True)
+
+
+@pytest.mark.slow
+def test_an_earlier_export_is_replaced(device, tmp_path):
+    export(tmp_path, device, DEFAULT)
+    assert (tmp_path / "kernels" / "holes.cl").is_file()
+    (tmp_path / "mine.txt").write_text("mine")
+    names = export(tmp_path, device, replace(DEFAULT, hole_filling="none"))
+    assert not (tmp_path / "kernels" / "holes.cl").exists() and (tmp_path / "mine.txt").is_file()
+    found = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert found == {*names, "mine.txt"}
+
+
+@pytest.mark.slow
+def test_a_folder_that_holds_something_else_is_left_alone(device, gffe, tmp_path):
+    (tmp_path / "mine.c").write_text("int mine;\n")
+    code, _, error = gffe("export", tmp_path, "--device", device.info.index)
+    assert code == 2 and "is not empty, and not written by `gffe export`" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.c"]

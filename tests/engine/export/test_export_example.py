@@ -1,0 +1,192 @@
+"""The exported folder as a user has it: compiled by strict C and C++ compilers, run as a program of its own, watched by
+sanitizers."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import null_calls
+import numpy as np
+import pytest
+from exported import STRICT, require_compiler
+
+from gffe_cl.cli.run import open_source
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+
+COUNT, SIZE = 4, "70x52"
+SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
+SUPPRESSED = "".join(f"leak:{name}\n" for name in ("libpocl", "libOpenCL", "libLLVM", "libclang", "ld-linux"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """An export with frames, as the command writes it."""
+    require_compiler("cc", "c++")
+    out = tmp_path_factory.mktemp("exported") / "c"
+    command = [sys.executable, "-m", "gffe_cl", "export", str(out), "--frames", "plaza", "--count", str(COUNT)]
+    pocl = {"GFFE_DEVICE": "pocl"} if list(SYSTEM_VENDORS.glob("pocl*.icd")) else {}
+    subprocess.run([*command, "--size", SIZE], check=True, capture_output=True, env=os.environ | pocl)
+    return out
+
+
+@pytest.fixture(scope="module")
+def loader(tmp_path_factory):
+    """How to link OpenCL's loader, and the environment in which it finds PoCL alone."""
+    require_compiler("cc")
+    environment = {k: v for k, v in os.environ.items() if k not in ("LD_PRELOAD", "OCL_ICD_VENDORS")}
+    if not list(SYSTEM_VENDORS.glob("pocl*.icd")):
+        pytest.skip("no PoCL of the system's")
+    vendors = tmp_path_factory.mktemp("vendors")
+    for path in SYSTEM_VENDORS.glob("pocl*.icd"):
+        (vendors / path.name).write_text(path.read_text())
+    environment["OCL_ICD_VENDORS"] = str(vendors)
+    for folder in (*os.environ.get("LIBRARY_PATH", "").split(":"), "", f"{sys.prefix}/lib"):
+        found = f"{folder}/libOpenCL.so"
+        link = [found] if folder and Path(found).exists() else ["-lOpenCL"]
+        empty = tmp_path_factory.mktemp("loader") / "none"
+        run = [
+            "cc",
+            "-x",
+            "c",
+            "-",
+            "-x",
+            "none",
+            *link,
+            "-o",
+            str(empty),
+            "-Wl,--unresolved-symbols=ignore-in-shared-libs",
+        ]
+        if not subprocess.run(run, input="int main(void) { return 0; }", text=True, capture_output=True).returncode:
+            extra = {"LD_LIBRARY_PATH": folder} if folder else {}
+            return [*link, "-Wl,--unresolved-symbols=ignore-in-shared-libs", "-lm"], environment | extra
+    pytest.skip("no libOpenCL to link (Debian: ocl-icd-opencl-dev)")
+
+
+def sources(folder):
+    return sorted(str(path) for path in folder.glob("*.c") if path.name != "gffe_onnx.c")
+
+
+def compiled(folder, loader, name, *flags):
+    """A program of the folder's sources."""
+    command = ["cc", "-std=c99", *STRICT, *flags, *sources(folder), "-o", str(folder / name), *loader[0]]
+    subprocess.run(command, check=True)
+    return folder / name
+
+
+def example(program, folder, out, loader, **environment):
+    out.mkdir(exist_ok=True)
+    command = [str(program), str(folder / "frames"), str(out), "Portable"]
+    return subprocess.run(command, env=loader[1] | environment, capture_output=True, text=True, timeout=300)
+
+
+def test_strict_compilers_of_c_and_cpp_take_it(folder):
+    for command in (["cc", "-std=c99"], ["c++", "-x", "c++"]):
+        subprocess.run([*command, *STRICT, "-fsyntax-only", *sources(folder)], check=True)
+    if shutil.which("clang"):
+        subprocess.run(["clang", "-std=c99", *STRICT, "-fsyntax-only", *sources(folder)], check=True)
+
+
+def test_the_readme_calls_what_there_is(folder):
+    names = {path.name for path in folder.iterdir()}
+    assert {"gffe.h", "gffe.c", "main.c", "gffe_onnx.c", "CMakeLists.txt", "README.md", "kernels", "frames"} <= names
+    readme = (folder / "README.md").read_text()
+    declared = "".join((folder / f"gffe{part}.h").read_text() for part in ("", "_camera", "_onnx"))
+    called = set(re.findall(r"\b(gffe_\w+)\(", readme))
+    assert len(called) >= 10 and called <= set(re.findall(r"\b(gffe_\w+)\(", declared))
+
+
+def test_the_example_makes_what_python_makes_and_leaks_nothing(folder, loader, device):
+    if "pocl" not in device.info.version.lower():
+        pytest.skip("the example runs on PoCL")
+    program = compiled(folder, loader, "watched", "-g", "-O1", "-fsanitize=address,undefined")
+    (folder / "suppressed").write_text(SUPPRESSED)
+    watch = {"LSAN_OPTIONS": f"suppressions={folder / 'suppressed'}", "UBSAN_OPTIONS": "halt_on_error=1"}
+    ran = example(program, folder, folder / "out", loader, **watch)
+    if "LeakSanitizer has encountered a fatal error" in ran.stderr:
+        pytest.skip("leaks cannot be looked for here (no ptrace)")
+    assert ran.returncode == 0, ran.stderr
+    live = {"--size": SIZE, "--frames": COUNT, "--fps": None, "--seed": None}
+    _, source = open_source(Path("plaza"), None, device.info.index, live)
+    pipeline = Pipeline(device, source.width, source.height, Options(shading_correction=False), fps=source.fps)
+    for number, (_, frame) in enumerate(source.frames([0.5], False)):
+        pipeline.submit(frame)
+        time = frame.time + 0.5 * pipeline.interval
+        made = pipeline.extrapolate(source.cameras_at([time])[0], time)
+        for part in ("color", "depth", "motion", "filled_by"):
+            expected = made.numpy(part)
+            theirs = np.fromfile(folder / "out" / f"{number:04}_made.{part}", expected.dtype)
+            theirs = theirs.reshape(*expected.shape[:2], -1)[..., : expected.shape[-1] if expected.ndim > 2 else 1]
+            assert np.array_equal(theirs.reshape(expected.shape), expected, equal_nan=True), (number, part)
+    assert (folder / "out" / "0003_made.ppm").stat().st_size == 3 * 70 * 52 + len("P6\n70 52\n255\n")
+
+
+def test_leaks_would_be_found(folder, loader, tmp_path):
+    for path in folder.iterdir():
+        if path.suffix in (".c", ".h"):
+            text = path.read_text().replace("    free(g->kernels);\n", "")
+            (tmp_path / path.name).write_text(text)
+    program = compiled(tmp_path, loader, "leaking", "-g", "-fsanitize=address")
+    (folder / "suppressed").write_text(SUPPRESSED)
+    ran = example(program, folder, tmp_path / "out", loader, LSAN_OPTIONS=f"suppressions={folder / 'suppressed'}")
+    if "LeakSanitizer has encountered a fatal error" in ran.stderr:
+        pytest.skip("leaks cannot be looked for here (no ptrace)")
+    assert ran.returncode and "gffe_open" in ran.stderr
+
+
+def test_the_example_says_what_is_wrong(folder, loader, tmp_path):
+    program = compiled(folder, loader, "plain", "-O1")
+    short = tmp_path / "frames"
+    shutil.copytree(folder / "frames", short)
+    (short / "0001.depth").write_bytes(b"1234")
+    for frames, wanted in ((tmp_path / "none", "cannot be read"), (short, "0001: the file is too short")):
+        command = [str(program), str(frames), str(tmp_path), "Portable"]
+        ran = subprocess.run(command, env=loader[1], capture_output=True, text=True)
+        assert ran.returncode == 2 and wanted in ran.stderr and len(ran.stderr.splitlines()) == 1
+    assert subprocess.run([str(program)], env=loader[1], capture_output=True).returncode == 2
+    ran = subprocess.run([program, short, tmp_path, "No such"], env=loader[1], capture_output=True, text=True)
+    assert ran.returncode == 2 and "there is no such platform" in ran.stderr
+
+
+@pytest.mark.long
+def test_cmake_builds_it(folder, loader, tmp_path):
+    require_compiler("cmake")
+    library = loader[0][0] if loader[0][0].endswith(".so") else None
+    given = [f"-DOpenCL_LIBRARY={library}"] if library else []
+    includes = [path for path in os.environ.get("C_INCLUDE_PATH", "").split(":") if path]
+    given += [f"-DOpenCL_INCLUDE_DIR={includes[0]}"] if includes else []
+    flags = "-DCMAKE_EXE_LINKER_FLAGS=-Wl,--unresolved-symbols=ignore-in-shared-libs"
+    subprocess.run(["cmake", "-S", folder, "-B", tmp_path, flags, *given], check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", tmp_path], check=True, capture_output=True)
+    assert (tmp_path / "gffe_example").is_file()
+
+
+@pytest.mark.long
+def test_the_readme_s_commands_work_as_they_are(folder, loader, tmp_path):
+    require_compiler("cmake")
+    copy = tmp_path / "c"
+    shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("out", "build"))
+    commands = [line for line in (copy / "README.md").read_text().splitlines() if line.startswith("    ")][:2]
+    given = {"LDFLAGS": "-Wl,--unresolved-symbols=ignore-in-shared-libs"}
+    given["CMAKE_LIBRARY_PATH"] = str(Path(loader[0][0]).parent) if loader[0][0].endswith(".so") else ""
+    given["CMAKE_INCLUDE_PATH"] = os.environ.get("C_INCLUDE_PATH", "")
+    subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=copy, env=loader[1] | given, check=True, timeout=600)
+    assert len(list((copy / "out").glob("*.ppm"))) == COUNT
+
+
+def test_null_for_each_pointer_is_an_invalid_argument(folder, loader, tmp_path):
+    """Of a gffe that is there, and of one that could not be made; nothing crashes."""
+    (tmp_path / "null_calls.c").write_text(null_calls.program(folder))
+    parts = [*(path for path in sources(folder) if not path.endswith("main.c")), str(tmp_path / "null_calls.c")]
+    command = ["cc", "-std=c99", "-O0", f"-I{folder}", *parts, "-o", str(tmp_path / "null_calls"), *loader[0]]
+    subprocess.run(command, check=True)
+    ran = subprocess.run([tmp_path / "null_calls"], env=loader[1], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, (ran.returncode, ran.stdout[-200:], ran.stderr)
+    made = {tuple(line.split()[:2]): line.split()[2] for line in ran.stdout.splitlines()}
+    assert set(made) == {(function, parameter) for function, parameter, *_ in null_calls.calls(folder)}
+    taken = {call for call, status in made.items() if status == "0"}
+    assert len(made) > 40 and taken == null_calls.MAY_BE_NULL - {("gffe_destroy", "g")}
+    assert {made[call] for call in set(made) - taken} == {"1", "-"}

@@ -1,0 +1,282 @@
+"""Sharing with graphics APIs: what drivers say of it, and the calls, by a fake driver behind the real types of C. Its
+buffers, contexts and events are the real device's, so that pipelines work with them."""
+
+import ctypes as ct
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl import (
+    Device,
+    GffeError,
+    GlSharing,
+    MemorySharing,
+    Options,
+    Pipeline,
+    SharingSupport,
+    sharing_support,
+)
+from gffe_cl.engine.frame.rendered_frame import host_arrays
+from gffe_cl.engine.opencl import sharing
+
+W, H = 32, 24
+SLOTS = 3  # of rendered frames: two are in use while the third is written
+P, INT, UINT, SIZE, ULONG = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t, ct.c_uint64
+GL_CONTEXT, DISPLAY = 0xABC000, 0xDEF000
+INVALID_VALUE, INVALID_OPERATION = -30, -59
+TAKE, GIVE = "Acquire", "Release"
+KINDS = {"GL": "GLObjects", "memory": "ExternalMemObjectsKHR"}
+
+
+def real(name, handle):
+    """A call of the real loader that takes one handle: retains what it is of."""
+    function = getattr(sharing._loader(), name)
+    function.argtypes = [P]
+    assert function(handle) == 0
+
+
+class FakeDriver:
+    """Keeps what belongs to whom: `acquired`, buffers that OpenCL may use. `calls`: (name, what it was about)."""
+
+    def __init__(self, device):
+        self.device, self.calls, self.memory, self.acquired, self.kept, self.events = device, [], {}, set(), [], []
+        self.functions = {
+            "clGetDeviceInfo": (INT, (P, UINT, SIZE, P, P), self.device_info),
+            "clGetGLContextInfoKHR": (INT, (P, UINT, SIZE, P, P), self.gl_context_info),
+            "clCreateContext": (P, (P, UINT, P, P, P, P), self.create_context),
+            "clCreateFromGLBuffer": (P, (P, ULONG, UINT, P), self.from_gl),
+            "clCreateBufferWithProperties": (P, (P, P, ULONG, SIZE, P, P), self.with_properties),
+        }
+        for kind in KINDS.values():
+            for verb in (TAKE, GIVE):
+                self.functions[f"clEnqueue{verb}{kind}"] = (INT, (P, UINT, P, UINT, P, P), self.mover(verb, kind))
+        self.callbacks = {
+            name: ct.CFUNCTYPE(result, *given)(call) for name, (result, given, call) in self.functions.items()
+        }
+
+    def address(self, platform, name):
+        assert platform == self.device.cl_device.platform
+        return ct.cast(self.callbacks[name], P).value if name in self.callbacks else None
+
+    def device_info(self, device, what, room, values, nbytes):
+        assert (device, what) == (self.device.cl_device.int_ptr, 0x204F)
+        types = (UINT * 3)(0x2067, 0x9999, 0x2060)
+        assert room >= ct.sizeof(types)
+        ct.memmove(values, types, ct.sizeof(types))
+        SIZE.from_address(nbytes).value = ct.sizeof(types)
+        return 0
+
+    def gl_context_info(self, properties, what, room, values, nbytes):
+        told = (ct.c_ssize_t * 7).from_address(properties)
+        assert (what, room) == (0x2006, ct.sizeof(P))
+        self.calls.append(("context info", list(told)))
+        is_ours = told[1] == GL_CONTEXT
+        P.from_address(values).value = self.device.cl_device.int_ptr if is_ours else None
+        SIZE.from_address(nbytes).value = ct.sizeof(P) * is_ours
+        return 0
+
+    def create_context(self, properties, count, devices, callback, user, error):
+        assert (count, P.from_address(devices).value) == (1, self.device.cl_device.int_ptr)
+        self.calls.append(("create context", list((ct.c_ssize_t * 7).from_address(properties))))
+        self.kept.append(cl.Context([self.device.cl_device]))
+        real("clRetainContext", self.kept[-1].int_ptr)
+        INT.from_address(error).value = 0
+        return self.kept[-1].int_ptr
+
+    def from_gl(self, context, flags, name, error):
+        self.calls.append(("from GL", (flags, name)))
+        return self._buffer(context, name, error)
+
+    def with_properties(self, context, properties, flags, nbytes, host, error):
+        told = list((ULONG * 3).from_address(properties))
+        assert host is None
+        self.calls.append(("with properties", (told, flags, nbytes)))
+        return self._buffer(context, told[1], error, nbytes)
+
+    def _buffer(self, context, name, error, nbytes=None):
+        """What the other API has under this name; the caller gets a reference of its own."""
+        INT.from_address(error).value = 0 if name in self.memory else INVALID_VALUE
+        if name not in self.memory:
+            return None
+        memory = self.memory[name]
+        assert memory.context.int_ptr == context and nbytes in (None, memory.size)
+        real("clRetainMemObject", memory.int_ptr)
+        return memory.int_ptr
+
+    def mover(self, verb, kind):
+        def move(queue, count, buffers, waits, events, event):
+            own = cl.CommandQueue.from_int_ptr(queue, retain=True)
+            given = set((P * count).from_address(buffers)) if count else set()
+            awaited = [cl.Event.from_int_ptr(e, retain=True) for e in (P * waits).from_address(events)] if waits else []
+            self.calls.append((f"{verb}{kind}", (count, waits)))
+            if (verb == TAKE and given & self.acquired) or (verb == GIVE and not given <= self.acquired):
+                return INVALID_OPERATION
+            self.acquired = self.acquired | given if verb == TAKE else self.acquired - given
+            self.events.append(cl.enqueue_marker(own, wait_for=awaited))
+            real("clRetainEvent", self.events[-1].int_ptr)
+            P.from_address(event).value = self.events[-1].int_ptr
+            return 0
+
+        return move
+
+    def lend(self, context, name, nbytes):
+        """Memory of the other API."""
+        self.memory[name] = cl.Buffer(context, cl.mem_flags.READ_WRITE, nbytes)
+        return self.memory[name]
+
+
+@pytest.fixture
+def driver(device, monkeypatch):
+    fake = FakeDriver(device)
+    monkeypatch.setattr(sharing, "_address", fake.address)
+    says = "cl_khr_gl_sharing", "cl_khr_external_memory"
+    monkeypatch.setattr(sharing, "_extensions", lambda own: says if own.platform == device.cl_device.platform else ())
+    return fake
+
+
+def frames(count):
+    scene, poses = Rects([Rect((0, 0, 5), (9, 9)), Rect((0, 0, 3), (0.5, 0.5), (3, 0, 0))]), []
+    for k in range(count):
+        poses.append((camera(W, H, (0.1 * k, 0, 0)), k / 30))
+        yield scene.frame(*poses[-1], W, H, poses[k - 1] if k else None, reset=k == 0)
+
+
+def loop(driver, shared, made_by, kind):
+    """An engine's frames: rendered into shared memory, and shown from shared memory. Returns what it shows."""
+    device, context, shown = shared.device, shared.device.context, []
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+    sizes, other = (8 * W * H, 4 * W * H, 8 * W * H), cl.CommandQueue(context)
+    slots = []
+    for slot in range(SLOTS):
+        for part, nbytes in enumerate(sizes):
+            driver.lend(context, 10 * slot + part + 1, nbytes)
+        slots.append([made_by(10 * slot + part + 1, nbytes) for part, nbytes in enumerate(sizes)])
+    driver.lend(context, 99, sizes[0])
+    out = made_by(99, sizes[0])
+    driver.calls.clear()
+    for k, frame in enumerate(frames(4)):
+        buffers, before = slots[k % SLOTS], slots[(k - 1) % SLOTS] if k else []
+        host = host_arrays(frame, H, W).in_device_layout()
+        for part, array in enumerate((host.color, host.depth, host.motion)):  # the other API renders
+            assert not driver.acquired
+            cl.enqueue_copy(other, driver.memory[10 * (k % SLOTS) + part + 1], array)
+        in_use = [*buffers, *before, out]
+        taken = shared.acquire(in_use, wait_for=[cl.enqueue_marker(other)])
+        pipeline.submit(replace(frame, color=buffers[0], depth=buffers[1], motion=buffers[2]), wait_for=[taken])
+        made = pipeline.extrapolate()
+        copied = cl.enqueue_copy(device.queue, out, made.color)
+        shared.release(in_use, wait_for=[copied.int_ptr]).wait()
+        picture = np.empty((H, W, 4), np.float16)  # the other API shows it
+        cl.enqueue_copy(other, picture, driver.memory[99])
+        shown.append(picture[..., :3].tobytes())
+        taken_and_given = [(f"{verb}{KINDS[kind]}", (len(in_use), 1)) for verb in (TAKE, GIVE)]
+        assert driver.calls == taken_and_given and not driver.acquired
+        driver.calls.clear()
+    return shown
+
+
+def expected(device):
+    pipeline, shown = Pipeline(device, W, H, Options(shading_correction=False)), []
+    for frame in frames(4):
+        pipeline.submit(frame)
+        shown.append(pipeline.extrapolate().numpy("color").tobytes())
+    return shown
+
+
+def test_frames_of_opengl(device, driver):
+    own = GlSharing.open_device(GL_CONTEXT, DISPLAY, "egl")
+    properties = [0x2008, GL_CONTEXT, 0x2009, DISPLAY, 0x1084, device.cl_device.platform.int_ptr, 0]
+    assert driver.calls == [("context info", properties), ("create context", properties)]
+    assert own.context == driver.kept[0]
+    shared = GlSharing(own)
+    assert loop(driver, shared, lambda name, nbytes: shared.buffer(name), "GL") == expected(device)
+    shared.buffer(99)
+    assert driver.calls == [("from GL", (1, 99))]
+
+
+def test_frames_of_vulkan(device, driver):
+    own = Device.from_context(cl.Context([device.cl_device]))
+    shared = MemorySharing(own)
+    assert sharing_support(own) == SharingSupport(True, ("opaque_fd", "dma_buf"))
+    shown = loop(driver, shared, lambda name, nbytes: shared.buffer("opaque_fd", name, nbytes), "memory")
+    assert shown == expected(device)
+    shared.buffer("dma_buf", 99, 8 * W * H)
+    assert driver.calls == [("with properties", ([0x2067, 99, 0], 1, 8 * W * H))]
+
+
+def test_references_are_the_callers_own(device, driver):
+    shared = GlSharing(GlSharing.open_device(GL_CONTEXT, DISPLAY))
+    memory = driver.lend(shared.device.context, 5, 64)
+    count = lambda: memory.get_info(cl.mem_info.REFERENCE_COUNT)  # noqa: E731
+    buffer = shared.buffer(5)
+    assert count() == 2
+    event = shared.acquire([buffer])
+    event.wait()
+    shared.release([buffer]).wait()
+    del buffer
+    shared.device.queue.finish()
+    assert count() == 1
+    (context,) = driver.kept
+    del shared
+    assert context.get_info(cl.context_info.REFERENCE_COUNT) >= 1
+
+
+def test_wrong_calls(device, driver):
+    own = GlSharing.open_device(GL_CONTEXT, DISPLAY)
+    gl, memory = GlSharing(own), MemorySharing(own)
+    driver.lend(own.context, 5, 64)
+    buffer = gl.buffer(5)
+    foreign = cl.UserEvent(device.context)
+
+    def refused(text, call, *arguments):
+        with pytest.raises(GffeError, match=text) as told:
+            call(*arguments)
+        assert "\n" not in str(told.value)
+
+    refused("no OpenCL driver shares with this OpenGL context", GlSharing.open_device, GL_CONTEXT + 1, DISPLAY)
+    refused("window_system must be one of egl, glx, wgl, got", GlSharing.open_device, GL_CONTEXT, DISPLAY, "x11")
+    refused("gl_context must be a whole number", GlSharing.open_device, None, DISPLAY)
+    refused("display must be a whole number", GlSharing.open_device, GL_CONTEXT, 0)
+    refused("name must be a whole number", gl.buffer, 0)
+    refused("clCreateFromGLBuffer failed: OpenCL error -30", gl.buffer, 6)
+    refused("kind must be one of opaque_fd, dma_buf, got", memory.buffer, "d3d12_heap", 5, 64)
+    refused("handle must be a whole number", memory.buffer, "opaque_fd", -1, 64)
+    refused("nbytes must be a whole number from 1", memory.buffer, "opaque_fd", 5, 0)
+    refused("clCreateBufferWithProperties failed: OpenCL error -30", memory.buffer, "opaque_fd", 6, 64)
+    refused("buffers must be a list of pyopencl.Buffers, got 5", gl.acquire, 5)
+    refused(r"wait_for\[0\] belongs to another OpenCL context", gl.acquire, [buffer], [foreign])
+    gl.acquire([buffer])
+    refused("clEnqueueAcquireGLObjects failed: OpenCL error -59", gl.acquire, [buffer])
+    gl.release([buffer])
+    refused("clEnqueueReleaseExternalMemObjectsKHR failed: OpenCL error -59", memory.release, [buffer])
+    driver.callbacks.pop("clEnqueueAcquireExternalMemObjectsKHR")
+    refused("neither the driver .* nor the OpenCL loader has clEnqueueAcq", memory.acquire, [buffer])
+    refused("device must be an open Device", sharing_support, own.context)
+
+
+def test_what_drivers_say(device):
+    """... and where they offer nothing, one line says so."""
+    support, extensions = sharing_support(device), device.cl_device.extensions.split()
+    assert support.opengl == ("cl_khr_gl_sharing" in extensions)
+    assert bool(support.memory) == ("cl_khr_external_memory" in extensions)
+    for kind, offered in ((GlSharing, support.opengl), (MemorySharing, support.memory)):
+        if not offered:
+            with pytest.raises(GffeError, match=r"the driver does not offer .*\(cl_khr_\w+\) \(see sharing_support\)"):
+                kind(device)
+    if not support.opengl:
+        with pytest.raises(GffeError, match="no OpenCL driver shares with this OpenGL context"):
+            GlSharing.open_device(GL_CONTEXT, DISPLAY)
+
+
+def test_functions_are_found_in_the_real_loader(device):
+    """The real clCreateBufferWithProperties makes a buffer, where no property asks for another API's memory."""
+    platform, error = device.cl_device.platform, INT()
+    create = sharing._function(platform, "clCreateBufferWithProperties", P, P, P, ULONG, SIZE, P, P)
+    made = create(device.context.int_ptr, (ULONG * 1)(0), int(cl.mem_flags.READ_WRITE), 256, None, ct.byref(error))
+    assert error.value == 0
+    assert cl.Buffer.from_int_ptr(made, retain=False).size == 256
+    with pytest.raises(GffeError, match="nor the OpenCL loader has clNoSuchFunctionKHR"):
+        sharing._function(platform, "clNoSuchFunctionKHR", INT)

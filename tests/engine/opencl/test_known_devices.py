@@ -1,0 +1,247 @@
+"""What is known of devices from one process to the next: kept, recalled, forgotten, and never a reason to fail."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import foreign_files
+import pytest
+from test_device import GPU, INTEL, POCL
+
+from gffe_cl import GffeError
+from gffe_cl.engine.opencl import device as device_module
+from gffe_cl.engine.opencl import device_cache, probing
+from gffe_cl.engine.opencl.device import list_devices, open_device
+from gffe_cl.engine.opencl.probing import Probed
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("GFFE_DEVICE_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def probes(monkeypatch):
+    """Probing finds this list of devices; `calls` counts how often it was done."""
+
+    class Probes:
+        found, crashing, calls = [POCL, INTEL], {}, 0
+
+        def __call__(self):
+            self.calls += 1
+            return Probed([replace(info) for info in self.found], dict(self.crashing))
+
+    made = Probes()
+    monkeypatch.setattr(device_module, "probe", made)
+    monkeypatch.setattr(device_module, "_crashing", {})
+    return made
+
+
+def test_probing_happens_once(cache, probes):
+    assert list_devices() == list_devices() == [POCL, INTEL] and probes.calls == 1
+    probes.found = [POCL]
+    assert list_devices() == [POCL, INTEL] and probes.calls == 1
+    assert list_devices(refresh=True) == list_devices() == [POCL] and probes.calls == 2
+    assert [path.suffix for path in cache.iterdir()] == [".json"]
+
+
+def test_nothing_is_kept_where_that_is_off(monkeypatch, probes, tmp_path):
+    monkeypatch.setenv("GFFE_DEVICE_CACHE", "off")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert list_devices() == list_devices() == [POCL, INTEL] and probes.calls == 2
+    assert not list(tmp_path.rglob("devices-*"))
+
+
+def test_the_cache_folder_is_the_users(monkeypatch, probes, tmp_path):
+    monkeypatch.delenv("GFFE_DEVICE_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert list_devices() == list_devices() and probes.calls == 1
+    assert len(list(tmp_path.glob("gffe-cl/devices-*.json"))) == 1 or sys.platform != "linux"
+
+
+def damaged():
+    document = {"time": 1e9, "devices": [vars(POCL)], "crashing": {}}
+    yield from ("", "[]", "nonsense", "null", "[" * 100_000, '{"time": 1}')
+    yield json.dumps(document | {"time": "yesterday"})
+    yield json.dumps(document | {"time": 1e12})
+    yield json.dumps(document | {"devices": [vars(POCL) | {"megapixels_per_second": "fast"}]})
+    yield json.dumps(document | {"devices": [vars(POCL) | {"index": None}]})
+    yield json.dumps(document | {"devices": [vars(POCL) | {"color": "red"}]})
+    yield json.dumps(document | {"devices": {"0:0": 1}})
+    yield json.dumps(document | {"crashing": []})
+
+
+@pytest.mark.parametrize("text", list(damaged()), ids=lambda text: text[:20] or "empty")
+def test_a_damaged_file_is_replaced(cache, probes, text):
+    list_devices()
+    (path,) = cache.iterdir()
+    whole = path.read_text()
+    path.write_text(text)
+    assert list_devices() == [POCL, INTEL] and probes.calls == 2
+    assert json.loads(path.read_text())["devices"] == json.loads(whole)["devices"]
+
+
+def test_bytes_that_are_no_text_are_replaced(cache, probes):
+    list_devices()
+    (path,) = cache.iterdir()
+    path.write_bytes(b"\xff\xfe\0")
+    assert list_devices() == [POCL, INTEL] and probes.calls == 2
+
+
+@pytest.mark.parametrize("kind", foreign_files.KINDS)
+def test_regular_files_only(cache, probes, kind):
+    list_devices()
+    (path,) = cache.iterdir()
+    foreign_files.put(path, kind)
+    assert foreign_files.within(10, list_devices) == [POCL, INTEL] and probes.calls == 2
+
+
+def test_a_folder_that_cannot_be_written_is_no_error(tmp_path, monkeypatch, probes):
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file" / "folder", tmp_path / ("long" * 100)):
+        monkeypatch.setenv("GFFE_DEVICE_CACHE", str(folder))
+        assert list_devices() == [POCL, INTEL]
+    assert probes.calls == 3
+
+
+def test_other_drivers_are_probed_anew(cache, probes, tmp_path, monkeypatch):
+    """A library that was replaced, another vendor, another variable of a driver, other code that probes."""
+    library, icds = tmp_path / "libdriver.so", tmp_path / "vendors"
+    icds.mkdir()
+    library.write_text("a driver")
+    (icds / "driver.icd").write_text(f"{library}\n")
+    monkeypatch.setenv("OCL_ICD_VENDORS", str(icds))
+
+    def replace_library():
+        library.write_text("a newer one")
+
+    def install_another():
+        (icds / "other.icd").write_text("libother.so.1\n")
+
+    def find_its_library():
+        monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
+        (tmp_path / "libother.so.1").touch()
+
+    def set_a_variable():
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+
+    keys = [device_cache.fingerprint()]
+    for change in (replace_library, install_another, find_its_library, set_a_variable):
+        list_devices()
+        assert device_cache.fingerprint() == keys[-1]
+        change()
+        keys.append(device_cache.fingerprint())
+    assert len(set(keys)) == len(keys)
+    list_devices()
+    assert probes.calls == len(keys)
+
+
+def test_what_another_version_found_is_not_recalled(cache, probes, tmp_path, monkeypatch):
+    """It may have ranked devices by another figure."""
+    older = tmp_path / "probing.py"
+    older.write_text(Path(probing.__file__).read_text("utf-8") + "# another one\n", "utf-8")
+    with monkeypatch.context() as patch:
+        patch.setattr(probing, "__file__", str(older))
+        list_devices()
+    probes.found = [POCL]
+    assert list_devices() == [POCL] and probes.calls == 2
+
+
+def age(cache, seconds):
+    (path,) = cache.glob("devices-*.json")
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"time": document["time"] - seconds}))
+
+
+@pytest.mark.parametrize("kind", ["does not work", "crashes", "is none"])
+def test_what_does_not_work_is_tried_again_after_an_hour(cache, probes, kind, monkeypatch):
+    hidden = []
+    monkeypatch.setattr(device_module, "hide_vendors", hidden.append)
+    if kind == "crashes":
+        probes.crashing = {"bad.icd": replace(GPU, index="–", works=False)}
+    else:
+        probes.found = [POCL, replace(INTEL, works=False, problem="busy")] if kind == "does not work" else []
+    first = list_devices()
+    age(cache, 1800)
+    assert list_devices() == first and probes.calls == 1
+    assert hidden == ([{"bad.icd"}] if kind == "crashes" else [])
+    age(cache, 3600)
+    assert list_devices() == first and probes.calls == 2
+
+
+def test_what_works_stays_known(cache, probes, monkeypatch):
+    monkeypatch.setattr(device_cache, "vendors", lambda: ["a.icd"])
+    monkeypatch.setattr(device_cache, "fingerprint", lambda: "key")
+    list_devices()
+    age(cache, 1e7)
+    list_devices()
+    assert probes.calls == 1
+    monkeypatch.setattr(device_cache, "vendors", list)  # drivers that no file tells of
+    list_devices()
+    assert probes.calls == 2
+
+
+def test_only_the_newest_files_stay(cache, probes):
+    cache.mkdir()
+    for k in range(30):
+        device_cache.keep(f"key{k}", Probed([POCL]))
+        os.utime(cache / f"devices-key{k}.json", (k, k))
+    device_cache.keep("newest", Probed([POCL]))
+    assert len(list(cache.iterdir())) == 16 and device_cache.recall("newest").devices == [POCL]
+
+
+def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypatch):
+    """The first process knew another device of that index, or more devices than there are; a kernel never saw it."""
+    really = device_module.probe
+    there = device.info.index
+    monkeypatch.delenv("GFFE_DEVICE", raising=False)
+    for gone in (replace(GPU, index=there), replace(GPU, index="9:9"), replace(GPU, index="0:99")):
+        calls = []
+        monkeypatch.setattr(device_module, "probe", lambda calls=calls: calls.append(1) or really())
+        device_cache.keep(device_cache.fingerprint(), Probed([replace(gone)]))
+        opened = open_device(there)
+        assert opened.info.name == device.info.name and len(calls) == 1
+        assert open_device(there).info == opened.info and len(calls) == 1
+
+
+def test_no_known_device_matches(cache, probes):
+    list_devices()
+    with pytest.raises(GffeError, match="no working device matches 'abacus'"):
+        open_device("abacus")
+    assert probes.calls == 2  # it may have come since
+
+
+def test_children_recall_what_their_parent_found(cache, device):
+    """Neither a child of a process nor what it starts probes again."""
+    list_devices()
+    code = (
+        "from gffe_cl.engine.opencl import device\n"
+        "def probe(): raise SystemExit('probed again')\n"
+        "device.probe = probe\n"
+        "print(len(device.list_devices()), device.open_device().info.name)\n"
+    )
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert child.returncode == 0, child.stderr
+
+
+def test_the_command_refreshes(cache, probes, tmp_path, capsys):
+    from gffe_cl.cli.commands import invoke
+
+    for arguments, calls in (([], 1), ([], 1), (["--refresh"], 2)):
+        assert invoke(["devices", *arguments, "--json", str(tmp_path / "report.json")]) == 0
+        assert probes.calls == calls
+        listed = json.loads((tmp_path / "report.json").read_text())["devices"]
+        assert [(info["name"], info["default"]) for info in listed] == [(POCL.name, False), (INTEL.name, True)]
+    said = capsys.readouterr().out
+    assert "--refresh" in said and re.search(r"^ *\* +1:0 .* yes +4 +nothing", said, re.MULTILINE), said
+
+
+def test_probing_is_in_a_child(monkeypatch):
+    """This process runs no kernel of a device that it does not know."""
+    monkeypatch.setattr(probing, "_run_probe_kernel", None)
+    assert any(info.works for info in list_devices(refresh=True))

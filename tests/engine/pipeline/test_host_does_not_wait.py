@@ -1,0 +1,113 @@
+"""The host does not wait for a slow device: `submit` and `extrapolate` return while the device has not begun."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from gffe_cl import Options, Pipeline
+from gffe_cl.engine.selftest.scene import CUT, FPS, display_camera, frames
+
+SIZE = (64, 36)
+
+
+@pytest.fixture
+def seen():
+    return frames(*SIZE, count=CUT, samples=1)
+
+
+def on(device, frame):
+    """The frame in buffers of the device."""
+    color = (
+        np.concatenate([frame.color, np.zeros_like(frame.color[..., :1])], -1)
+        if frame.color.shape[-1] == 3
+        else frame.color
+    )
+    arrays = np.ascontiguousarray(color, np.float16), frame.depth, frame.motion
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    buffers = [None if a is None else cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(a)) for a in arrays]
+    return replace(frame, color=buffers[0], depth=buffers[1], motion=buffers[2])
+
+
+def make(pipeline, frame):
+    time = frame.time + 0.5 / FPS
+    return pipeline.extrapolate(display_camera(time, *SIZE), time)
+
+
+def is_complete(event):
+    return event.command_execution_status == cl.command_execution_status.COMPLETE
+
+
+def behind_a_gate(device, pipeline, frame, also):
+    """Submit `frame` to a device that may not begin, and do `also`; returns the event of `submit`."""
+    gate = cl.UserEvent(device.context)
+    try:
+        done = pipeline.submit(frame, wait_for=[gate])
+        also()
+        assert not is_complete(done)
+    finally:
+        gate.set_status(cl.command_execution_status.COMPLETE)
+    done.wait()
+
+
+@pytest.mark.parametrize("detects", [True, False])
+def test_submit_returns_before_the_device_has_begun(device, seen, detects):
+    pipeline = Pipeline(device, *SIZE, Options(cut_detection=detects, shading_correction=False))
+    for frame in seen[:-1]:
+        pipeline.submit(on(device, frame))
+        make(pipeline, frame)
+    last = on(device, seen[-1])
+    behind_a_gate(device, pipeline, last, lambda: None if detects else make(pipeline, last))
+
+
+def test_arrays_are_copied_without_waiting(device, seen, monkeypatch):
+    """... to a device with memory of its own, which reads pinned memory meanwhile: arrays may change at once."""
+    monkeypatch.setitem(device.__dict__, "works_in_host_memory", False)
+    options = Options(shading_correction=False)
+    expected, found = Pipeline(device, *SIZE, options), Pipeline(device, *SIZE, options)
+    for frame in seen[:-1]:
+        for pipeline in (expected, found):
+            pipeline.submit(frame)
+    expected.submit(seen[-1])
+    arrays = [np.array(getattr(seen[-1], name)) for name in ("color", "depth", "motion")]
+    given = replace(seen[-1], color=arrays[0], depth=arrays[1], motion=arrays[2])
+
+    def overwrite():
+        for array in arrays:
+            array[:] = 1
+
+    behind_a_gate(device, found, given, overwrite)
+    for name in ("color", "depth", "motion"):
+        np.testing.assert_array_equal(make(expected, seen[-1]).numpy(name), make(found, seen[-1]).numpy(name))
+    assert found.bad_pixels == expected.bad_pixels
+
+
+def test_an_unmarked_cut_is_one_in_the_frame_that_is_made_next(device, seen):
+    """The first frame after a cut is made as after a marked one, whatever is asked first."""
+    cut = replace(seen[-1], color=seen[-1].color[::-1, ::-1], depth=np.ascontiguousarray(seen[-1].depth[::-1] * 7))
+    made = {}
+    for marked in (True, False):
+        pipeline = Pipeline(device, *SIZE, Options(shading_correction=False))
+        for frame in seen[:-1]:
+            pipeline.submit(frame)
+            make(pipeline, frame)
+        pipeline.submit(replace(cut, reset=marked))
+        made[marked] = pipeline.extrapolate(None, cut.time + 0.5 / FPS).numpy("color")
+        assert pipeline.is_cut != marked and pipeline.interval == pytest.approx(1 / pipeline.fps)
+    np.testing.assert_array_equal(made[True], made[False])
+
+
+def test_parts_of_buffers_begin_where_the_device_asks_for(device, seen, monkeypatch):
+    """... and results do not depend on that."""
+    made = {}
+    for alignment in (device.alignment, 4096):
+        monkeypatch.setitem(device.__dict__, "alignment", alignment)
+        pipeline = Pipeline(device, *SIZE, Options(levels=3, shading_correction=False))
+        for frame in seen:
+            pipeline.submit(frame)
+            made[alignment] = make(pipeline, frame).numpy("color")
+    starts = [buffer.offset for stage in pipeline.stages.values() for buffer in stage.buffer.values()]
+    assert any(starts) and not any(start % 4096 for start in starts)
+    first, last = made.values()
+    np.testing.assert_array_equal(first, last)

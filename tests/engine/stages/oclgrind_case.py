@@ -1,0 +1,113 @@
+"""Runs every kernel once at 64×48; meant to be started under Oclgrind (see test_oclgrind.py)."""
+
+import os
+import sys
+import tempfile
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+from synthetic import camera
+from test_shading_correction import made_stages
+from test_twins import run
+
+from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.engine.opencl.program import kernel_folder
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Board
+from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.shading import FocusMask
+from gffe_cl.engine.stages.upload import Upload
+
+WIDTH, HEIGHT = 64, 48
+
+
+def without_looks(folder):
+    """Use kernels that change keys without a look at them: Oclgrind takes a read beside an atomic for a race."""
+    copytree(kernel_folder(), folder, dirs_exist_ok=True)
+    header = Path(folder, "nearest.h")
+    text = header.read_text()
+    assert "#define LOOKS 1" in text
+    header.write_text(text.replace("#define LOOKS 1", "#define LOOKS 0"))
+    os.environ["GFFE_KERNELS"] = str(folder)
+
+
+def stages(device, int64):
+    """All kernels of the pipeline, in the path with 64-bit atomics or the one without."""
+    for options in (
+        Options(history=3, order=2, shading_inputs=True, upscale=1, upscale_sharpening=0.5),
+        Options(hole_filling="push-pull"),
+    ):
+        pipeline, seen, *_, made = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
+        made.numpy("color")
+        pipeline.present().numpy("motion")
+        pipeline.submit(replace(seen[-1], time=seen[-1].time + 1, overlays=overlays()))
+        pipeline.extrapolate().numpy("color")
+
+
+def overlays():
+    """All there are; the effects move out of the image."""
+    rgba, motion = np.full((HEIGHT, WIDTH, 4), 0.5, np.float16), np.full((HEIGHT, WIDTH, 2), -9, np.float32)
+    mask, ui = np.eye(HEIGHT, WIDTH), np.full((HEIGHT + 5, WIDTH - 3, 4), 0.5, np.float16)
+    return Overlays(mask, rgba, motion, ui)
+
+
+def shading(device):
+    """What surrounds the shading correction network, on images of odd sizes, with output made up."""
+    for size in ((37, 21), (1, 1)):
+        board, correction, step = made_stages(device, size, 0.5)
+        focus = FocusMask(correction.board)
+        shape = correction.spec("judgement").shape(correction.sizes)
+        judgement = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
+        for name in ("shading", "network_input", "shading_flow"):
+            board.stages[name].extrapolated(step)
+        correction.upload("judgement", judgement)
+        correction.launch("choose_flow", step)
+        correction.launch("judge", step)
+        for within_mask in (True, False):
+            correction.with_refined = within_mask
+            correction.compose(step, within_mask)
+        correction.skip()
+        focus.make(correction.buffer["color"], 0.5)
+        focus.read("focus_truth")
+
+
+def upload(device):
+    """Frames from the host, in each form that kernels take, in images with rows that end within a strip."""
+    for lanes, size in product((1, 8), ((37, 3), (250, 2))):
+        device.__dict__["lanes"] = lanes
+        board, view = Board(device, Sizes(size, size)), camera(*size)
+        frame = DeviceFrame.allocate(device, size, view, view, 0.0)
+        for in_place, dtype, channels in product((True, False), (np.float16, np.float32), (3, 4)):
+            stage = Upload(board)
+            stage._in_place = in_place
+            color = np.full((*size[::-1], channels), np.nan, dtype)
+            depth, motion = np.zeros(size[::-1], np.float32), np.ones((*size[::-1], 2), np.float32)
+            stage.take(HostArrays(color, depth, motion), frame)
+            assert stage.take_bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
+
+
+def scene(device):
+    from gffe_cl.captures.scenes import SCENES, SceneRenderer, load_scene
+
+    for name in SCENES:
+        built = load_scene(name)
+        renderer = SceneRenderer(device, built, 32, 18, samples=2)
+        camera = built.camera(0.1, 32, 18)
+        renderer.render(0.1, camera, 0.0, built.camera(0.0, 32, 18)).numpy()
+
+
+if __name__ == "__main__":
+    opened = open_device()
+    assert opened.info.platform == "Oclgrind", opened
+    case = sys.argv[1]
+    with tempfile.TemporaryDirectory() as folder:
+        without_looks(folder)
+        if case in ("scene", "shading", "upload"):
+            {"scene": scene, "shading": shading, "upload": upload}[case](opened)
+        else:
+            stages(opened, case == "int64")
+    print("finished", case)

@@ -1,0 +1,671 @@
+"""What the geometry promises, on exact synthetic frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from synthetic import Rect, Rects, camera, psnr
+
+from gffe_cl import GffeError, Options, Pipeline, RenderedFrame
+from gffe_cl.captures.sequence.encoding import Encoding
+
+W, H = 96, 64
+WALL = Rect((0, 0, 10), frequency=0.35)
+
+
+def half(image):
+    return image.astype(np.float16)
+
+
+def submit(pipeline, scene, cameras, times, width=W, height=H, reset_first=True, samples=1):
+    previous = None
+    for k, (cam, time) in enumerate(zip(cameras, times, strict=True)):
+        frame = scene.frame(cam, time, width, height, previous, reset=reset_first and k == 0, samples=samples)
+        pipeline.submit(frame)
+        previous = (cam, time)
+    return frame
+
+
+# ---- identity and resampling ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(W, H), (61, 37)])
+@pytest.mark.parametrize("pose", [{}, {"position": (3e5, -2e5, 1e6), "yaw": 0.7, "pitch": 0.2, "roll": 0.4}])
+def test_identity_is_bit_exact(device, size, pose):
+    """Equal cameras and zero motion give color and depth back bit for bit, sky and silhouettes included."""
+    cam = camera(*size, **pose)
+    rng = np.random.default_rng(1)
+    depth = rng.choice([2.0, 3.7, np.inf, 55.1], (size[1], size[0])).astype(np.float32)
+    color = half(rng.uniform(0, 300, (size[1], size[0], 3)))
+    still = np.zeros((size[1], size[0], 2), np.float32)
+    pipeline = Pipeline(device, *size)
+    for k in range(3):
+        pipeline.submit(RenderedFrame(color, depth, still, cam, k / 30, reset=k == 0))
+    out = pipeline.extrapolate(cam, 2.5 / 30)
+    assert out.numpy("color").tobytes() == color.tobytes()
+    assert out.numpy("depth").tobytes() == depth.tobytes()
+    assert not out.numpy("motion").any() and not out.numpy("dynamic").any() and not out.numpy("filled_by").any()
+
+
+@pytest.mark.parametrize("pan", [(0.25, 0.0), (0.5, 0.5), (0.37, -0.81), (1.5, 0.25)])
+def test_subpixel_pan_is_no_worse_than_bilinear(device, pan):
+    """PSNR against the analytic image, interior pixels."""
+    scene = Rects([Rect((0, 0, 10), frequency=0.9)])
+    still = camera(W, H)
+    shift = np.array([*pan, 0]) * 10 / still.fx
+    moved = camera(W, H, tuple(shift))
+    pipeline = Pipeline(device, W, H)
+    frame = submit(pipeline, scene, [still, still], [0, 1 / 30], samples=4)
+    got = pipeline.extrapolate(moved, 1.5 / 30).numpy("color").astype(np.float64)
+    truth = scene.color(moved, 0, W, H, 4)
+    y, x = np.mgrid[4 : H - 4, 4 : W - 4]
+    u, v = x + pan[0], y + pan[1]
+    x0, y0 = np.floor(u).astype(int), np.floor(v).astype(int)
+    fu, fv = (u - x0)[..., None], (v - y0)[..., None]
+    c = frame.color.astype(np.float64)
+    bilinear = (c[y0, x0] * (1 - fu) + c[y0, x0 + 1] * fu) * (1 - fv) + (
+        c[y0 + 1, x0] * (1 - fu) + c[y0 + 1, x0 + 1] * fu
+    ) * fv
+    inner = truth[4 : H - 4, 4 : W - 4]
+    assert psnr(got[4 : H - 4, 4 : W - 4], inner) >= psnr(bilinear, inner)
+
+
+MOVING = Rects(
+    [
+        Rect((0, 0, 14), frequency=0.3),
+        Rect((-0.5, 0.3, 6), (1, 1), velocity=(6, 1, 0), frequency=1.3, tint=(0.6, 0.3, 0.1)),
+    ]
+)
+
+
+def dolly(k, offset=(0, 0, 0)):
+    position = np.array([0.06 * k, 0.01 * k, 0.1 * k]) + offset
+    return camera(W, H, tuple(position), 0.01 * k, 0.003 * k, 0.004 * k)
+
+
+def test_far_from_the_origin_gives_the_same_picture(device):
+    """A scene shifted by 10⁶ units: within 0.05 dB of the unshifted one, both against the truth."""
+    figures = []
+    for offset in ((0, 0, 0), (1e6, -1e6, 1e6)):
+        scene = Rects(MOVING.rects, offset)
+        pipeline = Pipeline(device, W, H)
+        submit(pipeline, scene, [dolly(k, offset) for k in range(4)], [k / 30 for k in range(4)])
+        out = pipeline.extrapolate(dolly(3.5, offset), 3.5 / 30)
+        truth = scene.color(dolly(3.5, offset), 3.5 / 30, W, H)
+        figures.append(psnr(out.numpy("color"), truth))
+    assert abs(figures[0] - figures[1]) < 0.05, figures
+
+
+# ---- cracks --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("magnification", [1.05, 1.3, 1.9, 3.0])
+@pytest.mark.parametrize("roll", [0.0, 0.15])
+def test_approached_surface_has_no_cracks(device, magnification, roll):
+    """Also where the surface has something behind it that could shine through."""
+    scene = Rects([Rect((0, 0, 40), tint=(9, 9, 9)), Rect((0, 0, 10), (4.0, 2.4), frequency=0.4)])
+    start, end = camera(W, H), camera(W, H, (0, 0, 10 - 10 / magnification), roll=roll)
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, scene, [start, start], [0, 1 / 30])
+    out = pipeline.extrapolate(end, 1.5 / 30)
+    truth = scene.frame(end, 0, W, H).depth
+    surface = np.abs(truth - 10 / magnification) < 1e-3
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        surface &= np.roll(np.abs(truth - 10 / magnification) < 1e-3, (dy, dx), (0, 1))
+    assert surface.sum() > 500
+    assert not out.numpy("disoccluded")[surface].any()
+    np.testing.assert_allclose(out.numpy("depth")[surface], truth[surface], rtol=1e-4)
+
+
+def test_slanted_floor_has_no_cracks(device):
+    """A ground plane seen at a grazing angle, rushing by: depth is steep there, yet one surface."""
+    y, x = np.mgrid[:H, :W] + 0.5
+    start = camera(W, H, pitch=0.0)
+    with np.errstate(divide="ignore"):
+        depth = np.where(y > H / 2 + 2, 1.5 * start.fy / (y - H / 2), np.inf).astype(np.float32)
+    color = half(np.stack([0.5 + 0.4 * np.sin(x / 3)] * 3, -1))
+    pipeline = Pipeline(device, W, H)
+    for k in range(2):
+        pipeline.submit(RenderedFrame(color, depth, np.zeros((H, W, 2), np.float32), start, k / 30, reset=k == 0))
+    out = pipeline.extrapolate(camera(W, H, (0, 0, 1.0)), 1.5 / 30)
+    floor = np.s_[H // 2 + 4 : H - 1, 8 : W - 8]
+    nearest_seen = depth[H - 1, 0] - 1.0  # what the source frame shows of the floor, in the new camera
+    visible = 1.5 * start.fy / (y[floor] - H / 2) > nearest_seen * 1.02
+    assert not out.numpy("disoccluded")[floor][visible].any()
+
+
+@pytest.mark.parametrize("magnification", [1.0, 1.2, 1.7])
+def test_thin_bar_stays_unbroken(device, magnification):
+    """A bar one pixel wide in front of a wall, dynamic or approached: present in every row."""
+    bar_depth = 5.0
+    for slant in (0.0, 0.3):
+        x = np.arange(W)
+        column = np.clip((W / 2 + slant * (np.arange(H) - H / 2)).astype(int), 0, W - 1)
+        depth = np.full((H, W), 20.0, np.float32)
+        depth[np.arange(H), column] = bar_depth
+        color = half(np.where((x[None] == column[:, None])[..., None], 1.0, 0.1) * np.ones(3))
+        cam = camera(W, H)
+        pipeline = Pipeline(device, W, H)
+        still = np.zeros((H, W, 2), np.float32)
+        for k in range(2):
+            pipeline.submit(RenderedFrame(color, depth, still, cam, k / 30, reset=k == 0))
+        end = camera(W, H, (0.013, 0, bar_depth * (1 - 1 / magnification)))
+        near = pipeline.extrapolate(end, 1.5 / 30).numpy("depth") < 6
+        assert near.any(1).all(), (magnification, slant)
+        rows = [np.flatnonzero(row) for row in near]
+        for upper, lower in zip(rows, rows[1:], strict=False):  # 8-connected down the image
+            assert lower.min() - upper.max() <= 1 and upper.min() - lower.max() <= 1
+
+
+# ---- motion --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("camera_fixed", [True, False])
+def test_what_is_fixed_to_the_camera_stays(device, camera_fixed):
+    """A dashboard before a camera that drives on and shakes: it stays where it is in the image, to the bit."""
+    wall = Rects([Rect((0, 0, 14), frequency=0.3)])
+    cameras = [camera(W, H, position) for position in ((0, 0, 0), (0.02, -0.01, 0.4), (-0.03, 0.02, 0.8))]
+    board = np.s_[3 * H // 4 :, :]
+    pattern = half(np.random.default_rng(0).uniform(0.1, 0.9, (H, W, 3)))
+    pipeline = Pipeline(device, W, H, options=Options(camera_fixed=camera_fixed))
+    for k, now in enumerate(cameras):
+        before = (cameras[max(k - 1, 0)], max(k - 1, 0) / 30)
+        shown = wall.frame(now, k / 30, W, H, before)
+        color, depth, motion = (np.array(a) for a in (shown.color, shown.depth, shown.motion))
+        color[board], depth[board], motion[board] = pattern[board], 0.8, 0
+        pipeline.submit(RenderedFrame(color, depth, motion, now, k / 30, reset=k == 0))
+    labels, met = (pipeline.stages["history"].read(name)[board] for name in ("dynamic_mask", "met_depth"))
+    out = pipeline.extrapolate(camera(W, H, (0.05, 0.03, 1.0)), 2.5 / 30)
+    color, depth, motion, dynamic = (out.numpy(name)[board][1:] for name in ("color", "depth", "motion", "dynamic"))
+    same = (color[..., :3] == pattern[board][1:]).all(-1) & (depth == np.float32(0.8))  # but for its soft upper edge
+    if camera_fixed:
+        assert (labels == 2).all() and (met == np.float32(0.8)).all()
+        assert same.all() and (dynamic == 1).all() and not motion.any()
+    else:
+        assert (labels == 1).mean() > 0.9 and same.mean() < 0.5
+
+
+def test_what_travels_with_the_camera_is_found_again(device):
+    """A near panel that is carried along, and shakes a little before the camera: its last position is known."""
+    wall = Rects([Rect((0, 0, 14), frequency=0.3)])
+    panel = np.s_[H // 2 :, W // 4 : W // 2]
+    met = {}
+    for camera_fixed in (True, False):
+        pipeline = Pipeline(device, W, H, options=Options(camera_fixed=camera_fixed))
+        for k in range(3):
+            now, before = camera(W, H, (0, 0, 0.4 * k)), camera(W, H, (0, 0, 0.4 * max(k - 1, 0)))
+            shown = wall.frame(now, k / 30, W, H, (before, max(k - 1, 0) / 30))
+            depth, motion = np.array(shown.depth), np.array(shown.motion)
+            depth[panel], motion[panel] = 0.8, (0.5, 0)
+            pipeline.submit(RenderedFrame(shown.color, depth, motion, now, k / 30, reset=k == 0))
+        met[camera_fixed] = pipeline.stages["history"].read("met_depth")[panel][4:-4, 4:-4]
+    assert (met[True] == np.float32(0.8)).all() and not met[False].all()
+
+
+def test_linear_motion_is_exact(device):
+    """An object in steady motion lands within 0.02 px of where it belongs, with depth; the wall stays."""
+    scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((-0.5, 0, 6), (1, 1), velocity=(3, 1, 9), frequency=1)])
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, scene, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+    truth = scene.frame(dolly(2.5), 2.5 / 30, W, H, (dolly(2), 2 / 30))
+    shown = (out.numpy("disoccluded") == 0) & (np.abs(out.numpy("depth") - truth.depth) < 0.05 * truth.depth)
+    moving = out.numpy("dynamic") == 1
+    assert moving[shown].sum() > 150 and shown.mean() > 0.9
+    np.testing.assert_allclose(out.numpy("depth")[shown], truth.depth[shown], rtol=2e-3)
+    error = np.abs(out.numpy("motion") - truth.motion).max(-1)
+    assert np.quantile(error[shown], 0.99) < 0.02
+
+
+@pytest.mark.parametrize("times", [(0, 1, 2), (0, 1, 3), (0, 3, 4)])
+def test_varying_intervals(device, times):
+    """α follows the real times: an object in steady motion is met after uneven intervals too."""
+    times = [t / 30 for t in times]
+    pipeline = Pipeline(device, W, H)
+    cam = camera(W, H)
+    submit(pipeline, MOVING, [cam] * 3, times)
+    out = pipeline.extrapolate(cam, times[-1] + 0.5 / 30)
+    assert out.alpha == pytest.approx(0.5 / 30 / (times[2] - times[1]))
+    truth = MOVING.color(cam, times[-1] + 0.5 / 30, W, H)
+    assert psnr(out.numpy("color"), truth, out.numpy("disoccluded") == 0) > 30
+
+
+def test_seven_frames_from_one(device):
+    """n = 7: the motion of each extrapolated frame is that of its own time, on the wall and on the mover."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    for j in range(1, 8):
+        pose, time = dolly(2 + j / 8), (2 + j / 8) / 30
+        out = pipeline.extrapolate(pose, time)
+        assert out.alpha == pytest.approx(j / 8)
+        truth = MOVING.frame(pose, time, W, H, (dolly(2), 2 / 30))
+        for part in (out.numpy("dynamic") == 0, out.numpy("dynamic") == 1):
+            part &= out.numpy("disoccluded") == 0
+            error = np.abs(out.numpy("motion") - truth.motion).max(-1)[part]
+            assert part.sum() > 100 and np.median(error) < 0.01
+
+
+def test_polynomial_follows_acceleration(device):
+    """Constant acceleration: order 2 predicts what order 1 misses, and so does order 1 with acceleration."""
+    cam = camera(W, H)
+
+    def frame(k, reset=False):
+        x = -1.5 + 0.012 * k * k
+        before = -1.5 + 0.012 * (k - 1) ** 2
+        scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((x, 0, 6), (1, 1), frequency=1)])
+        f = scene.frame(cam, k / 30, W, H, reset=reset)
+        f.motion[f.depth < 10] = ((before - x) * cam.fx / 6, 0)
+        return f, scene
+
+    errors = []
+    for options in (Options(acceleration=False), Options(history=3, order=2), Options()):
+        pipeline = Pipeline(device, W, H, options)
+        for k in range(6, 12):
+            pipeline.submit(frame(k, k == 6)[0])
+        out = pipeline.extrapolate(cam, 12 / 30)
+        near = out.numpy("depth") < 10
+        truth = frame(12)[0]
+        both = near & (truth.depth < 10)
+        errors.append(np.abs(out.numpy("motion") - truth.motion)[both].mean())
+    assert max(errors[1:]) < 0.02 and errors[0] > 0.1, errors
+
+
+def test_polynomial_of_the_highest_order(device):
+    """A path of degree 5 is predicted exactly by order 5, and not by order 4."""
+    cam, count = camera(W, H), 8
+    path = np.polynomial.Polynomial((-0.8, 0.02, 0.012, -0.004, 0.0009, -0.00006))
+
+    def frame(k):
+        scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((path(k), 0, 6), (1, 1), frequency=1)])
+        f = scene.frame(cam, k / 30, W, H, reset=k == 0)
+        f.motion[f.depth < 10] = ((path(k - 1) - path(k)) * cam.fx / 6, 0)
+        return f
+
+    errors = []
+    for order in (5, 4):
+        pipeline = Pipeline(device, W, H, Options(history=order + 1, order=order, static_threshold=0.01))
+        for k in range(count):
+            pipeline.submit(frame(k))
+        out = pipeline.extrapolate(cam, (count - 0.5) / 30)
+        both = (out.numpy("depth") < 10) & (frame(count - 0.5).depth < 10)
+        moved = (path(count - 1) - path(count - 0.5)) * cam.fx / 6
+        errors.append(np.median(np.abs(out.numpy("motion")[both] - (moved, 0)).max(-1)))
+    assert errors[0] < 0.02 and errors[1] > 3 * errors[0], errors
+
+
+@pytest.mark.parametrize("pace", [1.0, 0.15])
+def test_threshold_follows_quantized_motion(device, pace):
+    """Motion rounded to 1.5 px must not make the static world dynamic, be it that the camera is slow and most vectors
+    are equal; a mover stays dynamic."""
+    fractions = []
+    for step in (None, 1.5):
+        pipeline = Pipeline(device, W, H)
+        previous = None
+        scene = Rects([WALL, Rect((0, 0, 6), (0.8, 0.8), velocity=(12, 0, 0))])
+        for k in range(3):
+            cam = camera(W, H, (0.11 * k * pace, 0.02 * k * pace, 0.2 * k * pace), 0.02 * k * pace)
+            frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
+            if step:
+                frame.motion = (np.round(frame.motion / step) * step).astype(np.float32)
+            pipeline.submit(frame)
+            previous = (cam, k / 30)
+        dynamic = pipeline.stages["history"].read("dynamic_mask") > 0
+        mover = frame.depth < 7
+        fractions.append((dynamic[mover].mean(), dynamic[~mover].mean()))
+    for moving, static in fractions:
+        assert moving > 0.95 and static < 0.02, fractions
+
+
+@pytest.mark.parametrize("kind", ["looked up twice", "camera off"])
+def test_threshold_follows_other_errors(device, kind):
+    """Vectors over two intervals are the sum of two lookups, so their errors add up; a camera that is a fit is off by
+    the same everywhere. Neither makes the static world dynamic; a mover stays dynamic."""
+    pipeline, previous = Pipeline(device, W, H), None
+    scene = Rects([WALL, Rect((0, 0, 6), (0.8, 0.8), velocity=(12, 0, 0))])
+    for k in range(3):
+        cam, half_ago = (camera(W, H, (0.25 * t, 0, 0)) for t in (k, k - 0.5))
+        frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
+        if kind == "looked up twice" and previous:
+            first = scene.frame(cam, k / 30, W, H, (half_ago, (k - 0.5) / 30)).motion
+            second = scene.frame(half_ago, (k - 0.5) / 30, W, H, previous).motion
+            frame.motion = Encoding.parse("half-uv").looked_up([first, second])
+        elif kind == "camera off":
+            frame.camera = replace(cam, cx=cam.cx + (0.4, -0.3, 0.2)[k], cy=cam.cy - (0.2, 0.3, -0.2)[k])
+        pipeline.submit(frame)
+        previous = (cam, k / 30)
+    dynamic, mover = pipeline.stages["history"].read("dynamic_mask") > 0, frame.depth < 7
+    assert dynamic[mover].mean() > 0.9 and dynamic[~mover].mean() < 0.04, (
+        dynamic[mover].mean(),
+        dynamic[~mover].mean(),
+    )
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0, 3.9])
+def test_a_mover_that_fills_the_frame_is_no_noise(device, speed):
+    """Nothing but sky and one mover: its residual is large everywhere, but it is motion all the same."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H)
+    y, x = np.mgrid[:H, :W]
+    for k in range(3):
+        mover = (np.abs(x - 30 - speed * k) < 20) & (np.abs(y - H / 2) < 24)
+        depth = np.where(mover, 6.0, np.inf).astype(np.float32)
+        motion = np.zeros((H, W, 2), np.float32)
+        motion[mover] = (-speed, 0)
+        color = half(np.where(mover[..., None], (0.8, 0.2, 0.1), (0.3, 0.4, 0.9)))
+        pipeline.submit(RenderedFrame(color, depth, motion, cam, k / 30, reset=k == 0))
+    assert pipeline.stages["history"].read("dynamic_mask")[mover].all()
+    shown = np.flatnonzero(pipeline.extrapolate(cam, 3 / 30).numpy("color")[H // 2, :, 0] > 0.6)
+    assert abs(shown.min() - (30 + speed * 3 - 19.5)) <= 1 and abs(shown.max() - (30 + speed * 3 + 19.5)) <= 1
+
+
+@pytest.mark.parametrize("approach", [0.04, 0.06, 0.1])
+def test_an_object_coming_straight_at_the_camera(device, approach):
+    """Depth shrinks by up to 10% per frame with hardly any sideways motion: its history is known, it grows."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H)
+
+    def scene(k):
+        return Rects([Rect((0, 0, 30), frequency=0.1), Rect((0, 0, 8 * (1 - approach) ** k), (1.5, 1.0))])
+
+    for k in range(4):
+        frame = scene(k).frame(cam, k / 30, W, H, reset=k == 0)
+        y, x = np.nonzero(frame.depth < 20)
+        away = np.stack([x + 0.5 - W / 2, y + 0.5 - H / 2], -1)
+        frame.motion[y, x] = away * (1 - approach) - away
+        pipeline.submit(frame)
+    dynamic = pipeline.stages["history"].read("dynamic_mask") == 1
+    known = pipeline.stages["history"].read("met_depth") > 0
+    assert dynamic.sum() > 150 and known[dynamic].mean() > 0.9
+    out = pipeline.extrapolate(cam, 3.5 / 30)
+    expected = 8 * ((1 - approach) ** 3 + 0.5 * ((1 - approach) ** 3 - (1 - approach) ** 2))
+    assert out.numpy("depth")[H // 2, W // 2 + 11] == pytest.approx(expected, rel=0.01)
+
+
+def test_motion_onto_another_surface_means_no_motion(device):
+    """Where the motion vector meets no plausible surface, the fragment is dynamic and stays where it is."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H, Options(static_threshold=0.5))
+    depth = np.full((H, W), 20, np.float32)
+    color = half(np.full((H, W, 3), 0.3))
+    still = np.zeros((H, W, 2), np.float32)
+    pipeline.submit(RenderedFrame(color, depth, still, cam, 0.0, reset=True))
+    depth2, motion2 = depth.copy(), still.copy()
+    depth2[20:30, 40:50] = 3.0  # appears from nowhere, claiming to come from 12 px to the left
+    motion2[20:30, 40:50] = (-12, 0)
+    pipeline.submit(RenderedFrame(color, depth2, motion2, cam, 1 / 30))
+    assert (pipeline.stages["history"].read("dynamic_mask")[20:30, 40:50] == 1).all()
+    out = pipeline.extrapolate(cam, 1.5 / 30)
+    assert np.array_equal(out.numpy("depth"), depth2)
+
+
+def test_sky_turns_but_does_not_move(device):
+    """Sky ignores V and the camera's translation; it is static and the farthest."""
+    cam, turned = camera(W, H), camera(W, H, (5, 1, 3), yaw=0.1)
+    y, x = np.mgrid[:H, :W] + 0.5
+    color = half(np.stack([0.5 + 0.3 * np.sin(x / 5), 0.5 + 0.3 * np.cos(y / 7), 0 * x + 0.5], -1))
+    depth = np.full((H, W), np.inf, np.float32)
+    motion = np.full((H, W, 2), 17.0, np.float32)
+    pipeline = Pipeline(device, W, H)
+    for k in range(2):
+        pipeline.submit(RenderedFrame(color, depth, motion, cam, k / 30, reset=k == 0))
+    out = pipeline.extrapolate(turned, 1.5 / 30)
+    assert not out.numpy("dynamic").any()
+    inside = out.numpy("disoccluded") == 0
+    assert 0.8 < inside.mean() < 0.99 and np.isinf(out.numpy("depth")[inside]).all()
+    px = np.stack([x, y], -1)
+    source = cam.project(turned.unproject(px, np.ones((H, W))) - turned.position)[0]
+    assert np.abs(out.numpy("motion") - (source - px))[inside].max() < 0.01
+
+
+def test_reset_forgets(device):
+    """After a reset everything is predicted as static, whatever the motion vectors say."""
+    pipeline = Pipeline(device, W, H)
+    cams = [camera(W, H)] * 3
+    submit(pipeline, MOVING, cams, [0, 1 / 30, 2 / 30])
+    assert pipeline.stages["history"].read("dynamic_mask").any()
+    frame = MOVING.frame(cams[0], 10.0, W, H, (cams[0], 10 - 1 / 30), reset=True)
+    pipeline.submit(frame)
+    assert not pipeline.stages["history"].read("dynamic_mask").any()
+    out = pipeline.extrapolate(cams[0], 10 + 0.5 / 30)
+    assert out.alpha == pytest.approx(0.5)
+    assert out.numpy("color").tobytes() == frame.color.tobytes()
+
+
+def test_no_motion_option_and_literal_splat(device):
+    for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling="none", levels=0)):
+        pipeline = Pipeline(device, W, H, options)
+        submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+        out = pipeline.extrapolate(dolly(4), 3 / 30)
+        if not options.motion:
+            assert not out.numpy("dynamic").any()
+        if not options.crack_closing:
+            assert not (out.numpy("filled_by") == 254).any()
+        if options.hole_filling == "none":
+            holes = out.numpy("disoccluded") == 1
+            assert holes.any() and np.isinf(out.numpy("depth")[holes]).all()
+
+
+# ---- holes ---------------------------------------------------------------------------------------------
+
+
+def test_holes_are_filled_with_surroundings(device):
+    """Everything is finite, filled pixels are tagged, and carry the motion of a static point at their depth."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    end = camera(W, H, (1.5, 0, 0.3), 0.2)
+    out = pipeline.extrapolate(end, 2.5 / 30)
+    holes = out.numpy("disoccluded") == 1
+    assert holes.any() and (out.numpy("filled_by") == 255)[holes].all()
+    assert np.isfinite(out.numpy("color")).all() and (out.numpy("depth") > 0).all()
+    assert (out.numpy("color")[holes] > 0.05).all() and (out.numpy("depth")[holes] < 20).all()
+    y, x = np.mgrid[:H, :W] + 0.5
+    px = np.stack([x, y], -1)
+    source = dolly(2).project(end.unproject(px, out.numpy("depth")))[0]
+    assert np.abs(out.numpy("motion") - (source - px))[holes].max() < 1e-2
+
+
+def test_holes_below_the_horizon_are_not_sky(device):
+    """A mover leaves a place that is half ground, half sky: each pixel shows the one that it is closer to."""
+    ground = Rect((0, 10, 8), (99, 10), frequency=0.2, tint=(0.9, 0.2, 0.1))  # y down: below the middle row
+    mover = Rect((0.6, 0, 3), (0.4, 0.6), velocity=(-24, 0, 0), tint=(0.1, 0.1, 0.9))
+    still, pipeline = camera(W, H), Pipeline(device, W, H, Options(levels=0))
+    submit(pipeline, Rects([ground, mover]), [still] * 2, [0, 1 / 30])
+    out = pipeline.extrapolate(still, 1.5 / 30)
+    hole, depth = out.numpy("filled_by") == 255, out.numpy("depth")
+    truth = Rects([ground]).frame(still, 0, W, H).depth
+    near = hole & np.isfinite(truth)
+    assert near.sum() > 10 and (hole & ~near).sum() > 10
+    assert (np.isfinite(depth) == np.isfinite(truth))[hole].mean() > 0.9
+    np.testing.assert_allclose(depth[near & np.isfinite(depth)], 8, rtol=1e-3)
+
+
+def test_turning_away_fills_everything(device):
+    """Nothing of the rendered frame is in view: the frame is filled all the same, without NaN."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(0), dolly(1)], [0, 1 / 30])
+    out = pipeline.extrapolate(camera(W, H, yaw=np.pi), 1.5 / 30)
+    assert (out.numpy("disoccluded") == 1).all()
+    color = out.numpy("color")
+    assert np.isfinite(color).all() and (color > 0.01).all()
+    assert np.isfinite(out.numpy("motion")).all()
+
+
+# ---- bad pixels ----------------------------------------------------------------------------------------
+
+BAD = {
+    "motion": [np.nan, np.inf, -np.inf, 1e30, -1e9, 500.0],
+    "depth": [np.nan, 0.0, -1.0, -np.inf, 1e38, 1e-38],
+    "color": [np.nan, 1e6, np.inf, -np.inf],
+}
+
+
+@pytest.mark.parametrize(("kind", "value"), [(k, v) for k, values in BAD.items() for v in values])
+def test_bad_pixels_do_no_harm(device, kind, value):
+    """A few bad pixels are counted and spoil nothing but their own neighborhood."""
+    outs = []
+    for spoil in (False, True):
+        pipeline = Pipeline(device, W, H)
+        previous = None
+        for k in range(4):
+            frame = MOVING.frame(dolly(k), k / 30, W, H, previous, reset=k == 0)
+            frame.color = frame.color.astype(np.float32)
+            if spoil:
+                for y, x in ((20, 30), (40, 50), (0, 0), (H - 1, W - 1)):
+                    getattr(frame, kind)[y, x] = value
+            pipeline.submit(frame)
+            previous = (dolly(k), k / 30)
+        out = pipeline.extrapolate(dolly(3.5), 3.5 / 30)
+        outs.append({name: out.numpy(name).astype(np.float64) for name in ("color", "depth", "motion")})
+        bad = pipeline.bad_pixels
+    is_far = kind == "depth" and value == 1e38  # it becomes sky
+    for name, image in outs[1].items():
+        assert (np.isfinite(image) | (is_far and name == "depth" and np.isposinf(image))).all(), name
+    changed = (outs[0]["color"] != outs[1]["color"]).any(-1)
+    assert changed.mean() < 0.04
+    counted = {
+        "motion": 0 if np.isfinite(value) else 16,
+        "depth": 0 if value >= np.finfo(np.float32).tiny else 16,
+        "color": 16 if not np.isfinite(value) else 0,
+    }[kind]
+    assert getattr(bad, kind) == counted and bad.far == (16 if is_far else 0)
+    if kind == "color" and value == 1e6:
+        assert bad.clamped == 16
+
+
+def test_frames_of_nothing_but_bad_pixels(device):
+    for kind in ("depth", "motion", "color"):
+        pipeline = Pipeline(device, W, H)
+        for k in range(3):
+            frame = MOVING.frame(dolly(k), k / 30, W, H, (dolly(k - 1), (k - 1) / 30), reset=k == 0)
+            getattr(frame, kind)[:] = np.nan
+            pipeline.submit(frame)
+        out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+        for name in ("color", "motion"):
+            assert np.isfinite(out.numpy(name)).all()
+        assert not np.isnan(out.numpy("depth")).any()
+
+
+# ---- the public interface ------------------------------------------------------------------------------
+
+
+def test_device_buffers_are_used_in_place(device):
+    """Frames given as device buffers give the same bits as NumPy arrays, and no copies; a reset needs no motion."""
+    results = []
+    for on_device in (False, True):
+        pipeline = Pipeline(device, W, H)
+        for k in range(3):
+            frame = MOVING.frame(dolly(k), k / 30, W, H, (dolly(k - 1), (k - 1) / 30), reset=k == 0)
+            if on_device:
+                flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+                color = np.zeros((H, W, 4), np.float16)
+                color[..., :3] = frame.color
+                for name, array in (("color", color), ("depth", frame.depth), ("motion", frame.motion)):
+                    buffer = cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
+                    setattr(frame, name, buffer)
+            if frame.reset:
+                frame.motion = None
+            pipeline.submit(frame)
+            if on_device:
+                assert pipeline._current.color is frame.color
+            out = pipeline.extrapolate(dolly(k + 0.5), (k + 0.5) / 30)
+            results.append([out.numpy(n).tobytes() for n in ("color", "depth", "motion", "filled_by")])
+            assert isinstance(out.color, cl.Buffer)
+    assert results[:3] == results[3:]
+
+
+def test_predicted_camera_is_used_when_none_is_given(device):
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [camera(W, H, (0.1 * k, 0, 0)) for k in range(3)], [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(time=2.5 / 30)
+    np.testing.assert_allclose(out.camera.position, (0.25, 0, 0), atol=1e-9)
+
+
+def test_misuse_is_refused(device):
+    pipeline = Pipeline(device, W, H)
+    with pytest.raises(GffeError, match="submit a rendered frame first"):
+        pipeline.extrapolate(camera(W, H), 0.0)
+    frame = MOVING.frame(dolly(0), 0.0, W, H, reset=True)
+    pipeline.submit(frame)
+    with pytest.raises(GffeError, match="after the previous"):
+        pipeline.submit(RenderedFrame(frame.color, frame.depth, frame.motion, frame.camera, 0.0))
+    with pytest.raises(GffeError, match="motion is missing"):
+        pipeline.submit(RenderedFrame(frame.color, frame.depth, None, frame.camera, 1.0))
+    with pytest.raises(GffeError, match=r"depth must have shape \(64, 96\), got \(96, 64\)"):
+        pipeline.submit(RenderedFrame(frame.color, frame.depth.T, frame.motion, frame.camera, 1.0))
+    with pytest.raises(GffeError, match="before the last rendered"):
+        pipeline.extrapolate(dolly(0), -1.0)
+    for bad in ({"history": 1}, {"order": 2}, {"static_threshold": -1}, {"static_threshold": float("nan")}):
+        with pytest.raises(GffeError, match="options"):
+            Options(**bad)
+
+
+def test_mover_behind_the_rendered_camera_is_drawn_where_the_new_one_sees_it(device):
+    """It flies past the rendered camera within the interval, and the new camera stands further back."""
+    mover = Rect((-0.9, 0, 1.4), (0.1, 0.1), velocity=(1.15 * 30, 0, -0.9 * 30), tint=(0, 5, 0))
+    still, back = camera(W, H), camera(W, H, (0, 0, -3))
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, Rects([WALL, mover]), [still, still], [0, 1 / 30])
+    out = pipeline.extrapolate(back, 2 / 30)
+    px, depth = back.project(mover.at(2 / 30))
+    assert still.project(mover.at(2 / 30))[1] < 0 < depth
+    shown = out.numpy("dynamic") == 1
+    y, x = np.nonzero(shown)
+    assert shown.sum() >= 4 and np.abs(np.stack([x, y], -1) + 0.5 - px).max() < 4
+    np.testing.assert_allclose(out.numpy("depth")[shown], depth, rtol=0.02)
+
+
+def test_labels_tell_holes_that_are_filled_from_those_that_are_not(device):
+    """255 is hole filling; 253 is nothing, where holes stay."""
+    turned = camera(W, H, yaw=0.5)
+    for filling, label in (("far-side", 255), ("push-pull", 255), ("downsample", 255), ("none", 253)):
+        pipeline = Pipeline(device, W, H, Options(hole_filling=filling))
+        submit(pipeline, Rects([WALL]), [camera(W, H)] * 2, [0, 1 / 30])
+        out = pipeline.extrapolate(turned, 1.5 / 30)
+        holes = out.numpy("disoccluded") == 1
+        assert holes.sum() > 500 and set(np.unique(out.numpy("filled_by")[holes])) == {label}
+        assert (out.numpy("color")[holes].max() == 0) == (filling == "none")
+
+
+def test_input_mask_is_zero_where_pixels_are_disoccluded(device):
+    """And nowhere else: pixels of silhouettes that the background recolors are not."""
+    scene = Rects([WALL, Rect((-0.5, 0.3, 6), (1, 1), velocity=(14, 1, 0), frequency=1.3, tint=(6, 0.3, 0.1))])
+    pipeline = Pipeline(device, W, H, Options(shading_inputs=True))
+    still = camera(W, H)
+    submit(pipeline, scene, [still] * 5, [k / 30 for k in range(5)], samples=4)
+    out = pipeline.extrapolate(still, 4.5 / 30)
+    mask = pipeline.stages["shading"].read("input_mask")
+    disoccluded, dynamic = out.numpy("disoccluded") == 1, out.numpy("dynamic") == 1
+    assert np.array_equal(mask == 0, disoccluded) and np.array_equal(mask == 1, dynamic & ~disoccluded)
+    filled = out.numpy("filled_by")
+    assert ((filled >= 1) & (filled <= 2) & ~disoccluded).any()
+    pipeline.take_timings()
+    pipeline.keep(["final"])
+    pipeline.extrapolate(still, 4.6 / 30)
+    assert pipeline.take_timings()["shading"] == 0  # nobody looks
+
+
+def test_outputs_of_the_stages_can_be_kept(device):
+    """What each stage leaves of the frame, and only what was asked for; the last one's is the frame's own."""
+    scene = Rects([WALL, Rect((-0.5, 0.3, 6), (0.3, 0.6), velocity=(14, 1, 0), frequency=1.3, tint=(6, 0.3, 0.1))])
+    pipeline = Pipeline(device, W, H)
+    pipeline.keep()
+    cameras = [camera(W, H, (0.02 * k, 0, 0)) for k in range(5)]
+    submit(pipeline, scene, cameras, [k / 30 for k in range(5)])
+    pipeline.extrapolate(camera(W, H, (0.3, 0, 0)), 4.5 / 30)
+    read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
+    stages = ("warp", "hidden_parts", "background", "holes")
+    expected = {f"{s}.{n}" for s in stages for n in ("color", "depth", "motion", "filled_by")}
+    expected = expected - {"holes.filled_by"} | {"silhouettes.color"}  # labeled so by the warp
+    assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
+    assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}
+    assert set(np.unique(read["background.filled_by"])) >= {1, 255}
+    for name in ("color", "depth", "motion", "filled_by"):
+        last = {"filled_by": "background", "color": "silhouettes"}.get(name, "holes")
+        assert read[f"{last}.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
+        changed = (read[f"warp.{name}"] != read[f"background.{name}"]).reshape(H, W, -1).any(-1)
+        own = read["warp.mixed"] == 1 if name in ("color", "filled_by") else False
+        assert changed.any() and ((read["warp.filled_by"] == 255) | own)[changed].all()
+    pipeline.keep(["background.depth", "frame.color"])
+    names = {f"{owner.name}.{spec.name}" for owner, spec in pipeline.named_buffers()}
+    assert names & expected == {"background.depth"}

@@ -1,0 +1,61 @@
+"""What hidden parts of movers promise, where the exact answer is known."""
+
+import numpy as np
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl import Options, Pipeline
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
+
+W, H = 160, 80
+WALL = Rect((0, 0, 10), frequency=0.25)
+MOVER = Rect((-1.2, 0, 6), (1.0, 0.6), velocity=(4, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+BARS = [Rect((x, 0, 4), (0.05, 3), frequency=0.2, tint=(0.1, 0.1, 0.1)) for x in np.arange(-2, 2.1, 0.5)]
+
+
+def last_frame(device, rects, options=None, target=(W, H), count=8):
+    """(new frame at t + ½, truth there, rendered frame) of `rects` before a still camera."""
+    scene, still = Rects(rects), camera(W, H)
+    pipeline = Pipeline(device, *target, options, render_size=(W, H))
+    previous = None
+    for k in range(count):
+        frame = scene.frame(still, k / 30, W, H, previous, reset=k == 0)
+        pipeline.submit(frame)
+        previous = (still, k / 30)
+    time, to = (count - 0.5) / 30, camera(*target)
+    return pipeline.extrapolate(to, time), scene.frame(to, time, *target), frame
+
+
+@pytest.mark.parametrize("target", [(W, H), (W * 3 // 2, H * 3 // 2)], ids=["same size", "larger"])
+def test_mover_behind_bars_is_whole(device, target):
+    """What the bars hid of the mover is the mover's, with its depth and motion; what they hid of the wall is not."""
+    out, truth, frame = last_frame(device, [WALL, MOVER, *BARS], target=target)
+    hidden = out.numpy("filled_by") == BY_HIDDEN_PART
+    mover = (truth.depth > 5) & (truth.depth < 7)
+    assert hidden.sum() > 20 and (hidden & mover).sum() > 0.9 * hidden.sum()
+    assert ((out.numpy("disoccluded") == 1) & mover & ~hidden).sum() < 0.2 * hidden.sum()
+    inside = hidden & mover
+    assert (out.numpy("color")[inside, 0] > 2).all()
+    np.testing.assert_allclose(out.numpy("depth")[inside], 6, rtol=1e-3)
+    y, x = np.nonzero(inside)
+    at = np.stack([x, y], -1) + 0.5 + out.numpy("motion")[inside]
+    shown = frame.depth[tuple(np.floor(at).astype(int).T[::-1])]
+    assert np.isclose(shown, 4, rtol=0.01).mean() > 0.9  # a bar
+
+
+def test_mover_off_the_bars_leaves_the_background_alone(device):
+    """Nothing hid a mover that stands free: its wake is the wall's."""
+    free, _, _ = last_frame(device, [WALL, MOVER])
+    assert (free.numpy("disoccluded") == 1).any() and not (free.numpy("filled_by") == BY_HIDDEN_PART).any()
+    out, _, _ = last_frame(device, [WALL, MOVER, *BARS], Options(hidden_parts=False))
+    assert not (out.numpy("filled_by") == BY_HIDDEN_PART).any()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 3), (17, 1)])
+def test_tiny_images(device, size):
+    scene = Rects([WALL, MOVER, *BARS])
+    pipeline, previous = Pipeline(device, *size), None
+    for k in range(4):
+        pipeline.submit(scene.frame(camera(*size), k / 30, *size, previous, reset=k == 0))
+        previous = (camera(*size), k / 30)
+    assert np.isfinite(pipeline.extrapolate(camera(*size, (0.1, 0, 0)), 3.5 / 30).numpy("color")).all()

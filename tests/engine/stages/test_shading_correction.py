@@ -1,0 +1,602 @@
+"""The shading correction network in the pipeline, with small models in place of the trained one."""
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyopencl as cl
+import pytest
+import twins
+from device_arrays import copy_to
+from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
+from synthetic import Rect, Rects, camera
+from test_twins import run
+
+from gffe_cl import GffeError, Options, Pipeline
+from gffe_cl.engine.frame.rendered_frame import HostArrays
+from gffe_cl.engine.inference import network as inference
+from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS, OUTPUT, shapes_at
+from gffe_cl.engine.inference.network import load_network
+from gffe_cl.engine.opencl.device import quiet_builds
+from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.network_input import NetworkInput
+from gffe_cl.engine.stages.shading import ShadingInputs
+from gffe_cl.engine.stages.shading_flow import ShadingFlow
+from gffe_cl.engine.stages.shading_trend import ShadingTrend
+
+SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1), (33, 66)]
+
+
+@pytest.fixture
+def model(tmp_path):
+    return lambda *args, **values: constant_model(tmp_path / "model.onnx", *args, **values)
+
+
+def put(stage, **arrays):
+    for name, array in arrays.items():
+        cl.enqueue_copy(stage.device.queue, stage.buffer[name], np.ascontiguousarray(array))
+
+
+def images(size, rng):
+    """What a frame may hold: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
+    with each call."""
+    height, width = size[1], size[0]
+    color = rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16)
+    for value in (0, -3, 60000, -0.0, 6e-8):
+        color[rng.integers(height), rng.integers(width), rng.integers(3)] = value
+    patches = np.random.default_rng(0).lognormal(1, 2, (height // 9 + 1, width // 21 + 1)).astype(np.float32)
+    patches[rng.random(patches.shape) < 0.2] = np.inf
+    depth = patches.repeat(9, 0).repeat(21, 1)[:height, :width]
+    return color, np.ascontiguousarray(depth * rng.uniform(0.99, 1.01, depth.shape).astype(np.float32))
+
+
+def made_stages(device, size, exposure=1.0, seed=1):
+    """A board with the extrapolated frame and the stages around the network, and what they are to work on."""
+    board, rng = Board(device, Sizes(size, size), Options()), np.random.default_rng(seed)
+    now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
+    color, depth = images(size, rng)
+    motion = rng.uniform(-2, 2, (*depth.shape, 2)).astype(np.float32)
+    color[rng.random(depth.shape) < 0.01] = np.nan
+    motion[rng.random(depth.shape) < 0.1] = np.inf
+    board.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
+    copy_to(device, board.previous, HostArrays(color, depth, motion))
+    board.rendered = board.previous
+    frame, some = board.frame, rng.random((2, *depth.shape)) < 0.1
+    color, depth = images(size, rng)
+    put(frame, color=color, depth=depth, motion=motion[::-1])
+    put(frame, dynamic=some[0].astype(np.uint8), disoccluded=some[1].astype(np.uint8))
+    step = Step(board.rendered, board.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
+    for stage in (ShadingInputs, ShadingTrend, NetworkInput, ShadingFlow):
+        stage(board)
+    correction = ShadingCorrection(board, load=False)
+    trends = board.stages["shading_trend"]
+    put(trends, trends=rng.normal(0, 0.05, trends.spec("trends").shape(board.sizes)).astype(np.float32))
+    put(correction, head=rng.normal(0, 0.3, HEAD_WEIGHTS).astype(np.float32))
+    return board, correction, step
+
+
+# ---- kernels -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("exposure", [1.0, 0.05])
+def test_network_input_equals_its_twin(device, size, exposure):
+    """To the bit, but for the device's division; from the same colors of t−1 as are shown to those who look."""
+    board, _, step = made_stages(device, size, exposure)
+    frame, shading, seen = board.frame, board.stages["shading"], board.stages["network_input"]
+    for _ in range(2):  # nothing is left over
+        seen.extrapolated(step)
+    shading.extrapolated(step)
+    color, depth = frame.read("color"), frame.read("depth")
+    previous, mask = shading.read("warped_previous"), shading.read("input_mask")
+    if min(size) > 30:
+        assert 0.3 < previous[..., 3].mean() < 0.9 and set(np.unique(mask)) == {0, 0.5, 1}
+    assert seen.read("median_depth") == twins.depth_median(depth)
+    got = seen.read("frames")
+    assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
+    expected = twins.network_input(color, previous, depth, mask, exposure, seen.sizes.of("network"))
+    np.testing.assert_allclose(got[6], expected[6], rtol=1e-6)
+    assert np.array_equal(np.delete(got, 6, 0), np.delete(expected, 6, 0))
+
+
+@pytest.mark.parametrize(
+    ("depth", "expected"),
+    [
+        (np.full((40, 50), np.inf), 1.0),
+        (np.full((40, 50), 2.0), 2.0),
+        (np.r_[np.full(1000, 3.0), np.full(999, 90.0), np.inf].reshape(40, 50), 3.0),
+        (np.r_[np.full(999, 3.0), np.full(1000, 90.0), np.inf].reshape(40, 50), 90.0),
+        (np.r_[np.full(1999, np.nan), 1e30].reshape(40, 50), 1e30),
+        (np.r_[np.full(1998, -1.0), 1e-30, 1e-39].reshape(40, 50), 1e-39),
+    ],
+)
+def test_median_depth(device, depth, expected):
+    board, _, step = made_stages(device, (50, 320))
+    stage = board.stages["network_input"]
+    depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
+    put(board.frame, depth=depth.astype(np.float32))
+    stage.extrapolated(step)
+    assert stage.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
+    assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))
+
+
+def test_a_still_frame_needs_no_network(device, model):
+    """It is the extrapolated one to the bit, and the network does not run. A light that changes for the first time is
+    looked at, one that goes on is corrected."""
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k in range(4):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16((1, 1, 0.6, 0.36)[k])
+        pipeline.submit(frame)
+        made = pipeline.extrapolate()
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k < 3)
+        assert (pipeline.take_timings()["network"] == 0) == (k < 2)
+    assert not pipeline.stages["shading_trend"].is_still
+    pipeline.submit(replace(frame, time=1.0))
+    assert pipeline.stages["shading_trend"].is_still
+    pipeline.submit(replace(frame, time=2.0, reset=True))
+    assert not pipeline.stages["shading_trend"].is_still  # a reset forgets it
+
+
+def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypatch):
+    """Where both have processors of their own; the final images are the same to the bit."""
+    scene, size = Rects([Rect((0, 0, 8), frequency=0.5)]), (40, 24)
+    views = [camera(*size, (0.05 * k, 0, 0)) for k in range(5)]
+    frames = [scene.frame(v, k / 30, *size, (views[max(k - 1, 0)], 0), reset=k == 0) for k, v in enumerate(views)]
+    for k, frame in enumerate(frames):
+        frame.color = frame.color * np.float16(0.7**k)
+    options = Options(scn_model=model(delta=0.2))
+
+    def images(pipeline, before_color):
+        for frame, following in zip(frames, [*frames[1:], None], strict=True):
+            if frame.reset:
+                pipeline.submit(frame)
+            made = pipeline.extrapolate()
+            before_color(pipeline, following)
+            yield bits(made.numpy("color")), bits(made.numpy("gae"))
+            if following and pipeline._current.time < following.time:
+                pipeline.submit(following)
+
+    expected = list(images(Pipeline(device, *size, options), lambda *_: None))
+    assert any(final != gae for final, gae in expected)
+    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
+    overlapping, may_end, runs = Pipeline(device, *size, options), threading.Event(), []
+    correction = overlapping.stages["correction"]
+
+    class Waiting:
+        copying, head, provider = 0.0, correction.network.head, correction.network.provider
+
+        def run(self, *arrays, network=correction.network):
+            runs.append(may_end.wait(20))
+            may_end.clear()
+            return network.run(*arrays)
+
+    correction.network = Waiting()
+
+    def take_the_next(pipeline, following):
+        if following:
+            pipeline.submit(following)
+        device.queue.finish()  # the frame was taken, and the network has not ended
+        if correction._begun:
+            assert not correction._begun[2].done()
+            may_end.set()
+
+    assert list(images(overlapping, take_the_next)) == expected
+    assert len(runs) >= 3 and all(runs)
+    assert overlapping.take_timings()["network"] > 0
+
+
+def test_nothing_waits_for_the_decision_that_a_frame_is_still(device, model, monkeypatch):
+    """While the device has not begun with a frame, the next one is made: `extrapolate` returns."""
+    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2), cut_detection=False))
+    for k, factor in enumerate((1, 0.6, 0.36, 0.36)):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16(factor)
+        buffers = DeviceFrame.allocate(device, (40, 24), cam, cam, frame.time)
+        copy_to(device, buffers, HostArrays(with_alpha(frame.color), frame.depth, frame.motion))
+        frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
+        may_begin, made = cl.UserEvent(device.context), []
+
+        def make(frame=frame, may_begin=may_begin, made=made):
+            pipeline.submit(frame, wait_for=[may_begin])
+            made.append(pipeline.extrapolate())
+
+        making = threading.Thread(target=make)
+        making.start()
+        making.join(20)
+        returned = bool(made)
+        may_begin.set_status(cl.command_execution_status.COMPLETE)
+        making.join(20)
+        assert returned, "the host waited for the device"
+        assert (bits(made[0].numpy("color")) == bits(made[0].numpy("gae"))) == (k != 2)
+    assert pipeline.stages["shading_trend"].is_still
+
+
+def with_alpha(color):
+    return np.concatenate([color, np.zeros_like(color[..., :1])], -1)
+
+
+@pytest.mark.parametrize("beside", [False, True], ids=["here", "beside"])
+def test_separate_memories_give_the_same_bits(device, model, monkeypatch, beside):
+    """With one copy each way, of the last frame only; where memory is shared there is none."""
+    monkeypatch.setattr(ShadingCorrection, "works_beside", beside)
+    path, host_memory, results = model(delta=0.1), cl.mem_flags.ALLOC_HOST_PTR, []
+    names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
+    for shares in (True, False):
+        monkeypatch.setitem(device.__dict__, "shares_memory", shares)
+        pipeline, *_, made = run(device, 61, 37, Options(scn_model=path))
+        correction = pipeline.stages["correction"]
+        stored = (pipeline.stages[stage].read(buffer) for stage, buffer in (name.split(".") for name in names))
+        results.append([bits(made.numpy("color")), *map(bits, stored)])
+        for name in names:
+            assert bool(pipeline.board.buffer(*name.split(".")).flags & host_memory) == shares, name
+        arrays = [view._staging for view in correction._views]
+        assert all(array is None for array in arrays) == shares
+        kinds = [event.command_type for event in correction._transfers]
+        types = cl.command_type
+        mapped = [types.MAP_BUFFER] * 3 + [types.UNMAP_MEM_OBJECT] * 3
+        assert kinds == (mapped if shares else [types.READ_BUFFER] * 2 + [types.WRITE_BUFFER])
+        assert pipeline.take_timings()["network copies"] > 0 and not correction._transfers
+    assert results[0] == results[1]
+    assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
+
+
+def test_light_that_flickers_is_left_alone(device, model):
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k in range(6):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16(0.6 if k % 2 else 1)
+        pipeline.submit(frame)
+        made = pipeline.extrapolate()
+        assert bits(made.numpy("color")) == bits(made.numpy("gae"))
+    assert pipeline.take_timings()["network"] > 0
+
+
+@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
+@pytest.mark.parametrize("alpha", [0.5, 1.0])
+def test_flow_and_candidates_equal_their_twin(device, size, alpha):
+    """Where the brightness moves smoothly, and where it is noise."""
+    board, _, step = made_stages(device, size)
+    step.alpha = alpha
+    stage, rng = board.stages["shading_flow"], np.random.default_rng(7)
+    frames = moving_frames(board.sizes.of("network"), rng)
+    board.stages["network_input"].upload("frames", frames)
+    stage.extrapolated(step)
+    flow, differences, candidates = twins.find_candidates(frames, board.stages["shading_trend"].read("trends"), alpha)
+    assert np.isfinite(candidates).all() and np.abs(flow).max() > 0.01
+    assert stage.read("flow2").tobytes() == flow.tobytes()
+    assert stage.read("differences").tobytes() == differences.tobytes()
+    assert stage.read("candidates").tobytes() == candidates.tobytes()
+
+
+def moving_frames(size, rng):
+    """(8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise below."""
+    (width, height), shift = size, (3.0, -1.6)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    frames = rng.random((8, height, width)).astype(np.float32)
+    for k, (dx, dy) in ((0, (0, 0)), (3, shift)):
+        for c in range(3):
+            frames[k + c] = 0.5 + 0.1 * (np.sin((x - dx) / 5) + np.cos((y - dy) / 6) + np.sin((x - dx + y - dy) / 8))
+    frames[:6, height // 2 :] += rng.normal(0, 0.02, (6, height - height // 2, width)).astype(np.float32)
+    return frames
+
+
+def test_the_flow_of_a_moved_pattern_is_found(device):
+    """In pixels of a quarter of the resolution."""
+    board, _, step = made_stages(device, (256, 192))
+    frames = moving_frames(board.sizes.of("network"), np.random.default_rng(0))
+    board.stages["network_input"].upload("frames", frames)
+    board.stages["shading_flow"].extrapolated(step)
+    flow = board.stages["shading_flow"].read("flow2")[:, 3:9, 4:-4]  # of the half without noise
+    assert np.abs(flow - np.array([1.5, -0.8], np.float32)[:, None, None]).mean() < 0.1
+
+
+@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
+def test_judgement_makes_the_correction_of_its_twin(device, size):
+    board, correction, step = made_stages(device, size)
+    rng = np.random.default_rng(3)
+    frames = moving_frames(board.sizes.of("network"), rng)
+    judgement = rng.normal(0, 0.7, correction.spec("judgement").shape(board.sizes)).astype(np.float32)
+    for value in (np.nan, np.inf, -np.inf, 1e38):
+        at = rng.integers(20), rng.integers(judgement.shape[1]), rng.integers(judgement.shape[2])
+        judgement[at] = value
+    board.stages["network_input"].upload("frames", frames)
+    board.stages["shading_flow"].extrapolated(step)
+    board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
+    correction.upload("judgement", judgement)
+    correction.launch("choose_flow", step)
+    correction.launch("judge", step)
+    candidates, differences = (board.stages["shading_flow"].read(name) for name in ("candidates", "differences"))
+    trends = board.stages["shading_trend"].read("trends")
+    with np.errstate(all="ignore"):
+        chosen = twins.choose_flow(judgement, candidates, differences, step.alpha)
+        assert np.array_equal(correction.read("chosen"), chosen, equal_nan=True)
+        expected = twins.judge(frames, trends, judgement, chosen, correction.read("head").ravel())
+    got = correction.read("correction")
+    sound = np.isfinite(expected).all(0)
+    assert np.array_equal(sound, np.isfinite(got).all(0)) and np.array_equal(got[:, sound], expected[:, sound])
+    assert sound.mean() > 0.3 or min(size) < 30
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("within_mask", "with_refined"), [(True, True), (True, False), (False, False)])
+@pytest.mark.parametrize("exposure", [1.0, 0.05])
+def test_correct_equals_its_twin(device, size, within_mask, with_refined, exposure):
+    rng = np.random.default_rng(3)
+    board, correction, step = made_stages(device, size, exposure, seed=2)
+    board.stages["network_input"].extrapolated(step)
+    color, frames = board.frame.read("color"), board.stages["network_input"].read("frames")
+    said = rng.normal(0, 0.3, correction.spec("correction").shape(correction.sizes)).astype(np.float32)
+    said[3] = rng.uniform(-0.5, 1.5, said[3].shape)
+    said[4] = np.where(rng.random(said[4].shape) < 0.6, 0, rng.uniform(-0.1, 2, said[4].shape))
+    for value in (np.nan, np.inf, -np.inf, 1e38):
+        said[rng.integers(5), rng.integers(said.shape[1]), rng.integers(said.shape[2])] = value
+    put(correction, correction=said)
+    correction.with_refined = with_refined
+    correction.compose(step, within_mask)
+    refined, focus, final = twins.correct(color, frames, said, exposure, within_mask)
+    assert correction.read("focus_mask").tobytes() == focus.tobytes()
+    assert not with_refined or correction.read("refined").tobytes() == refined.tobytes()
+    got = correction.read("color")
+    assert got.tobytes() == final.tobytes()
+    if within_mask:
+        assert got[focus == 0].tobytes() == color[focus == 0].tobytes()
+        assert np.isfinite(got).all()
+    if min(size) > 30:
+        assert 0.1 < (focus == 0).mean() < 0.9 and (focus == 1).any()
+
+
+def test_encoding_is_the_mu_law_and_decoding_its_inverse():
+    """Of the twins, and so of the kernels: against float64."""
+    color = np.r_[0, np.logspace(-6, np.log10(65504), 5000)].astype(np.float32)
+    for exposure in (1.0, 0.01, 30.0):
+        exact = np.log1p(5000 * exposure / 8 * color.astype(np.float64)) / np.log1p(5000)
+        np.testing.assert_allclose(twins.encode(color, exposure), exact, rtol=3e-7, atol=2e-8)
+        code = exact.astype(np.float32)
+        np.testing.assert_allclose(twins.decode(code, exposure), color, rtol=3e-6, atol=1e-12)
+    assert twins.decode(np.array([-1, 0, 1, 50], np.float32), 1.0) == pytest.approx([0, 0, 8, 65504])
+
+
+# ---- the pipeline --------------------------------------------------------------------------------------
+
+
+def corrected(device, model, size=(61, 37), **options):
+    pipeline, *_, made = run(device, *size, Options(scn_model=model, **options))
+    return pipeline, made
+
+
+def bits(array):
+    return np.ascontiguousarray(array).tobytes()
+
+
+@pytest.mark.parametrize("size", [(61, 37), (1, 24), (40, 1)])
+def test_an_empty_mask_changes_no_bit(device, model, size):
+    _, made = corrected(device, model(delta=0.3, mask=0.031), size)
+    assert made.color is not made.gae and bits(made.numpy("color")) == bits(made.numpy("gae"))
+    _, plain = corrected(device, None, size, shading_correction=False)
+    assert plain.color is plain.gae and bits(made.numpy("gae")) == bits(plain.numpy("color"))
+    for name in ("depth", "motion", "filled_by"):
+        assert bits(made.numpy(name)) == bits(plain.numpy(name))
+
+
+@pytest.mark.parametrize("size", [(61, 37), (1, 24)])
+def test_no_change_leaves_the_picture(device, model, size):
+    """Δ = 0 and all detail kept: the picture again, but for the encoding's rounding."""
+    _, made = corrected(device, model(), size)
+    gae = made.numpy("gae").astype(np.float64)
+    shown = (gae >= 0).all(-1)
+    np.testing.assert_allclose(made.numpy("color")[shown], gae[shown], rtol=2e-3, atol=2e-6)
+
+
+def test_detail_that_is_not_kept_blurs(device, model):
+    _, made = corrected(device, model(keep=0.0))
+    shown = (np.log1p(np.maximum(made.numpy(name), 0).astype(np.float64)) for name in ("gae", "color"))
+    sharp, blurred = (np.abs(np.diff(image, axis=1)).mean() for image in shown)
+    assert blurred < 0.9 * sharp
+
+
+def test_a_change_counts_within_the_mask_only(device, tmp_path):
+    """M = the input mask where movers are: they get brighter, nothing else does."""
+    path = movers_model(tmp_path / "m.onnx", 0.05)
+    pipeline, made = corrected(device, path)
+    mask, gae, final = pipeline.stages["correction"].read("focus_mask"), made.numpy("gae"), made.numpy("color")
+    assert 0.01 < (mask > 0).mean() < 0.9
+    assert bits(final[mask == 0]) == bits(gae[mask == 0])
+    inside = mask == 1
+    assert inside.any() and (final[inside] > gae[inside]).mean() > 0.9
+    _, whole = corrected(device, path, focus_mask=False)
+    lit = (gae > 0).all(-1) & (gae < 3e4).all(-1)
+    assert (whole.numpy("color")[lit] > gae[lit]).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("focus_mask", [True, False])
+def test_bad_output_counts_as_no_mask(device, model, bad, focus_mask):
+    judgements = [[bad], [0, bad], [0, 0, 0, 0, *[bad] * 16]]
+    for judgement in judgements + [[0, 0, bad], [0, 0, 0, bad]] * bool(np.isnan(bad)):  # infinities have limits there
+        _, made = corrected(device, model(judgement=judgement), focus_mask=focus_mask)
+        assert bits(made.numpy("color")) == bits(made.numpy("gae")), judgement
+
+
+def test_alpha_reaches_the_network(device, model):
+    """And to disocclusions nothing does."""
+    pipeline, made = corrected(device, model(mask="alpha"))
+    assert made.alpha == pytest.approx(0.6)
+    mask, hidden = pipeline.stages["correction"].read("focus_mask"), made.numpy("disoccluded") > 0
+    assert (mask[hidden] < made.alpha).mean() > 0.8 and 0.5 < (mask == np.float16(np.float32(made.alpha))).mean() < 1
+
+
+def test_exposure_reaches_the_network(device, tmp_path):
+    """Half the exposure on twice the color is the same to the network."""
+    path, seen = look_model(tmp_path / "m.onnx"), []
+    scene = Rects([Rect((0, 0, 8), frequency=0.5)])
+    for scale in (1.0, 4.0):
+        pipeline = Pipeline(device, 40, 24, Options(scn_model=path))
+        pipeline.keep(["network_input.frames"])  # of a still frame, too
+        pipeline.exposure = 1 / scale
+        for k in range(2):
+            frame = scene.frame(camera(40, 24), k / 30, 40, 24, (camera(40, 24), 0), reset=k == 0)
+            frame.color = frame.color * np.float16(scale)
+            pipeline.submit(frame)
+        pipeline.extrapolate()
+        seen.append(pipeline.stages["network_input"].read("frames"))
+    np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
+    assert seen[0][:3].std() > 0.01
+
+
+def test_after_a_reset_there_is_nothing_to_correct(device, model):
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k, reset in enumerate((True, False, False, True)):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset)
+        frame.color = frame.color * np.float16(1 - 0.2 * k)
+        pipeline.submit(frame)
+        made = pipeline.extrapolate()
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k != 2)  # k = 1 knows of one change only
+        assert (pipeline.stages["correction"].read("focus_mask") == (k == 2)).all()
+        assert (pipeline.take_timings()["network"] == 0) == reset
+
+
+def test_off_by_choice_or_for_want_of_weights(device, model, monkeypatch):
+    monkeypatch.setattr(inference, "default_model", lambda: None)
+    assert "correction" not in Pipeline(device, 8, 8).stages and inference.scn_missing()
+    with pytest.raises(GffeError, match=r"no trained weights .* expected gffe_cl/engine/inference/weights/scn.onnx"):
+        Pipeline(device, 8, 8, Options(shading_correction=True))
+    path = model()
+    off = Options(shading_correction=False, scn_model=path)
+    assert "correction" not in Pipeline(device, 8, 8, off).stages
+    monkeypatch.setattr(inference, "default_model", lambda: Path(path))
+    assert "correction" in Pipeline(device, 8, 8).stages and inference.scn_missing() is None
+
+
+def test_five_runs_of_a_corrected_frame_give_the_same_bits(device, model):
+    path, first = model(delta=0.1, mask=0.5), None
+    for _ in range(5):
+        pipeline, made = corrected(device, path)
+        now = bits(made.numpy("color")), bits(pipeline.stages["network_input"].read("frames"))
+        first = first or now
+        assert now == first
+
+
+# ---- onnxruntime ---------------------------------------------------------------------------------------
+
+WRITES_ADDRESS = "__kernel void where(__global ulong *a) { a[0] = (ulong)a; }"
+
+
+def test_nothing_is_copied_on_cpu_devices(device, model):
+    """The memory that kernels write to is the memory that is mapped, and the memory that onnxruntime works in."""
+    pipeline, _ = corrected(device, model(delta=0.1))
+    stage, seen = pipeline.stages["correction"], []
+    network = stage.network
+
+    class Spy:
+        copying = 0.0
+
+        def run(self, *arrays):
+            seen.append([array.ctypes.data for array in arrays])
+            return network.run(*arrays)
+
+    stage.network = Spy()
+    for _ in range(3):
+        stage.infer()
+    assert seen[0] == seen[1] == seen[2]
+    if not device.cl_device.type & cl.device_type.CPU:
+        pytest.skip("only CPU devices share memory with the host")
+    with quiet_builds():
+        where = cl.Program(device.context, WRITES_ADDRESS).build().where
+    names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
+    for name, mapped in zip(names, seen[0], strict=True):
+        where(device.queue, (1,), None, stage.board.buffer(*name.split(".")))
+        address = np.empty(1, np.uint64)
+        cl.enqueue_copy(device.queue, address, stage.board.buffer(*name.split(".")))
+        assert address[0] == mapped, name
+
+
+def test_onnxruntime_works_in_the_memory_it_is_given(tmp_path):
+    """What is written to the bound input after binding is seen, and the output is where it was bound."""
+    session = load_network(look_model(tmp_path / "m.onnx")).session
+    arrays = {name: np.zeros(shape, np.float32) for name, shape in shapes_at(16, 16).items()}
+    out = arrays.pop(OUTPUT)
+    binding = session.io_binding()
+    for name, array in arrays.items():
+        binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+    binding.bind_output(OUTPUT, "cpu", 0, np.float32, out.shape, out.ctypes.data)
+    arrays["frames"][:], arrays["candidates"][:] = 1, 3
+    session.run_with_iobinding(binding)
+    assert (out == 3).all() and binding.get_outputs()[0].data_ptr() == out.ctypes.data
+
+
+def test_one_session_per_model_and_provider(model):
+    path = model()
+    first = load_network(path)
+    assert load_network(path, "CPUExecutionProvider") is first is load_network(str(path), "cpu")
+    options = first.session.get_session_options()
+    for kind in ("intra_op", "inter_op"):
+        assert options.get_session_config_entry(f"session.{kind}.allow_spinning") == "0"
+    model(delta=0.5)  # the file changes
+    assert load_network(path) is not first
+
+
+JUDGEMENT = (1, 20, "h", "w")
+
+
+def _foreign(tmp_path, inputs, outputs=None, head=True):
+    from onnx import helper
+
+    outputs = outputs or ((OUTPUT, FLOAT, JUDGEMENT),)
+    node = helper.make_node("Identity", [inputs[0][0]], [outputs[0][0]])
+    return save(tmp_path / "foreign.onnx", [node], {}, inputs, outputs, np.zeros(HEAD_WEIGHTS * head, np.float32))
+
+
+def test_models_that_are_none(tmp_path):
+    """One line each: what, where, what was expected."""
+    from onnx import TensorProto
+
+    frames, candidates = ("frames", FLOAT, FRAMES), ("candidates", FLOAT, CANDIDATES)
+    half = (("frames", TensorProto.FLOAT16, FRAMES), candidates), ((OUTPUT, TensorProto.FLOAT16, JUDGEMENT),)
+    fixed, channels = (1, 8, 64, 64), (1, 3, "h", "w")
+    of_old = (frames, ("alpha", FLOAT, (1,)), ("trends", FLOAT, (1, 7, "h", "w"))), (("correction", FLOAT, FRAMES),)
+    cases = [
+        (*of_old, "inputs alpha, frames, trends .expected candidates, frames"),
+        ((("x", FLOAT, FRAMES), candidates), None, "inputs candidates, x .expected candidates, frames"),
+        ((frames,), None, "inputs frames .expected candidates, frames"),
+        ((frames, candidates), (("out", FLOAT, FRAMES),), "outputs out .expected judgement"),
+        ((("frames", FLOAT, fixed), candidates), None, "frames is .* 1×8×64×64 .*1×8×any×any"),
+        ((("frames", FLOAT, channels), candidates), None, "frames is .* 1×3×h×w"),
+        ((frames, ("candidates", FLOAT, ())), None, "input candidates is"),
+        (*half, r"frames is tensor.float16. 1×8×height×width .expected tensor.float. 1×8×any×any"),
+        (
+            (frames, candidates),
+            ((OUTPUT, FLOAT, FRAMES),),
+            "output judgement is .* 1×8×height×width .expected .* 1×20×any×any",
+        ),
+    ]
+    for inputs, outputs, expected in cases:
+        with pytest.raises(GffeError, match=rf"foreign.onnx: no shading correction network: .*{expected}") as caught:
+            load_network(_foreign(tmp_path, inputs, outputs))
+        assert "\n" not in str(caught.value)
+    with pytest.raises(GffeError, match=r"metadata 'head' has 0 numbers .expected 374"):
+        load_network(_foreign(tmp_path, (frames, candidates), head=False))
+    for content in (b"", b"no model at all", b"\x00" * 4000):
+        (tmp_path / "junk.onnx").write_bytes(content)
+        with pytest.raises(GffeError, match=r"junk.onnx: .*expected an? .*ONNX") as caught:
+            load_network(tmp_path / "junk.onnx")
+        assert "\n" not in str(caught.value)
+    for path in (tmp_path / "none.onnx", tmp_path):
+        with pytest.raises(GffeError, match="no such file"):
+            load_network(path)
+
+
+def test_a_model_that_fails_says_so(device, tmp_path):
+    """A model that gives another size than asked for."""
+    path = pooling_model(tmp_path / "m.onnx")
+    with pytest.raises(GffeError, match=r"m.onnx: the network failed on CPUExecutionProvider") as caught:
+        corrected(device, path)
+    assert "\n" not in str(caught.value)

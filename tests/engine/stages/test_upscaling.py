@@ -1,0 +1,375 @@
+"""Temporal anti-aliasing and upsampling: kernels against their twin, and what it promises: jitter that nothing takes
+for motion, pictures better than resampled ones, no shimmer, no ghosts, thin bars that stay."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import twins
+from synthetic import Rect, Rects, camera
+from twins import upscaling as twin
+
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.jitter import Jitter, without_jitter
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import list_devices, open_info
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.frame_block import mapping, reprojection
+
+W, H = 96, 64
+JITTER = Jitter(16)
+WALL = Rect((0, 0, 12), (9, 6), frequency=0.7)
+STILL = Rects([WALL, Rect((0.9, 0.2, 6), (0.7, 1.5), frequency=1, tint=(0.7, 0.2, 0.1))])
+MOVING = Rects([WALL, Rect((-1, 0.2, 6), (0.7, 1.5), velocity=(6, 0, 0), frequency=1, tint=(0.7, 0.2, 0.1))])
+
+
+def pipeline_for(device, size=(W, H), scale=2.0, render_size=None, upscale=2.0, **options):
+    small = render_size or tuple(round(n / scale) for n in size)
+    return Pipeline(device, *size, Options(upscale=upscale, **options), render_size=small)
+
+
+def path(k, still=True):
+    """The display camera of frame `k`."""
+    return camera(W, H) if still else camera(W, H, (0.04 * k, 0.01 * k, 0.05 * k), 0.004 * k)
+
+
+def frames(scene, count, size=(W, H), scale=2.0, still=True, jitter=JITTER, first=0):
+    """Jittered frames of a sample per pixel."""
+    small, before = tuple(round(n / scale) for n in size), None
+    for k in range(first, first + count):
+        shown = path(k, still)
+        render = jitter.camera(shown.scaled(small[0] / size[0], small[1] / size[1]), k)
+        frame = scene.frame(render, k / 30, *small, before, reset=before is None)
+        before = (render, k / 30)
+        yield replace(frame, display_camera=shown)
+
+
+def psnr(a, b):
+    return -10 * np.log10(np.mean((np.clip(a[..., :3].astype(np.float64), 0, 1) - np.clip(b, 0, 1)) ** 2))
+
+
+def color_of(pipeline):
+    return pipeline.present().numpy("color").astype(np.float32)
+
+
+@pytest.mark.parametrize("size, render_size", [((53, 37), (27, 19)), ((45, 30), (30, 20)), ((31, 22), (31, 22))])
+def test_every_kernel_does_what_its_twin_does(device, size, render_size):
+    """Colors to two roundings to half and of sums in another order; bounds where a threshold is met are left out."""
+    scene, pipeline, before = Rects(MOVING.rects + [Rect((0.3, 0, 4), (0.04, 3), tint=(9, 8, 5))]), None, None
+    pipeline = pipeline_for(device, size, render_size=render_size, cut_detection=False)
+    pipeline.exposure, rng = 1.7, np.random.default_rng(3)
+    stage = pipeline.stages["upscaling"]
+    for k in range(5):
+        shown = camera(*size, (0.04 * k, 0.01 * k, 0.05 * k), 0.004 * k)
+        small = shown.scaled(render_size[0] / size[0], render_size[1] / size[1])
+        render = JITTER.camera(small, k)
+        last = before
+        frame = scene.frame(render, k / 30, *render_size, last and (last.camera, last.time), reset=last is None)
+        if k == 3:
+            for array, values in (
+                (frame.depth, (np.nan, -1)),
+                (frame.motion, (np.nan, 1e9)),
+                (frame.color, (np.nan, np.inf)),
+            ):
+                for value in values:
+                    array[rng.integers(render_size[1]), rng.integers(render_size[0])] = value
+        frame = replace(frame, display_camera=shown)
+        state = stage.read("history"), stage.read("lock")
+        pipeline.submit(frame)
+        if last is None:
+            last = frame
+        maps = (
+            reprojection(render, last.camera),
+            mapping(last.camera, last.display_camera),
+            np.float32(1.7),
+            k > 0,
+        )
+        packed = np.nan_to_num(frame.color.astype(np.float32), nan=0, posinf=65504)
+        depth, motion, _ = twins.convert_geometry(frame.depth, frame.motion if k else np.zeros_like(frame.motion))
+        made = [
+            twin.compare(packed, depth, motion,
+                         last.depth, state[0][..., :3].astype(np.float32), *maps)
+        ]  # fmt: skip
+        compressed, dilated, surprise = (stage.read(name) for name in ("compressed", "dilated", "surprise"))
+        np.testing.assert_allclose(compressed, made[0][0], atol=2e-3)
+        np.testing.assert_array_equal(dilated, made[0][1])
+        assert np.mean(np.abs(surprise - made[0][2]) > 4e-3) < 0.01
+        for name, expected in zip(("mean", "deviation"), twin.survey(compressed, surprise), strict=True):
+            assert np.mean(np.abs(stage.read(name) - expected) > 4e-3 * (1 + np.abs(expected))) < 0.002
+        found = twin.accumulate(
+            size, mapping(shown, render), maps[1], *maps[2:], compressed, dilated, stage.read("mean"),
+            stage.read("deviation"), state,
+        )  # fmt: skip
+        history = stage.read("history")
+        off = np.abs(history.astype(np.float32) - found[0]) > 4e-3 * (1 + np.abs(found[0]))
+        assert off.mean() < 0.002
+        assert np.mean(stage.read("lock") != found[1]) < 0.002
+        assert np.mean(np.abs(stage.read("rejected") / 255 - found[2]) > 0.01) < 0.005
+        before = frame
+    made = pipeline.extrapolate(camera(*size, (0.18, 0.045, 0.23), 0.018), 4.5 / 30)
+    expected = twin.generate(
+        *(pipeline.board.frame.read(name) for name in ("depth", "motion", "disoccluded")),
+        made.numpy("gae"), made.numpy("gae"), history, mapping(frame.camera, frame.display_camera),
+    )  # fmt: skip
+    shown = made.numpy("color").astype(np.float32)
+    assert np.mean(np.abs(shown - expected) > 4e-3 * (1 + np.abs(expected))) < 0.002
+
+
+def test_jitter_is_no_motion(device):
+    """A still scene under a jittered camera: motion is the jitter's difference, and nothing is dynamic."""
+    pipeline = pipeline_for(device)
+    for frame in frames(STILL, 4):
+        pipeline.submit(frame)
+        assert not pipeline.stages["history"].read("dynamic_mask").any()
+        assert not pipeline.is_cut
+    assert np.abs(frame.motion).max() > 0.05
+    made = pipeline.extrapolate()
+    assert made.camera.intrinsics == camera(W, H).intrinsics  # generated frames have no jitter
+    assert not made.numpy("dynamic").any()
+    assert made.numpy("disoccluded").mean() < 0.01
+
+
+def test_the_whole_still_scene_of_a_renderer_is_static(device):
+    """The same of a built-in scene at rest, whose motion vectors are a ray tracer's."""
+    scene = load_scene("room", 0)
+    still = replace(scene, eye=lambda t: scene.eye(0.0), target=lambda t: scene.target(0.0))
+    renderer = SceneRenderer(device, still, 60, 40, 1, 0.5)
+    made = SceneFrames(renderer, size=(120, 80), jitter=JITTER)
+    pipeline = pipeline_for(device, (120, 80))
+    before = None
+    for k in range(3):
+        frame = made.rendered(0.0, None, k)  # the same moment again and again
+        image = renderer.render(0.0, frame.camera, 0.0, before.camera if before else None)
+        frame = replace(frame, motion=image.read("motion"), time=k / 30, reset=before is None)
+        pipeline.submit(frame)
+        assert not pipeline.stages["history"].read("dynamic_mask").any()
+        before = frame
+
+
+def test_samples_gathered_over_time_beat_resampling(device):
+    """A still camera, after all of the jitter: far above the bicubic picture of the last frame, and generated frames
+    are as good."""
+    pipeline, plain = pipeline_for(device), Pipeline(device, W, H, render_size=(W // 2, H // 2))
+    truth = STILL.color(path(0), 0, W, H, 6)
+    for frame in frames(STILL, 20):
+        pipeline.submit(frame)
+        plain.submit(frame)
+    rendered, resampled = psnr(color_of(pipeline), truth), psnr(color_of(plain), truth)
+    assert rendered > resampled + 6
+    made = pipeline.extrapolate(path(0), 19.5 / 30)
+    assert psnr(made.numpy("color"), truth) > rendered - 0.1
+
+
+def test_a_still_picture_does_not_shimmer(device):
+    """Variance over time falls by more than 4 times; and generated frames stand between rendered ones unnoticed."""
+    pipeline, plain = pipeline_for(device), Pipeline(device, W, H, render_size=(W // 2, H // 2))
+    with_it, without = [], []
+    for k, frame in enumerate(frames(STILL, 28)):
+        for one, seen in ((pipeline, with_it), (plain, without)):
+            one.submit(frame)
+            if k >= 12:
+                seen.append(color_of(one))
+                seen.append(one.extrapolate(path(k), (k + 0.5) / 30).numpy("color").astype(np.float32))
+    assert np.var(without, 0).mean() > 4 * np.var(with_it, 0).mean()
+
+
+@pytest.mark.parametrize("speed, most", [(9, 0.02), (1.5, 0.025)])
+def test_no_ghost_stays_behind_a_mover(device, speed, most):
+    """A bright board crosses a flat gray wall; three frames after it has left a pixel, nothing of it is there."""
+    gray = Rect((0, 0, 12), (20, 20), frequency=0, tint=(0.2, 0.2, 0.2))
+    board = Rect((-speed / 3, 0, 6), (0.6, 1.5), velocity=(speed, 0, 0), frequency=0, tint=(0.9, 0.8, 0.7))
+    scene, pipeline = Rects([gray, board]), pipeline_for(device)
+    wall = gray.texture(np.zeros(2))
+    for k, frame in enumerate(frames(scene, 18)):
+        pipeline.submit(frame)
+        if k < 6:
+            continue
+        left = np.ones((H, W), bool)
+        for back in range(4):  # where it is now, and was in the three frames before
+            left &= (np.abs(scene.color(path(k), (k - back) / 30, W, H, 2) - wall) < 1e-3).all(-1)
+        grown = ~left
+        grown = np.any([np.roll(grown, s, a) for a in (0, 1) for s in (-2, -1, 1, 2)], 0) | grown
+        assert np.abs(color_of(pipeline) - wall)[~grown].max() < most
+
+
+@pytest.mark.parametrize("width, least", [(1, 0.75), (0.75, 0.4)])
+def test_thin_bars_stay(device, width, least):
+    """Bars of one rendered pixel keep three quarters of their contrast all the time; thinner ones, which have no
+    sample in some frames, 40 %."""
+    focal = camera(W, H).fx
+    half = width * 6 * 2 / focal / 2
+    bars = [Rect((0.35 * k - 1.75, 0, 6), (half, 2), frequency=0, tint=(0.9,) * 3) for k in range(11)]
+    scene = Rects([Rect((0, 0, 12), (20, 20), frequency=0, tint=(0.1,) * 3), *bars])
+    pipeline, truth = pipeline_for(device), scene.color(path(0), 0, W, H, 8)[..., 1]
+    row = truth[H // 2] - truth[H // 2].mean()
+    worst = 1.0
+    for k, frame in enumerate(frames(scene, 40)):
+        pipeline.submit(frame)
+        if k >= 24:
+            shown = color_of(pipeline)[H // 4 : 3 * H // 4, :, 1].mean(0)
+            worst = min(worst, float(shown @ row / (row @ row)))
+    assert worst > least
+
+
+def test_a_change_of_exposure_does_not_show(device):
+    """The history is kept in scene colors: halving the exposure leaves them as they are."""
+    pipeline = pipeline_for(device)
+    for k, frame in enumerate(frames(STILL, 18)):
+        pipeline.exposure = 1.0 if k < 17 else 0.5
+        before = color_of(pipeline) if k == 17 else None
+        pipeline.submit(frame)
+    assert np.abs(color_of(pipeline) - before).mean() < 0.01
+
+
+def test_a_reset_forgets(device):
+    other = Rects([Rect((0, 0, 12), (20, 20), frequency=0, tint=(0.1, 0.8, 0.1))])
+    pipeline = pipeline_for(device)
+    for frame in frames(STILL, 6):
+        pipeline.submit(frame)
+    frame = next(iter(frames(other, 1)))
+    pipeline.submit(replace(frame, time=1.0, reset=True))
+    assert np.abs(color_of(pipeline) - other.rects[0].texture(np.zeros(2))).max() < 0.01
+    assert (pipeline.stages["upscaling"].read("rejected") == 255).all()
+
+
+def test_jitter_without_a_display_camera(device):
+    """Principal points within a pixel of the middle are jitter: what is shown stands still."""
+    told, untold = pipeline_for(device), pipeline_for(device)
+    for frame in frames(STILL, 6):
+        told.submit(frame)
+        untold.submit(replace(frame, display_camera=None))
+        assert np.allclose(untold.shown_camera.intrinsics, told.shown_camera.intrinsics)
+    np.testing.assert_allclose(color_of(told), color_of(untold), atol=1e-3)
+    window = replace(camera(W, H), cx=10.0)
+    assert without_jitter(window, (W, H)) is window
+
+
+def test_points_of_the_jitter():
+    """Halton's sequence, by its definition; all different, within the pixel, around its middle."""
+    assert Jitter(16).offset(0) == (0.0, pytest.approx(1 / 3 - 0.5)) and Jitter(16).offset(2)[0] == 0.25
+    points = np.array([JITTER.offset(k) for k in range(16)])
+    assert len(np.unique(points, axis=0)) == 16 and np.abs(points).max() < 0.5 and np.abs(points.mean(0)).max() < 0.05
+    assert JITTER.offset(17) == JITTER.offset(1) and Jitter().offset(5) == (0.0, 0.0)
+    shown = camera(8, 6)
+    assert JITTER.camera(shown, 2).cx == shown.cx - 0.25
+
+
+@pytest.mark.parametrize("text", ["halton", "halton:1", "halton:x", "sobol:4", "halton:2000"])
+def test_a_wrong_jitter_is_told(gffe, tmp_path, text):
+    code, _, err = gffe("render", "corridor", tmp_path / "out", "--jitter", text)
+    assert (
+        code == 2 and err.startswith("error: jitter must be off or halton:LENGTH") and not (tmp_path / "out").exists()
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A small jittered sequence with truth of the display's size."""
+    from typer.testing import CliRunner
+
+    from gffe_cl.cli.commands import app
+
+    folder = tmp_path_factory.mktemp("upscaling") / "small"
+    arguments = ["render", "corridor", folder, "--size", "91x61", "--frames", "4"]
+    arguments += ["--jitter", "halton:16", "--scale", "1.5", "--ground-truth"]
+    made = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert made.exit_code == 0, made.output
+    return folder
+
+
+def test_rendered_sequences_tell_sizes_and_jitter(recorded):
+    sequence = open_sequence(recorded)
+    assert (sequence.width, sequence.height) == (91, 61)
+    for k, entry in enumerate(sequence.rendered):
+        assert sequence.size_of(entry) == (61, 41)
+        small = entry.display_camera.scaled(61 / 91, 41 / 61)
+        x, y = JITTER.offset(k)
+        assert (entry.render_camera.cx - small.cx, entry.render_camera.cy - small.cy) == pytest.approx(
+            (-x, -y), abs=0.01
+        )
+    assert sequence.read_color(sequence.ground_truth[0]).shape == (61, 91, 3)
+    assert not sequence.warnings()
+
+
+def test_run_writes_a_sequence_of_the_display(gffe, recorded, tmp_path):
+    """Rendered frames too are as shown; the result can be compared, and is better than without."""
+    out = {}
+    for name, options in (("with", ("--upscale", "1.5")), ("without", ())):
+        code, _, err = gffe("run", recorded, tmp_path / name, "--no-scn", *options)
+        assert code == 0, err
+        code, _, err = gffe("compare", tmp_path / name, recorded, "--json", tmp_path / f"{name}.json")
+        assert code == 0, err
+        out[name] = json.loads((tmp_path / f"{name}.json").read_text())["mean"]["psnr"]
+    sequence = open_sequence(tmp_path / "with")
+    frame = sequence.read(sequence.rendered[2])
+    assert frame.color.shape == (61, 91, 3) and frame.motion.shape == (61, 91, 2) and not sequence.warnings()
+    assert all(entry.display_camera == entry.render_camera for entry in sequence.rendered)
+    assert out["with"] > out["without"] + 0.3
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (("--upscale", "2"), "frames of 61×41 for a display of 91×61 (expected --upscale 1.49, got 2)"),
+        (("--upscale", "1.5", "--window", "off"), "--upscale 1.5 and --window off exclude each other"),
+        (("--upscale", "0.5"), "upscaling must be 0 (off) or 1 to 3, got 0.5"),
+        (("--upscale", "9"), "--upscale must be"),
+    ],
+)
+def test_what_does_not_fit_is_told(gffe, recorded, tmp_path, arguments, said):
+    code, _, err = gffe("run", recorded, tmp_path / "out", *arguments)
+    assert code == 2 and said in err and "Traceback" not in err and not (tmp_path / "out").exists()
+
+
+def test_a_sequence_of_one_size_grows(gffe, tmp_path):
+    """Recorded at 48×32 for a display of that size, shown at 96×64."""
+    assert gffe("render", "corridor", tmp_path / "small", "--size", "48x32", "--frames", "2")[0] == 0
+    code, _, err = gffe("run", tmp_path / "small", tmp_path / "large", "--upscale", "2", "--no-scn")
+    assert code == 0, err
+    made = open_sequence(tmp_path / "large")
+    assert (made.width, made.height) == (96, 64) and made.extrapolated[0].display_camera.cx == 48
+
+
+def test_a_scene_rendered_meanwhile(gffe, tmp_path):
+    code, _, err = gffe(
+        "run", "plaza", tmp_path / "out", "--upscale", "2", "--size", "65x41", "--frames", "2", "--no-scn"
+    )
+    assert code == 0, err
+    made = open_sequence(tmp_path / "out")
+    assert made.read_color(made.extrapolated[0]).shape == (41, 65, 3)
+
+
+def test_pipelines_refuse_nothing_of_odd_sizes(device):
+    """One pixel, and a display that is no multiple."""
+    for size, small in (((1, 1), (1, 1)), ((7, 5), (5, 3)), ((3, 2), (1, 1))):
+        pipeline = pipeline_for(device, size, render_size=small)
+        shown = camera(*size)
+        render = shown.scaled(small[0] / size[0], small[1] / size[1])
+        arrays = (np.full((*small[::-1], 3), 0.25, np.float16), np.full(small[::-1], 5, np.float32))
+        motion = np.zeros((*small[::-1], 2), np.float32)
+        for k in range(2):
+            pipeline.submit(RenderedFrame(*arrays, motion, render, k / 30, shown, reset=k == 0))
+        np.testing.assert_allclose(pipeline.extrapolate().numpy("color"), 0.25, rtol=2e-3)
+        np.testing.assert_allclose(pipeline.present().numpy("color"), 0.25, rtol=2e-3)
+
+
+def test_options_refuse_what_is_between_off_and_one():
+    with pytest.raises(GffeError, match="upscaling must be 0"):
+        Options(upscale=0.25)
+
+
+def test_all_devices_give_the_same_bits():
+    """Of all that is kept, and of generated frames, sharpened."""
+    made = []
+    for info in (info for info in list_devices() if info.works):
+        pipeline = pipeline_for(open_info(info), upscale_sharpening=0.5)
+        for frame in frames(MOVING, 5, still=False):
+            pipeline.submit(frame)
+        stage = pipeline.stages["upscaling"]
+        kept = [stage.read(name).tobytes() for name in ("history", "lock", "rejected", "deviation")]
+        made.append([*kept, pipeline.extrapolate(path(5, still=False), 4.5 / 30).numpy("color").tobytes()])
+    assert all(other == made[0] for other in made[1:])

@@ -1,0 +1,377 @@
+"""What frames cost: footage, times, and the traffic that Oclgrind counts."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny_sequence
+from scn_models import constant_model
+
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import STAGES
+from gffe_cl.engine.stages.holes import FILLINGS
+from gffe_cl.engine.timing import bench as bench_module
+from gffe_cl.engine.timing import footage as timed_footage
+from gffe_cl.lab.bench import counting, io_times
+from gffe_cl.lab.bench import footage as inputs
+from gffe_cl.lab.table import methods
+from gffe_cl.lab.table.methods import LIBRARY, METHODS
+
+ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "docs" / "measured" / "traffic.json"
+RECORD = "gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json && python docs/tools/make_performance.py"
+
+
+def test_bench(gffe, tmp_path):
+    code, text, _ = gffe("bench", "--sizes", "64x48,33x20", "--repeats", 1, "--json", tmp_path / "b.json")
+    assert code == 0 and "bytes per pixel" in text
+    report = json.loads((tmp_path / "b.json").read_text())
+    for one in report["devices"]:
+        for size in one["sizes"]:
+            parts = {
+                "frame_block",
+                "scene_cuts",
+                "history",
+                "acceleration",
+                "prediction",
+                "backward_blocks",
+                "warp",
+                "hidden_parts",
+                "background, collection",
+                "connectivity",
+                "color_code",
+                "background, projection",
+                "holes",
+                "silhouettes",
+                "misc",
+            }
+            assert parts | {"GAE"} == set(size["milliseconds"]) and size["bandwidth"] > 0 and size["memory"] > 0
+            total = sum(ms for name, ms in size["milliseconds"].items() if name not in ("GAE", "misc"))
+            assert size["milliseconds"]["GAE"] == pytest.approx(total)
+            per_pixel = size["bytes_per_pixel"]["warp"] * size["width"] * size["height"]
+            assert per_pixel == pytest.approx(size["milliseconds"]["warp"] * 1e6 * size["bandwidth"])
+
+
+def test_bench_of_shading_correction(gffe, tmp_path):
+    model = constant_model(tmp_path / "m.onnx")
+    options = ("--sizes", "64x48", "--repeats", 1, "--scn-model", model, "--json", tmp_path / "b.json")
+    code, text, _ = gffe("bench", *options)
+    assert code == 0 and "SCN, network" in text
+    for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
+        parts = one["sizes"][0]["milliseconds"]
+        scn = [parts[f"SCN, {name}"] for name in ("trend", "inputs", "flow", "kernels", "network", "copies")]
+        assert min(scn[:5]) > 0 and scn[5] >= 0 and parts["SCN"] == pytest.approx(sum(scn))
+        others = sum(ms for name, ms in parts.items() if name not in ("GAE", "misc") and not name.startswith("SCN"))
+        assert parts["GAE"] == pytest.approx(others)
+
+
+def test_bench_of_upscaling(gffe, tmp_path):
+    """A row of its own, beside GAE of the smaller frames; all that it declares has a size."""
+    options = ("--sizes", "64x48", "--repeats", 1, "--json", tmp_path / "b.json", "--kernels")
+    code, text, _ = gffe("bench", *options, "--upscale", 2, "--sharpening", 0.5)
+    assert code == 0 and "upscaling.accumulate" in text and "sharpening" in text
+    for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
+        (size,) = one["sizes"]
+        parts, moved = size["milliseconds"], size["must_move"]
+        assert (size["width"], size["height"]) == (64, 48) and parts["upscaling"] > 0
+        assert parts["GAE"] == pytest.approx(
+            sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling", "sharpening"))
+        )
+        assert 40 < moved["upscaling"] < 150 and moved["sharpening"] == pytest.approx(32)  # read and written twice
+        assert moved["history"] < 10  # a quarter of the pixels
+
+
+def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
+    tiny_sequence.write(tmp_path / "in", frames=5)
+    code, text, _ = gffe("bench", tmp_path / "in", "--repeats", 2, "--kernels", "--json", tmp_path / "b.json")
+    assert code == 0 and "13×9" in text and "warp.resolve" in text and "commands" in text
+    for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
+        assert one["of"] == "in" and one["growth"] is None
+        size = one["sizes"][0]
+        assert size["kernels"]["warp.resolve"] > 0
+        assert size["kernels"]["warp.resolve"] < size["milliseconds"]["GAE"]
+        assert size["commands"]["GAE"] > len(size["kernels"]) / 2
+        assert 0 < size["memory_gae"] == size["memory"] == sum(size["memory_by_stage"].values()) + (2 * 12 + 8) * 13 * 9
+
+
+def test_bench_of_methods(gffe, tmp_path):
+    """On the same frames: gffe on every device, the rest on the host, all with figures; the first is the reference."""
+    options = ("--sizes", "64x48", "--repeats", 7, "--scn-model", constant_model(tmp_path / "m.onnx"))
+    code, text, _ = gffe("bench", "--methods", *options, "--json", tmp_path / "m.json")
+    assert code == 0 and "PSNR, dB, by region" in text
+    (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
+    rows = {(row["method"], row["platform"]): row for row in report["methods"]}
+    assert (report["width"], report["height"], report["turns"]) == (64, 48, 12)  # whole rounds of the six new frames
+    assert len(rows) == len(report["methods"]) and sum(report["share"].values()) == pytest.approx(1, abs=1e-3)
+    first, repeat = report["methods"][0], rows["repeat", None]
+    assert first["method"] == "gffe" and first["ratio"] == 1 and repeat["milliseconds"] < first["milliseconds"]
+    assert {row["method"] for row in report["methods"]} | set(report["skipped"]) == {
+        *("gffe", "no-scn", "repeat"), *(name for name, method in METHODS.items() if method.group == LIBRARY)
+    }  # fmt: skip
+    for row in report["methods"]:
+        assert row["milliseconds"] >= 0 and (row["platform"] is None) == (row["method"] not in ("gffe", "no-scn"))
+        total = sum(share * 10 ** (-row["regions"][name] / 10) for name, share in report["share"].items() if share)
+        assert total == pytest.approx(10 ** (-row["psnr"] / 10), rel=0.01)  # regions are parts of the whole
+    same = [row["psnr"] for row in report["methods"] if row["method"] == "no-scn"]
+    assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
+
+
+def test_bench_of_arrays(gffe, tmp_path):
+    """Every form of colors on every device: times of all parts, and a ratio that fits them."""
+    code, text, _ = gffe("bench", "--io", "--sizes", "64x48,13x9", "--repeats", 3, "--json", tmp_path / "io.json")
+    assert code == 0 and "float16 RGBA" in text and "13×9" in text
+    for device in json.loads((tmp_path / "io.json").read_text())["devices"]:
+        assert (device["of"], device["repeats"]) == ("plaza", 3)
+        rows = {(row["width"], row["height"], row["color"]): row for row in device["frames"]}
+        forms = "float32 RGB", "float32 RGBA", "float16 RGB", "float16 RGBA"
+        assert set(rows) == {(*size, form) for size in ((64, 48), (13, 9)) for form in forms}
+        for row in rows.values():
+            times = "upload", "copy_in", "download", "copy_out", "zero_copy", "mapped", "ratio"
+            assert min(row[part] for part in times) > 0
+            pixels, halves = row["width"] * row["height"], row["color"] == "float16 RGBA"
+            assert row["copied"] == 20 * pixels  # all devices here are CPUs
+            assert row["zero_copied"] == (0 if halves else 8 * pixels)
+
+
+def test_time_of_arrays_is_that_of_each_part(device, monkeypatch):
+    """By a clock that each part moves on by what it is said to take."""
+    frame = inputs.footage_of(device, "plaza", (16, 12)).frames[-1]
+    now, took = [0.0], {"_upload_frame": 6.0, "_copy_in": 3.0, "_download": 2.0, "_copy_out": 1.0}
+    took |= {"_share_frame": 0.5, "_map": 0.25}
+    monkeypatch.setattr(io_times.time, "perf_counter", lambda: now[0])
+    for part, seconds in took.items():
+        monkeypatch.setattr(io_times._Turn, part, lambda self, seconds=seconds: now.__setitem__(0, now[0] + seconds))
+    counted = []
+    for row in io_times.measure_io(device, frame, 2, lambda: counted.append(1)):
+        assert (row.upload, row.copy_in, row.download, row.copy_out, row.ratio) == (6000, 3000, 2000, 1000, 2)
+        assert (row.zero_copy, row.mapped) == (500, 250)
+    assert len(counted) == 2 * len(io_times.FORMS)
+
+
+def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
+    """The same without the network, and without packages."""
+    monkeypatch.setattr(methods.importlib.util, "find_spec", lambda name: None)
+    assert gffe("render", "plaza", tmp_path / "in", "--size", "64x36", "--frames", 5, "--ground-truth")[0] == 0
+    options = ("--repeats", 1, "--no-scn", "--device", "cpu", "--json", tmp_path / "m.json")
+    code, text, _ = gffe("bench", tmp_path / "in", "--methods", *options)
+    assert code == 0 and "needs torch: pip install" in text
+    (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
+    assert [row["method"] for row in report["methods"]] == ["gffe", "repeat"] and report["of"] == "in"
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--methods", "--frame", 1), "--frame must be at least 2 with --methods"),
+        (("--methods", "--upscale", 2), "takes frames of the display's size"),
+        ((".", "--methods", "--sizes", "64x48"), "leave out --frame and --sizes"),
+        (("nosuch",), "nosuch: no such folder"),
+        (("--frame", 0), "--frame must be at least 1"),
+        (("--traffic", "--lanes", 3), "--lanes must be 1, 8 or 1,8"),
+        (("--traffic", "--sizes", "64x48,32x24"), "--traffic takes one size"),
+        (("--repeats", 0), "--repeats must be at least 1"),
+    ],
+)
+def test_bench_refuses(gffe, options, complaint, small_copies):
+    code, _, err = gffe("bench", *options)
+    assert code == 2 and complaint in err and len(err.splitlines()) == 1
+
+
+def test_traffic_needs_oclgrind(gffe, monkeypatch):
+    monkeypatch.setattr(counting.shutil, "which", lambda name: None)
+    code, _, err = gffe("bench", "--traffic", "--sizes", "16x9")
+    assert code == 2 and "oclgrind, which is not installed" in err and len(err.splitlines()) == 1
+
+
+def test_growth():
+    def result(width, per_pixel):
+        return bench_module.SizeBench(width, 100, {}, {"GAE": per_pixel}, 0, 0, 0, 0, {}, {}, {}, {}, {})
+
+    assert bench_module.growth([result(100, 50.0), result(200, 50.0), result(400, 50.0)]) == pytest.approx(1)
+    assert bench_module.growth([result(100, 50.0), result(200, 100.0)]) == pytest.approx(2)
+    assert bench_module.growth([result(100, 50.0)]) is None
+
+
+@pytest.fixture
+def small_copies(monkeypatch):
+    monkeypatch.setattr(bench_module, "_COPY_BYTES", 1 << 22)
+
+
+# ---- footage ---------------------------------------------------------------------------------------------------
+
+
+def test_turns_follow_the_frame_that_motion_refers_to():
+    camera = Camera(np.eye(4), 10, 10, 5, 5)
+    frames = tuple(RenderedFrame(k, k, k, camera, 0.0) for k in range(4))
+    loop = timed_footage.Footage("x", 10, 10, 1.0, 0.1, frames, (None,) * 4, forward=True)
+    turns = list(loop.turns(4))
+    assert [turn.index for turn in turns] == [0, 1, 2, 3, 0, 1, 2, 3]
+    assert [turn.counts for turn in turns] == [False, False, True, True] * 2
+    assert [turn.frame.reset for turn in turns] == [True, False, False, False] * 2
+    assert all(turn.before.color == turn.frame.color - 1 for turn in turns if not turn.frame.reset)
+    assert np.allclose(np.diff([turn.frame.time for turn in turns]), 0.1) and loop.turn_count(4) == 8
+
+    there_and_back = replace(loop, frames=frames[:2], cameras=(None,) * 2, forward=False)
+    turns = list(there_and_back.turns(3))
+    assert [turn.index for turn in turns] == [0, 1, 0, 1, 0, 1] and sum(turn.counts for turn in turns) == 3
+    assert [turn.frame.reset for turn in turns] == [True] + [False] * 5 and turns[0].before is None
+
+
+def test_a_part_sees_what_the_whole_does():
+    shown = inputs.scene_footage(open_device(), "room", 64, 48)
+    part = shown.part(20, 16, (0.25, 0.5))
+    assert (part.width, part.height) == (20, 16) == part.frames[0].depth.shape[::-1]
+    assert np.array_equal(part.frames[1].motion, shown.frames[1].motion[16:32, 6:26])
+    pixel = np.array([3.5, 4.5])
+    one = part.frames[0].camera.unproject(pixel, 2.0)
+    assert np.allclose(one, shown.frames[0].camera.unproject(pixel + (6, 16), 2.0))
+    assert part.cameras[0].cx == shown.cameras[0].cx - 6
+    assert shown.part(100, 100, (0.5, 0.5)).frames[0].color.shape == (48, 64, 3)
+
+
+def test_loops_avoid_resets(tmp_path):
+    sequence = open_sequence(tiny_sequence.write(tmp_path / "in", frames=12))
+    assert inputs._loop(sequence, None) == (3, 9) and inputs._loop(sequence, 1) == (0, 6)
+    assert inputs._loop(sequence, 11) == (6, 12)
+    for number in (0, 12, -1):
+        with pytest.raises(GffeError, match=rf"--frame {number}: expected a rendered frame"):
+            inputs._loop(sequence, number)
+    sequence.frames[:] = [replace(entry, reset=entry.file == sequence.rendered[5].file) for entry in sequence.frames]
+    assert inputs._loop(sequence, 6) == (5, 11) and inputs._loop(sequence, 4) == (0, 5)
+    with pytest.raises(GffeError, match="and no reset"):
+        inputs._loop(sequence, 5)
+    sequence.frames[:] = [replace(entry, reset=True) for entry in sequence.frames]
+    with pytest.raises(GffeError, match="no rendered frame follows another one"):
+        inputs._loop(sequence, None)
+
+
+def test_enlarging_keeps_planes_and_edges():
+    """A slanted plane whose motion is linear, and before it a square that moves otherwise."""
+    y, x = np.mgrid[:12, :16] + 0.5
+    inverse = 0.1 + 0.001 * x + 0.002 * y
+    motion = np.stack([0.1 * x, 0.05 * y], -1)
+    square = (slice(4, 8), slice(5, 9))
+    inverse[square], motion[square] = 1.0, (-9.0, 3.0)
+    color = np.stack([x, y, 0 * x], -1)
+    camera = Camera(np.eye(4), 10, 10, 8, 6)
+    frame = RenderedFrame(*(a.astype(np.float32) for a in (color, 1 / inverse, motion)), camera, 0.0)
+    assert inputs.enlarged(frame, 16, 12) is frame
+    large = inputs.enlarged(frame, 48, 36)
+    near = large.depth < 2
+    assert near.sum() == 9 * 16 and near[12:24, 15:27].all()
+    assert np.allclose(large.depth[near], 1) and np.allclose(large.motion[near], (-27, 9))
+    yy, xx = np.mgrid[2:34, 2:46] + 0.5
+    plain = np.ones((36, 48), bool)
+    plain[10:26, 13:29] = False
+    plain = plain[2:34, 2:46]
+    want = 0.1 + 0.001 * xx / 3 + 0.002 * yy / 3
+    assert np.allclose(1 / large.depth[2:34, 2:46][plain], want[plain], rtol=1e-5)
+    assert np.allclose(large.motion[2:34, 2:46][plain], np.stack([0.1 * xx, 0.05 * yy], -1)[plain], rtol=1e-4)
+    assert np.allclose(large.color[2:34, 2:46, 0][plain], xx[plain] / 3, rtol=1e-4)
+    assert large.camera == camera.scaled(3, 3)
+
+
+def test_enlarging_keeps_the_sky_and_bad_pixels():
+    depth = np.full((4, 4), np.inf, np.float32)
+    depth[3, 3] = np.nan
+    frame = RenderedFrame(np.ones((4, 4, 3), np.float16), depth, None, Camera(np.eye(4), 4, 4, 2, 2), 0.0, reset=True)
+    large = inputs.enlarged(frame, 8, 8)
+    assert np.isnan(large.depth[6:, 6:]).all() and np.isposinf(large.depth[:5, :5]).all() and large.reset
+    assert not large.motion.any() and inputs.enlarged(frame, 1, 1).depth.shape == (1, 1)
+
+
+# ---- traffic ---------------------------------------------------------------------------------------------------
+
+PRINTED = """
+Instructions executed for kernel 'splat':
+            2048 - getelementptr
+            1024 - load global (4096 bytes)
+             512 - load private (512 bytes)
+             256 - store global (1024 bytes)
+             100 - call _Z11vload_half4mPU3AS1KDh()
+              10 - call _Z16vstore_half4_rteDv4_fmPU3AS1Dh()
+               7 - call _Z6vload8mPU3AS1Kf()
+               5 - call _Z7vstore8Dv8_fmPU3AS1f()
+               3 - call _Z8atom_minPU3AS1Vmm()
+               2 - call _Z10vload_halfmPU3AS1KDh()
+               1 - call _Z6vload4mPU3AS3Kf()
+               1 - call _Z10atomic_incPU3AS1Vj()
+
+Instructions executed for kernel 'set_frame':
+               1 - call llvm.memcpy.p1i8.p0i8.i64()
+
+Instructions executed for kernel 'clear':
+             512 - store global (2048 bytes)
+"""
+
+
+def test_counts_are_parsed():
+    loaded = 4096 + 100 * 8 + 7 * 32 + 3 * 8 + 2 * 2 + 4
+    stored = 1024 + 10 * 8 + 5 * 32 + 3 * 8 + 4
+    executed = 1024 + 256 + 100 + 10 + 7 + 5 + 3 + 2 + 1 + 1  # neither addresses nor private memory
+    assert list(counting.parse_counts(PRINTED)) == [("splat", loaded, stored, executed), ("clear", 0, 2048, 512)]
+    with pytest.raises(GffeError, match="how many bytes"):
+        list(counting.parse_counts(PRINTED + "   3 - call _Z21async_work_group_copyPU3AS3fPU3AS1Kfm9ocl_event()"))
+
+
+def test_growth_of_traffic_is_named():
+    def report(**loaded):
+        kernels = {name: {"declared": 1.0, "loaded": n, "stored": 10.0} for name, n in loaded.items()}
+        return {"lanes": {"1": kernels}}
+
+    assert counting.grown(report(a=90.0, b=5.0), report(a=94.0, b=2.0)) == []
+    (found,) = counting.grown(report(a=90.0), report(a=96.0))
+    assert found == "a, LANES=1: 106.0 bytes per pixel loaded and stored, 100.0 are in the table"
+    (found,) = counting.grown(report(), report(a=1.0))
+    assert "11.0 bytes" in found and "is not in the table" in found
+
+
+def test_kernels_are_told_by_their_names():
+    """Oclgrind prints names of kernels, not of their files."""
+    for filling in FILLINGS.values():
+        stages = [stage for stage in STAGES if stage.name != "holes"] + ([filling] if filling else [])
+        names = [kernel.name for stage in stages for kernel in stage.kernels]
+        assert len(names) == len(set(names))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_traffic_does_not_grow(lanes):
+    if shutil.which("oclgrind") is None:
+        assert not os.environ.get("CI"), "CI must have oclgrind"
+        pytest.skip("oclgrind is not installed")
+    table = json.loads(TABLE.read_text())
+    shown = inputs.scene_footage(open_device(), table["of"], *table["size"])
+    now = counting.report({lanes: counting.count(shown, Options(), lanes)}, shown)
+    found = counting.grown(table, now)
+    assert not found, "\n".join([*found, f"If that is meant to be: {RECORD}"])
+
+
+# ---- scripts of the documentation ------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_versions_are_compared(tmp_path):
+    """Two processes of this very version."""
+    script = [sys.executable, str(ROOT / "docs" / "tools" / "compare_speed.py"), "--old", str(ROOT), "--size", "64x48"]
+    child = subprocess.run(
+        [*script, "--repeats", "2", "--json", str(tmp_path / "c.json")], capture_output=True, text=True, timeout=300
+    )
+    assert child.returncode == 0 and "GAE" in child.stdout, child.stderr[-2000:]
+    (one,) = json.loads((tmp_path / "c.json").read_text())["of"]
+    assert one["ratio"]["GAE"] > 0 and set(one["old"]) == set(one["new"]) >= {"GAE", "wall time", "CPU time"}
+    script = [sys.executable, str(ROOT / "docs" / "tools" / "compare_clocks.py"), "--size", "64x48"]
+    child = subprocess.run([*script, "--turns", "1", "--pairs", "2"], capture_output=True, text=True, timeout=300)
+    names = [line.split("  ")[0] for line in child.stdout.splitlines()[2:]]
+    assert names == ["plain loop", "gffe bench", "compare_speed.py"], child.stderr[-2000:]

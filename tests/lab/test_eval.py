@@ -1,0 +1,277 @@
+"""The table of `gffe eval`: subjects, methods, cells that are kept, the command, the cluster."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from frame_models import network
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.opencl import remote_workers
+from gffe_cl.lab.metrics.regions import REGIONS
+from gffe_cl.lab.table import cache, results, runner
+from gffe_cl.lab.table.datasets import FolderSubject, SceneSubject, parse_subject
+from gffe_cl.lab.table.jobs import Cell
+from gffe_cl.lab.table.methods import GAINS, METHODS, chosen_methods
+from gffe_cl.lab.table.page import page
+from gffe_cl.lab.table.runner import Order, fill
+
+
+def test_subjects(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    subject = parse_subject("room:7", (64, 36), 6, 30.0, (0.5, 0.75))
+    assert (subject.name, subject.moments) == ("room:7", 8) and subject == replace(subject)
+    assert parse_subject("room", (64, 36), 6, 30.0, (0.5,)).name == "room:0"
+    for text, words in (("rom", "neither a built-in scene"), ("room:x", "seed must be")):
+        with pytest.raises(GffeError, match=words):
+            parse_subject(text, (64, 36), 6, 30.0, (0.5,))
+
+
+def test_methods_are_chosen_by_name_and_group():
+    assert list(chosen_methods(["repeat", "gffe"])) == ["gffe", "repeat"]
+    assert {m.group for m in chosen_methods(["deviation"]).values()} == {"deviation"}
+    assert METHODS["order-5"].options.order == 5 and METHODS["levels-3"].options.levels == 3
+    assert {gain.with_it for gain in GAINS} | {gain.without for gain in GAINS} <= set(METHODS)
+    assert {gain.region for gain in GAINS} <= set(REGIONS)
+    assert {gain.paper for gain in GAINS} - {""} <= set(results.PAPER)
+    with pytest.raises(GffeError, match="'gfe' is none of gffe, ablation"):
+        chosen_methods(["gfe"])
+
+
+def test_keys_hang_on_everything(monkeypatch, tmp_path):
+    subject = SceneSubject("room", 0, 64, 36, 6, 30.0, (0.5,))
+    method = METHODS["gffe"]
+    keys = {cache.key_of(subject.identity(), method.identity())}
+    for other in (replace(subject, seed=1), replace(subject, alphas=(0.25,)), replace(subject, turns=(1.0,))):
+        keys.add(cache.key_of(other.identity(), method.identity()))
+    keys |= {cache.key_of(subject.identity(), m.identity()) for m in METHODS.values()}
+    assert len(keys) == 3 + len(METHODS)
+    monkeypatch.setattr(cache, "kernels", lambda: "other kernels")
+    assert cache.key_of(subject.identity(), method.identity()) not in keys
+    same = "def f():\n    '''One.'''\n    return 1  # here\n"
+    assert cache._code(same) == cache._code("def f():\n    '''Two.'''\n\n    return 1\n")
+    assert cache._code(same) != cache._code(same.replace("1", "2", 1).replace("return 1", "return 3"))
+    root = tmp_path / "sequence"
+    root.mkdir()
+    (root / "a.exr").write_bytes(b"1")
+    identities = [FolderSubject(str(root), 1).identity()]
+    (root / "a.exr").write_bytes(b"2")
+    identities.append(FolderSubject(str(root), 1).identity())
+    assert identities[0] != identities[1]
+
+
+def test_damaged_cells_are_none(tmp_path):
+    kept = cache.Cache(tmp_path / "cells")
+    cell = Cell({"frames": []}, {"shown": b"webp"}, {"machine": "A", "milliseconds": 1.5})
+    kept.write("k", cell)
+    assert kept.read("k").document == {"frames": []} and kept.read("k").pictures == {"shown": b"webp"}
+    assert kept.timing("k", "A")["milliseconds"] == 1.5 and kept.timing("k", "B")["machine"] == "A"
+    kept.write("k", Cell({"frames": []}, {}, {"machine": "B", "milliseconds": 9.0}))
+    assert kept.timing("k", "A")["milliseconds"] == 1.5 and kept.timing("k", "B")["milliseconds"] == 9.0
+    (tmp_path / "cells" / "k.json").write_text('{"frames"')
+    assert kept.read("k") is None and kept.read("none") is None
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GffeError, match="cannot be made"):
+        cache.Cache(tmp_path / "file")
+
+
+# ---- the command -------------------------------------------------------------------------------------------------
+
+SMALL = ("--size", "64x36", "--frames", 4)
+FEW = "gffe,no-motion,adaptive-window,motion-vectors,guided,interpolation,repeat"
+
+
+def test_eval(gffe, tmp_path, monkeypatch):
+    """A scene and a sequence on disk, a network, late warp; and again, with nothing to do."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    sequence, report = tmp_path / "plaza<b>", tmp_path / "report"
+    assert gffe("render", "plaza", sequence, "--size", "64x36", "--frames", 4, "--ground-truth")[0] == 0
+    model = network(tmp_path / "mix.onnx")
+    call = ("eval", "forest:2", sequence, "--out", report, *SMALL, "--methods", FEW, "--onnx", f"mix={model}")
+    code, text, err = gffe(*call, "--late-warp", "--budget")
+    assert code == 0 and "dB if perfect" in text and "late warp" in text, err
+    assert "guided (plaza<b>): needs G-buffers" in err and "adaptive-window (plaza<b>): windows can be chosen" in err
+
+    document = json.loads((report / "results.json").read_text())
+    cells = {(c["sequence"], c["method"]): c for c in document["cells"]}
+    assert len(cells) == 8 + 6 and cells["forest:2", "mix"]["psnr"] > cells["forest:2", "repeat"]["psnr"]
+    best = cells["forest:2", "gffe"]
+    assert best["psnr"] > cells["forest:2", "no-motion"]["psnr"] - 0.01 and best["against"] is None
+    assert (
+        best["psnr"] > cells["forest:2", "repeat"]["psnr"] + 3
+        and best["flicker"] < cells["forest:2", "repeat"]["flicker"]
+    )
+    assert cells["forest:2", "repeat"]["against"] == pytest.approx(cells["forest:2", "repeat"]["psnr"] - best["psnr"])
+    assert {"psnr", "ssim", "flip", "flicker", "milliseconds"} <= {c["name"] for c in document["columns"]}
+    assert [row["turn"] for row in document["late"] if row["method"] == "gffe"] == [0.5, 1, 2, 4]
+    shown = [row["disoccluded"] for row in document["late"] if row["method"] == "gffe"]
+    assert shown == sorted(shown) and shown[-1] > 0.03
+    for sequence_of in document["sequences"]:
+        assert sum(sequence_of["shares"].values()) == pytest.approx(1)
+
+    _same_as_compare(gffe, tmp_path, sequence, cells["plaza<b>", "gffe"])
+    html = (report / "index.html").read_text()
+    assert html.count("data:image/webp;base64,") == 2 * 3 + 2 * 14 and "plaza<b>" not in html
+    assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", html)
+    assert "prefers-color-scheme: dark" in html and "@media print" in html
+    csv = (report / "results.csv").read_text().splitlines()
+    assert csv[0] == "sequence,method,region,metric,value"
+    assert f"forest:2,gffe,whole,psnr,{best['psnr']!r}" in csv
+
+    before = {path.name: path.stat().st_mtime_ns for path in (report / "cells").iterdir()}
+    start = time.process_time()
+    assert gffe(*call, "--late-warp")[0] == 0
+    assert time.process_time() - start < 10
+    assert {path.name: path.stat().st_mtime_ns for path in (report / "cells").iterdir()} == before
+    again = json.loads((report / "results.json").read_text())
+    assert again["cells"] == document["cells"]
+
+
+def _same_as_compare(gffe, tmp_path, sequence, cell):
+    """The figures of `gffe run` and `gffe compare`, where every frame that is measured here is."""
+    run, report = tmp_path / "run", tmp_path / "compare.json"
+    assert gffe("run", sequence, run)[0] == 0 and gffe("compare", run, sequence, "--json", report)[0] == 0
+    frames = {round(f["time"], 6): f for f in json.loads(report.read_text())["frames"]}
+    assert cell["frames"]
+    for frame in cell["frames"]:
+        other = frames[round(frame["time"], 6)]
+        for name in ("psnr", "ssim", "flip"):
+            assert frame[name] == pytest.approx(other[name], abs=1e-3), name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("rom",), "neither a built-in scene"),
+        (("room", "room:0"), "two sequences have one name"),
+        (("room", "--methods", "best"), "'best' is none of"),
+        (("room", "--metrics", "vmaf"), "'vmaf' is none of fvvdp"),
+        (("room", "--alpha", "0,0.5"), "--alpha must be different numbers within 0 and 8"),
+        (("room", "--frames", 2), "--frames must be 4 to 10000"),
+        (("room", "--onnx", "net"), "expected NAME=FILE"),
+        (("room", "--scheduler", "tcp://127.0.0.1:9"), "--scheduler"),
+    ],
+)
+def test_eval_says_what_is_wrong(gffe, tmp_path, arguments, words, monkeypatch):
+    monkeypatch.setattr(remote_workers, "PATIENCE", "0.2s")
+    code, _, err = gffe("eval", *arguments, "--out", tmp_path / "report", "--size", "32x32")
+    assert code == 2 and words in " ".join(err.split()) and not (tmp_path / "report" / "index.html").exists()
+
+
+def test_reports_go_to_folders_of_their_own(gffe, tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "sequence.json").write_text("{}")
+    for out, words in ((tmp_path / "file", "is a file"), (tmp_path, "is a sequence")):
+        code, _, err = gffe("eval", "room", "--out", out)
+        assert code == 2 and words in err
+
+
+def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
+    """What was computed before stays and is taken up; nothing is half-written."""
+    subject = SceneSubject("room", 0, 32, 24, 4, 30.0, (0.5,))
+    order = Order((subject,), ("repeat", "motion-vectors", "guided"))
+    done = []
+
+    def stops(items, arguments):
+        for work in items:
+            if len(done) == 2:
+                raise KeyboardInterrupt
+            done.append(work.method)
+            yield work, runner.compute_cell(work.subject, work.method, **arguments)
+
+    with pytest.raises(KeyboardInterrupt):
+        fill(order, tmp_path, executor=stops)
+    assert done == [None, "repeat"]
+    assert len(list(tmp_path.glob("*.json"))) == 3  # two cells, one of them timed
+    filled = fill(order, tmp_path)
+    assert filled.computed == 2 and len(filled.cells) == 3
+    html = page(results.results_of(filled), filled)
+    assert "motion vectors in image space" in html
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_a_killed_command_leaves_finished_cells(tmp_path):
+    arguments = (
+        "room",
+        "--size",
+        "160x90",
+        "--frames",
+        "12",
+        "--methods",
+        "baseline,deviation",
+        "--out",
+        str(tmp_path),
+    )
+    command = [sys.executable, "-m", "gffe_cl", "eval", *arguments]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    cells = tmp_path / "cells"
+    deadline = time.monotonic() + 300
+    while child.poll() is None and len(list(cells.glob("*.shown.webp"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert child.poll() is None, "it was too quick to be killed"
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    kept = cache.Cache(cells)
+    names = [path.stem for path in cells.glob("*.json") if not path.name.endswith(".time.json")]
+    assert len(names) >= 2 and all(kept.read(name) for name in names)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_cells(tmp_path):
+    """Two workers, one of which is killed on the way: nothing is lost, nothing is counted twice."""
+    distributed = pytest.importorskip("distributed", reason="needs dask")
+    from gffe_cl.lab.table.cluster import executor_of
+
+    subjects = tuple(SceneSubject(name, 0, 64, 36, 4, 30.0, (0.5,)) for name in ("room", "forest"))
+    order = Order(subjects, ("static-reprojection", "motion-vectors", "guided", "repeat"))
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as local:
+        compute, seen = executor_of(remote_workers.Cluster(local.scheduler_address)), []
+
+        def killing(items, arguments):
+            for work, cell in compute(items, arguments):
+                seen.append(work)
+                if len(seen) == 1:
+                    os.kill(next(iter(local.workers.values())).pid, signal.SIGKILL)
+                yield work, cell
+
+        with pytest.raises(GffeError, match="another version"):  # these tests hide the weights, workers have them
+            fill(Order(subjects[:1], ("gffe",)), tmp_path / "other", executor=compute)
+        steps = []
+        far = fill(order, tmp_path / "far", executor=killing, on_plan=lambda total: lambda: steps.append(total))
+    assert len(seen) == len(set(seen)) == far.computed == 2 * 5 and len(steps) == steps[0] == 2 * 2 * 4
+    near = fill(order, tmp_path / "near")
+    for place, cell in near.cells.items():
+        other = far.cells[place].document
+        assert np.allclose(
+            [frame["psnr"] for frame in other["frames"]],
+            [frame["psnr"] for frame in cell.document["frames"]],
+            atol=1e-3,
+        )
+        assert other["errors"]["pixels"] == cell.document["errors"]["pixels"]
+    assert fill(order, tmp_path / "far").computed == 0
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js to run the page's script")
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (23.7, 31.2), (-0.3, 0.02), (1e-4, 3.1e-3), (0.5, 0.5001), (3, 9e5)])
+def test_ticks_are_round_numbers(low, high):
+    script = files("gffe_cl.lab.table").joinpath("page.js").read_text("utf-8")
+    function = re.search(r"^function roundTicks.*?^}", script, re.DOTALL | re.MULTILINE)[0]
+    program = f"{function} console.log(JSON.stringify(roundTicks({low}, {high}, 5)))"
+    ticks, digits = json.loads(subprocess.run(["node", "-e", program], capture_output=True, check=True).stdout)
+    step = ticks[1] - ticks[0]
+    assert 2 <= len(ticks) <= 6 and low <= ticks[0] + 1e-9 * step and ticks[-1] <= high + 1e-9 * abs(high)
+    assert f"{step:.0e}"[0] in "125" and step == pytest.approx(float(f"{step:.0e}"), rel=1e-6)
+    assert len({f"{tick:.{digits}f}" for tick in ticks}) == len(ticks)

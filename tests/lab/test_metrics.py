@@ -1,0 +1,138 @@
+"""Metrics against values known without them."""
+
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from gffe_cl.lab import metrics
+from gffe_cl.lab.metrics import METRICS, RegionErrors, psnr, shading_regions, smape, ssim, to_display
+
+
+def test_display_values():
+    color = np.array([[[0.0, 1.0, 0.5], [np.nan, 7.0, -3.0], [np.inf, -np.inf, 0.002]]], np.float16)
+    shown = to_display(color)
+    assert shown.dtype == np.float32
+    expected = [[[0, 1, 0.7353569], [0, 1, 0], [1, 0, 12.92 * np.float32(color[0, 2, 2])]]]
+    np.testing.assert_allclose(shown, expected, atol=1e-6)
+    np.testing.assert_allclose(to_display([[[0.25, 0, 0]]], exposure=2.0)[0, 0, 0], 0.7353569, atol=1e-6)
+    assert np.isnan(color[0, 1, 0])  # the input is left as it was
+
+
+def test_display_values_does_not_overflow_half():
+    assert to_display(np.full((1, 1, 3), 60000, np.float16), exposure=4).max() == pytest.approx(1, abs=1e-6)
+
+
+def test_psnr():
+    a = np.zeros((4, 5, 3), np.float32)
+    assert psnr(a, a) == 100.0
+    assert psnr(a, a + 1e-6) == 100.0
+    assert psnr(a, a + 0.1) == pytest.approx(20.0, abs=1e-5)
+    assert psnr(a, a + 0.01) == pytest.approx(40.0, abs=1e-4)
+    b = a.copy()
+    b[0, 0, 0] = 1
+    assert psnr(a, b) == pytest.approx(10 * np.log10(60))
+
+
+def test_psnr_mask():
+    a = np.zeros((4, 5, 3), np.float32)
+    b, mask = a.copy(), np.zeros((4, 5), np.float16)
+    b[1, 2], mask[1, 2] = 0.1, 1
+    assert psnr(a, b, mask) == pytest.approx(20.0, abs=1e-5)
+    assert psnr(a, b, 1 - mask) == 100.0
+    assert np.isnan(psnr(a, b, np.zeros((4, 5))))
+
+
+def test_ssim():
+    rng = np.random.default_rng(1)
+    a = rng.random((16, 17, 3)).astype(np.float32)
+    assert ssim(a, a) == pytest.approx(1.0)
+    # flat images: only the luminance term (2ab + C1) / (a² + b² + C1) is left
+    flat = np.full((16, 17, 3), 0.5, np.float32)
+    assert ssim(flat, flat * 0.5) == pytest.approx((0.25 + 1e-4) / (0.3125 + 1e-4), abs=1e-5)
+    assert ssim(a, 1 - a) < 0
+    assert np.isnan(ssim(a[:6], a[:6]))
+
+
+def test_smape():
+    a = np.array([[[1.0, 0, np.nan], [0, 0, 0]]], np.float16)
+    b = np.array([[[0.0, 0, 0], [0, 0, 0]]], np.float16)
+    out = smape(a, b)
+    assert out.shape == (1, 2)
+    np.testing.assert_allclose(out, [[2 / 1.01 / 3, 0]], rtol=1e-6)
+    np.testing.assert_allclose(smape(a, b, exposure=0.01)[0, 0], 0.02 / 0.02 / 3, rtol=1e-5)
+
+
+def images(seed=0, shape=(20, 30, 3)):
+    rng = np.random.default_rng(seed)
+    truth = rng.random(shape).astype(np.float32)
+    return np.clip(truth + rng.normal(0, 0.1, shape), 0, 1).astype(np.float32), truth
+
+
+def test_ssim_is_scikit_images_default_and_its_map_under_a_mask():
+    from skimage.metrics import structural_similarity
+
+    shown, truth = images()
+    assert ssim(shown, truth) == pytest.approx(structural_similarity(shown, truth, data_range=1, channel_axis=-1))
+    mask = np.zeros((20, 30))
+    mask[:10, :10] = 1  # the window does not fit where the three outermost pixels are
+    _, whole = structural_similarity(shown, truth, data_range=1, channel_axis=-1, full=True)
+    assert ssim(shown, truth, mask) == pytest.approx(whole[3:10, 3:10].mean(), abs=1e-6)
+    mask[3:10, 3:10] = 0
+    assert np.isnan(ssim(shown, truth, mask)) and psnr(shown, truth, mask) > 0
+
+
+def test_every_metric_knows_better_from_worse(monkeypatch):
+    if METRICS["flip"].missing():
+        package = types.ModuleType("flip_evaluator")
+        package.evaluate = lambda reference, test, kind, applyMagma: (np.abs(reference - test), None, {})
+        monkeypatch.setitem(sys.modules, "flip_evaluator", package)
+    shown, truth = images()
+    half = (shown + truth) / 2
+    assert metrics.measurable() == list(METRICS.values()) and not metrics.missing_metrics()
+    for name, metric in METRICS.items():
+        better, worse = metric.measure(half, truth), metric.measure(shown, truth)
+        assert metric.name == name and metric.gain(worse, better) > 0 > metric.gain(better, worse)
+        assert np.isnan(metric.measure(shown, truth, np.zeros((20, 30))))
+        assert metric.text(float("nan")) == "–" and float(metric.text(better)) == pytest.approx(better, abs=0.01)
+    assert METRICS["psnr"].sentence(31.2) == "PSNR 31.20 dB" and METRICS["ssim"].title == "SSIM"
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    assert [metric.name for metric in metrics.measurable()] == ["psnr", "ssim"]
+    assert metrics.missing_metrics() == ["FLIP needs flip-evaluator: pip install flip-evaluator"]
+
+
+def test_regions_are_pooled_over_images():
+    pairs = [images(seed) for seed in range(2)]
+    masks = [np.zeros((20, 30), bool), np.ones((20, 30), bool)]
+    masks[0][:5] = True
+    several = []
+    for (shown, truth), mask in zip(pairs, masks, strict=True):
+        several.append(RegionErrors())
+        several[-1].add(shown, truth, {"some": mask, "whole": np.ones_like(mask)}, [METRICS["psnr"], METRICS["ssim"]])
+    pooled = RegionErrors.pooled(several)
+    both = [np.concatenate(side) for side in zip(*pairs, strict=True)]
+    assert pooled.figure("psnr", "some") == pytest.approx(psnr(*both, np.concatenate(masks)))
+    assert pooled.figure("ssim", "whole") == pytest.approx(np.mean([ssim(*pair) for pair in pairs]))
+    figures = pooled.figures()
+    assert figures["some"]["share"] == 750 / 1200 and np.isnan(figures["some"]["flip"])
+    nothing = RegionErrors()
+    nothing.add(*pairs[0], {"some": np.zeros((20, 30)), "whole": masks[1]}, [METRICS["psnr"]])
+    assert np.isnan(nothing.figure("psnr", "some")) and np.isnan(nothing.figure("ssim", "whole"))
+    same = RegionErrors()
+    same.add(pairs[0][1], pairs[0][1], {"whole": masks[1]}, [METRICS["psnr"]])
+    assert same.figure("psnr", "whole") == metrics.PSNR_CAP
+
+
+def test_regions_of_shading():
+    focus = np.array([[True, True, False, False]])
+    disoccluded = np.array([[True, False, True, False]])
+    regions = shading_regions(focus, disoccluded)
+    assert {name: mask.tolist() for name, mask in regions.items()} == {
+        "focus": [[False, True, False, False]],
+        "disoccluded": disoccluded.tolist(),
+        "whole": [[True] * 4],
+    }

@@ -1,0 +1,849 @@
+"""The shading correction network: encoding, warping, losses, crops, and training it on a small setting."""
+
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gffe_cl.engine.core.errors import GffeError  # noqa: E402
+from gffe_cl.engine.inference import network as inference  # noqa: E402
+from gffe_cl.engine.stages.shading_trend import TREND_PLANES, reach_of  # noqa: E402
+from gffe_cl.lab import metrics  # noqa: E402
+from gffe_cl.lab.metrics import focus_mask, shading_regions, to_display  # noqa: E402
+from gffe_cl.lab.training import clips, images, losses, network  # noqa: E402
+from gffe_cl.lab.training import training as training_module  # noqa: E402
+from gffe_cl.lab.training.augmentation import Augmentation, low_pass  # noqa: E402
+from gffe_cl.lab.training.crops import Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
+from gffe_cl.lab.training.export import count_operations, differences, export_onnx  # noqa: E402
+from gffe_cl.lab.training.flow import find_flow  # noqa: E402
+from gffe_cl.lab.training.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
+
+
+def random(*shape, seed=0, scale=1.0):
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed)) * scale
+
+
+# ---- network -------------------------------------------------------------------------------------------
+
+
+def test_encoding():
+    colors = torch.tensor([0.0, 1e-3, 0.1, 1.0, 8.0, 300.0, 60000.0])
+    codes = network.encode(colors)
+    assert codes[0] == 0 and codes[4] == pytest.approx(1.0)
+    assert codes[3] == pytest.approx(math.log(1 + 5000 / 8) / math.log(5001))
+    assert torch.allclose(network.decode(codes), colors, rtol=2e-4)
+    assert network.encode(torch.tensor(-1.0)) == 0 and network.decode(torch.tensor(-0.5)) == 0
+
+
+def test_warp_by_whole_pixels():
+    image = random(1, 3, 12, 17)
+    flow = torch.zeros(1, 2, 12, 17)
+    flow[:, 0], flow[:, 1] = 3.0, -2.0
+    moved = images.warp(image, flow)
+    assert torch.allclose(moved[..., 2:, :-3], image[..., :-2, 3:], atol=1e-5)
+    assert torch.allclose(moved[..., 0, -1], image[..., 0, -1], atol=1e-5)  # borders are repeated
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (1.6, -0.7), (-5.0, 4.0)])
+def test_flow_of_a_smooth_pattern_that_moved(shift):
+    """Between two samplings of one function; at the border the pattern leaves the image."""
+    ys, xs = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+
+    def pattern(x, y):
+        return (0.5 + 0.2 * torch.sin(0.21 * x + 0.1 * y) + 0.2 * torch.cos(0.05 * x - 0.17 * y))[None, None]
+
+    now, before = pattern(xs, ys), pattern(xs - shift[0], ys - shift[1])  # what is at x now was at x + shift
+    flow, differences = find_flow(now, before, torch.zeros_like(now))
+    still, along, *_ = differences[0]
+    inner = flow[0, :, 12:-12, 12:-12]
+    assert (inner - torch.tensor(shift).view(2, 1, 1)).abs().mean() < 0.06
+    assert along[12:-12, 12:-12].max() < 1e-4
+    assert still.mean() == pytest.approx(float((now - before).square().mean()), rel=0.05, abs=1e-6)
+
+
+def test_flow_where_there_is_nothing_to_see():
+    flow, differences = find_flow(*(torch.full((1, 1, 16, 16), value) for value in (0.3, 0.4, -0.1)))
+    expected = torch.tensor([0.01, 0.01, 0.0, 0.0]).view(1, 4, 1, 1)  # the change is that of the interval before
+    assert not flow.any() and torch.allclose(differences, expected, atol=1e-6)
+
+
+def test_composition():
+    color = random(1, 3, 32, 48, scale=4.0)
+    correction = torch.zeros(1, 5, 16, 24)
+    correction[:, 3] = 1.0
+    refined, final, mask = network.compose(color, correction)
+    assert torch.equal(final, color) and not mask.any()
+    assert torch.allclose(refined, color, rtol=1e-3, atol=1e-5)
+    correction[:, 4] = 1 / 33  # under the threshold
+    assert torch.equal(network.compose(color, correction)[1], color)
+    correction[:, 4, :, :12], correction[:, :3] = 1.0, 0.1
+    _, final, mask = network.compose(color, correction)
+    ratio = (final / color).mean(1)
+    assert (ratio[..., :20] > 1.3).all() and torch.equal(final[..., 28:], color[..., 28:])
+    correction[:, 3] = 0.0  # without detail, neighbors are equal but for what is between them at half resolution
+    plain = network.compose(color, correction)[0]
+    assert plain[..., :20].std() < 0.8 * final[..., :20].std()
+
+
+def test_composition_at_half_resolution_has_no_detail():
+    color = random(1, 3, 16, 24, scale=4.0)
+    correction = torch.zeros(1, 5, 16, 24)
+    correction[:, :3, :, :12], correction[:, 4, :, :12] = 0.1, 1.0
+    refined, final, _ = network.compose(color, correction)
+    assert torch.allclose(network.encode(refined), network.encode(color) + correction[:, :3], atol=1e-5)
+    assert torch.equal(final[..., 12:], color[..., 12:]) and torch.allclose(final[..., :12], refined[..., :12])
+
+
+def test_network_is_within_its_limits():
+    parameters, operations = count_operations(network.ShadingCorrectionNetwork(), 1920, 1080)
+    assert parameters <= 1_000_000
+    assert 1 < operations <= 24
+
+
+def test_codes_of_any_size_are_finite_colors():
+    correction = torch.zeros(1, 5, 16, 24)
+    correction[:, :3] = 12.0
+    assert torch.isfinite(network.compose(random(1, 3, 32, 48), correction)[1]).all()
+
+
+def test_a_new_network_changes_little():
+    torch.manual_seed(0)
+    frames, trends = random(2, 8, 1, 1).expand(2, 8, 32, 32), torch.zeros(2, TREND_PLANES, 16, 16)
+    net = network.ShadingCorrectionNetwork()
+    correction, likely = net(frames, torch.tensor([0.25, 0.75]), trends)
+    assert correction.shape == (2, 5, 32, 32) and correction[:, :3].abs().mean() < 0.15
+    assert likely.max() < 0.5 and correction[:, 3].min() > 0.5
+    assert correction[:, 4].mean() < 0.3
+
+
+def test_alpha_and_trends_matter():
+    torch.manual_seed(0)
+    net, frames = network.ShadingCorrectionNetwork().eval(), random(1, 8, 32, 32)
+    trends = random(1, TREND_PLANES, 16, 16)
+    with torch.no_grad():
+        said = net(frames, torch.tensor([0.25]), trends)
+        assert not torch.equal(said, net(frames, torch.tensor([0.75]), trends))
+        for plane in range(TREND_PLANES):
+            other = trends.clone()
+            other[:, plane] = 0
+            assert not torch.equal(said, net(frames, torch.tensor([0.25]), other)), plane
+
+
+def test_trend_counts_as_far_as_it_has_lasted():
+    """Without flow, and with a gate that is open, the correction is the trend: of what went on as before."""
+    net = network.ShadingCorrectionNetwork().eval()
+    frames, trends = random(1, 8, 1, 1).expand(1, 8, 32, 32), random(1, TREND_PLANES, 1, 1).repeat(1, 1, 16, 16) - 0.5
+    with torch.no_grad():
+        net.convolutions.out.weight.zero_()
+        net.head[1].weight.zero_()
+        net.head[1].bias[5] = 1.0
+        for share, counts in ((1.0, 1.0), (2.0, 1.0), (0.5, 0.5), (0.0, 0.0), (-1.0, 0.0)):
+            trends[:, 3:6] = share * trends[:, :3]
+            delta = net(frames, torch.tensor([0.5]), trends)[:, :3]
+            assert torch.allclose(delta, counts * trends[:, :3, :1, :1], atol=2e-3), share
+
+
+def test_correction_follows_the_flow_that_was_found():
+    """Where the network says so, and nothing else, the GAE frame is moved by α of it."""
+    ys, xs = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+
+    def bright(moved):
+        return (0.5 + 0.2 * torch.sin(0.15 * (xs + moved)) + 0.2 * torch.cos(0.11 * ys)).expand(1, 3, 64, 96)
+
+    now, before = bright(0.0), bright(-4.0)  # what is at x was at x + 4
+    frames = torch.cat((now, before, torch.full((1, 2, 64, 96), 0.5)), 1)
+    net = network.ShadingCorrectionNetwork().eval()
+    with torch.no_grad():
+        net.convolutions.out.weight.zero_()
+        net.head[1].weight.zero_()
+        for follow, share in ((20.0, 1.0), (-20.0, 0.0)):
+            net.convolutions.out.bias[2] = follow
+            delta = net(frames, torch.tensor([0.5]), torch.zeros(1, TREND_PLANES, 32, 48))[:, :3]
+            expected = share * (bright(2.0) - now)
+            assert (delta - expected)[..., 12:-12, 12:-12].abs().max() < 0.02
+
+
+def test_texture_does_not_move_along_a_flow():
+    """Only light does: a shadow's edge that moves over checkers; where no light changes, nothing does."""
+    ys, xs = torch.meshgrid(torch.arange(32.0), torch.arange(48.0), indexing="ij")
+    texture = (0.3 + 0.3 * ((xs // 3 + ys // 3) % 2)).expand(1, 3, 32, 48)
+
+    def lit(edge):
+        return texture + 0.2 * (xs > edge)
+
+    flow = torch.tensor([-4.0, 0.0]).view(1, 2, 1, 1).expand(1, 2, 32, 48)  # half of the way until t + 1
+    assert network.moved_light(texture, texture, flow).abs().max() == 0
+    moved = network.moved_light(lit(20.5), lit(12.5), flow)
+    assert moved[..., 25:].abs().max() == 0 and moved.max() == 0  # it becomes darker, if anything
+    assert (images.warp(texture, flow) - texture).abs().max() > 0.29  # which it would not without
+    assert moved.min() >= -0.4
+
+
+def test_training_begins_with_another_network_s_weights():
+    """Also with those of one that has fewer inputs; what it does not have counts for nothing."""
+    torch.manual_seed(1)
+    one, other = network.ShadingCorrectionNetwork().eval(), network.ShadingCorrectionNetwork().eval()
+    weights = {name: value.detach().numpy() for name, value in one.convolutions.named_parameters()}
+    head = one.head_weights()
+    inputs = random(1, 8, 32, 32), torch.tensor([0.5]), random(1, TREND_PLANES, 16, 16)
+    other.take(weights, head)
+    with torch.no_grad():
+        assert torch.equal(one(*inputs), other(*inputs))
+        first = "seen.0.weight"
+        other.take(weights | {first: weights[first][:, :6]}, head)
+        one.convolutions.get_parameter(first)[:, 6:] = 0
+        assert torch.allclose(one(*inputs), other(*inputs), atol=1e-6)
+    with pytest.raises(ValueError, match=r"'out\.bias' is missing"):
+        other.take({name: value for name, value in weights.items() if name != "out.bias"}, head)
+    with pytest.raises(ValueError, match=r"'out.weight' is \[99, 24, 3, 3\]"):
+        other.take(weights | {"out.weight": np.zeros((99, 24, 3, 3), np.float32)}, head)
+    with pytest.raises(ValueError, match="its head has 3 weights"):
+        other.take(weights, head[:3])
+
+
+# ---- losses --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("loss", [losses.charbonnier, losses.focus_loss, losses.PyramidLoss()])
+def test_losses_are_zero_for_equals_and_have_gradients(loss):
+    a, b = random(2, 3, 32, 32), random(2, 3, 32, 32, seed=1).requires_grad_()
+    assert loss(a, a).item() == pytest.approx(0, abs=1e-7)
+    value = loss(b, a)
+    value.backward()
+    assert value > 0 and b.grad.abs().sum() > 0
+
+
+def test_display_values_agree():
+    colors = torch.tensor([0.0, 1e-4, 0.003, 0.0032, 0.2, 1.0, 7.0]).view(-1, 1).repeat(1, 3).requires_grad_()
+    shown = losses.display(colors)
+    assert np.allclose(shown.detach().numpy(), to_display(colors.detach().numpy()), atol=1e-6)
+    shown.sum().backward()
+    assert torch.isfinite(colors.grad).all()
+
+
+def test_structural_similarity_is_the_metric():
+    a, b = random(2, 3, 40, 32).abs().clamp(max=1), random(2, 3, 40, 32, seed=1).abs().clamp(max=1)
+    measured = [metrics.ssim(x, y) for x, y in zip(*(t.permute(0, 2, 3, 1).numpy() for t in (a, b)), strict=True)]
+    assert losses.ssim(a, b).item() == pytest.approx(np.mean(measured), abs=1e-5)
+
+
+def test_weights_are_the_papers_but_for_the_mask_s():
+    assert weights(Recipe(blend_weight=0.5)) == {
+        "reconstruction": 1.0,
+        "focus": 0.05,
+        "perceptual": 0.01,
+        "blend": 0.5,
+        "teacher": 4.0,
+    }
+
+
+def test_vgg(tmp_path):
+    torch.manual_seed(0)
+    layout = {0: (3, 64), 2: (64, 64), 5: (64, 128), 7: (128, 128), 10: (128, 256), 12: (256, 256), 14: (256, 256)}
+    layout |= {16: (256, 256), 19: (256, 512), 21: (512, 512)}
+    state = {f"features.{k}.weight": 0.05 * torch.randn(o, i, 3, 3) for k, (i, o) in layout.items()}
+    state |= {f"features.{k}.bias": torch.zeros(o) for k, (_, o) in layout.items()}
+    state["classifier.0.weight"] = torch.zeros(1)
+    torch.save(state, tmp_path / "vgg19-abc.pth")
+    loss = losses.perceptual_loss(tmp_path / "vgg19-abc.pth")
+    a, b = random(1, 3, 32, 32), random(1, 3, 32, 32, seed=1).requires_grad_()
+    assert loss.name == "VGG-19" and loss(a, a) == 0
+    loss(b, a).backward()
+    assert b.grad.abs().sum() > 0
+    (tmp_path / "bad.pth").write_bytes(b"nothing")
+    with pytest.raises(GffeError, match=r"bad\.pth: not VGG-19"):
+        losses.perceptual_loss(tmp_path / "bad.pth")
+
+
+# ---- data ----------------------------------------------------------------------------------------------
+
+
+def test_plans_depend_on_seed_and_number_only():
+    assert clips.ClipPlan.draw(3, 5) == clips.ClipPlan.draw(3, 5)
+    plans = [clips.ClipPlan.draw(3, k) for k in range(40)]
+    assert {plan.scene for plan in plans} == set(clips.TRAINING_SCENES)
+    assert len({plan.fps for plan in plans}) == 40 and all(15 <= plan.fps <= 60 for plan in plans)
+    alphas = [a for plan in plans for alphas in plan.alphas for a in alphas]
+    assert min(alphas) == 0.25 and max(alphas) == 1.0
+
+
+def test_crops_are_ranked_by_areas_not_outlines():
+    rng = np.random.default_rng(0)
+    sample = np.full((clips.CHANNELS, 270, 480), 0.5, np.float16)
+    sample[clips.PLANES["truth"], :, ::4] = 0.05  # a fence that is wrong everywhere
+    assert all(focus == 0 for _, _, focus in clips.crops_of(sample, rng))
+    sample[clips.PLANES["truth"], 100:140, 200:260] = 0.05  # a shadow
+    found = clips.crops_of(sample, rng)
+    assert max(focus for *_, focus in found) == pytest.approx(38 * 58 / 256**2, rel=0.2)
+
+
+def test_test_scenes_are_not_trained_on():
+    assert set(clips.TRAINING_SCENES) == {"corridor", "plaza", "room", "forest"}
+
+
+def test_focus_masks_agree():
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0, 1, (40, 50, 3)).astype(np.float32)
+    gae = truth * rng.uniform(0.2, 1.2, (40, 50, 1)).astype(np.float32)
+    dynamic = rng.random((40, 50)) < 0.2
+    expected = focus_mask(gae, truth, dynamic)
+    planes = [torch.from_numpy(x.transpose(2, 0, 1)[None]) for x in (gae, truth)]
+    mask = focus_truth(*planes, torch.from_numpy(dynamic[None, None]))
+    assert 0.01 < expected.mean() < 0.6 and not expected[dynamic].any()
+    assert (mask[0, 0].numpy() == expected).all()
+
+
+def test_training_is_validated_where_evaluation_measures():
+    """Disoccluded pixels are no focus pixels, whatever is wrong there."""
+    batch = batch_of(size=32)
+    batch.side[:, 1, 8:16] = 0.0
+    batch.side[:, 1, :, :8] = 1.0  # the input mask of a dynamic pixel, disoccluded or not
+    regions = batch.regions()
+    for k in range(3):
+        gae, truth = (image[k].numpy().transpose(1, 2, 0) for image in (batch.gae, batch.truth))
+        mask = batch.side[k, 1].numpy()
+        expected = shading_regions(focus_mask(gae, truth, mask == 1), mask == 0)
+        for name, wanted in expected.items():
+            assert (regions[name][k, 0].numpy() == wanted).all(), name
+    assert regions["focus"].any() and (batch.focus() & regions["disoccluded"]).any()
+    assert not (regions["focus"] & regions["disoccluded"]).any()
+
+
+def test_keeping_crops():
+    crops = [Crop(None, 0, 0, k, 0.5, focus) for k, focus in enumerate(np.linspace(0, 0.5, 200))]
+    kept = keep_crops(crops, seed=1)
+    assert {crop.x for crop in kept[:30]} == set(range(170, 200))
+    assert len({crop.x for crop in kept}) == 42
+    assert keep_crops(crops, seed=1) == kept != keep_crops(crops, seed=2)
+
+
+def batch_of(count=3, size=64, alpha=0.5):
+    colors = [random(count, 3, size, size, seed=k) for k in range(3)]
+    side = torch.full((count, 2, size, size), 0.5)
+    side[:, 1, :, : size // 4] = 1.0  # dynamic
+    trends = random(count, TREND_PLANES, size // 4, size // 4, seed=4, scale=0.02) - 0.01
+    return Batch(*colors, side, trends, torch.full((count,), alpha), torch.full((count,), 270.0))
+
+
+def halved(batch):
+    """As `load_batch` reads it at half resolution."""
+    samples = clips.halve(torch.cat(batch.images(), 1).numpy().astype(np.float16))
+    planes = torch.from_numpy(samples.astype(np.float32))
+    images = (planes[:, part] for part in clips.PLANES.values())
+    return Batch(*images, batch.trends.clone(), batch.alpha, batch.heights, True)
+
+
+def test_samples_at_half_resolution_are_what_the_network_sees():
+    batch = batch_of()
+    half = halved(batch)
+    assert half.gae.shape == (3, 3, 32, 32)
+    assert torch.allclose(half.frames(), batch.frames(), atol=1e-3)
+
+
+def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
+    """An edge of contrast 10, shifted by one pixel and by four."""
+    ramp = torch.full((1, 3, 16, 32), 0.1)
+    ramp[..., 16:] = 1.0
+    side = torch.full((1, 2, 16, 32), 0.5)
+    for shift, wrong in ((0, False), (1, False), (-1, False), (4, True), (-4, True)):
+        trends = torch.zeros(1, TREND_PLANES, 4, 8)
+        moved = Batch(ramp, ramp, torch.roll(ramp, shift, -1), side, trends, *torch.ones(2, 1))
+        inner = [part.focus()[..., 4:-4].any().item() for part in (moved, halved(moved))]
+        assert inner == [wrong, wrong], shift
+
+
+def test_augmentation_follows_its_generator():
+    made = [Augmentation(torch.Generator().manual_seed(s))(batch_of()) for s in (1, 1, 2)]
+    assert torch.equal(made[0].truth, made[1].truth) and torch.equal(made[0].gae, made[1].gae)
+    assert torch.equal(made[0].trends, made[1].trends) and made[0].trends.shape == (3, TREND_PLANES, 16, 16)
+    assert not torch.equal(made[0].truth, made[2].truth)
+    small = Augmentation(torch.Generator().manual_seed(1))(halved(batch_of()))
+    assert small.halved and small.gae.shape[-1] == 32
+    for batch in (*made, small):
+        assert all(torch.isfinite(x).all() and (x >= 0).all() for x in (batch.gae, batch.previous, batch.truth))
+
+
+@pytest.mark.parametrize("change", ["_lit", "_reflected"])
+def test_shading_of_its_own_moves_with_time(change):
+    """At α = 0 the truth shows it where the GAE frame does, at α = −1 and −2 where the frames before do; never on what
+    is dynamic."""
+    batch = batch_of()
+    one = torch.ones(4, 3, 3, 64, 64) * 0.3
+    one[2] += 0.2 * batch.truth if change == "_reflected" else 0
+    for alpha, same, other in ((0.0, 0, 1), (-1.0, 1, 0), (-2.0, 3, 0)):
+        augmentation = Augmentation(torch.Generator().manual_seed(5), changing=0.0)
+        colors = getattr(augmentation, change)(one, batch.side, torch.full((3,), alpha)) - one
+        assert torch.allclose(colors[2], colors[same], atol=1e-6)
+        assert (colors[2] - colors[other]).abs().max() > 0.02
+        assert not colors[..., :16].any() and colors[..., 16:].abs().max() > 0.05
+
+
+def test_some_shading_does_not_go_on():
+    """A tenth each is elsewhere in every frame, flickers, or fades steadily; a thirtieth jumps after t."""
+    count, alpha = 4000, torch.full((4000,), 0.5)
+    times, strength = Augmentation(torch.Generator().manual_seed(1))._course(count, alpha)
+    steady = torch.tensor((0.0, -1.0, 0.5, -2.0)).view(4, 1)
+    went, shown = times == steady, strength == 1
+    assert (~went[:2].any(0)).float().mean() == pytest.approx(0.1, abs=0.02)
+    assert (went[0] & ~went[2]).float().mean() == pytest.approx(1 / 30, abs=0.01)
+    flat = (strength[0] - strength[1]) - (strength[1] - strength[3])
+    fading = ~shown.all(0) & ((flat.abs() < 1e-5) | (strength == 0).any(0) | shown.any(0))
+    assert fading.float().mean() == pytest.approx(0.1, abs=0.02)
+    assert (~shown.any(0) & ~fading).float().mean() == pytest.approx(0.1, abs=0.02)
+    assert (went.all(0) & shown.all(0)).float().mean() == pytest.approx(2 / 3, abs=0.03)
+
+
+def test_trends_are_what_the_stage_finds():
+    """The augmentation's blur against the twin of the kernel's, over cells of which some are not known."""
+    import twins
+
+    height, cells = 540, 24
+    known = (random(1, 1, cells, cells, seed=2) < 0.7).float()
+    changes = (random(1, 3, cells, cells) - 0.5) * known
+    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), reach_of(height))[:3]
+    spread = [torch.repeat_interleave(torch.repeat_interleave(x, 4, -1), 4, -2) for x in (changes, known)]
+    found = low_pass(*spread, torch.tensor([float(height)]))
+    assert found.shape == (1, 3, 2 * cells, 2 * cells)
+    middle = torch.nn.functional.avg_pool2d(found, 2)[0].numpy()  # doubled bilinearly, nearly the cells again
+    np.testing.assert_allclose(middle, expected, atol=0.1 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("alpha", [0.25, 1.0])
+def test_trends_follow_a_light_that_fades(alpha, monkeypatch):
+    """A pattern over all of the crop, with strengths of its own: trends say what it did; exposure hardly moves them."""
+    batch = batch_of(alpha=alpha)
+    batch.previous = batch.gae.clone()
+    batch.trends[:, :6], batch.side[:, 1] = 0, 0.5
+    augmentation = Augmentation(torch.Generator().manual_seed(0), shading=1.0, noise=0.0)
+    factors = torch.tensor((0.5, 0.7, 0.4, 0.9)).view(4, 1, 1, 1, 1)  # t, t − 1, t + α, t − 2
+    monkeypatch.setattr(Augmentation, "_lit", lambda self, colors, side, alpha: colors * factors**0.5)
+    for other in ("_reflected", "_switched"):
+        monkeypatch.setattr(Augmentation, other, lambda self, colors, side, alpha: colors)
+    monkeypatch.setattr(Augmentation, "_some", lambda self, count, share: torch.arange(count if share > 0.1 else 0))
+    made = augmentation(batch)
+    expected = (network.encode(made.gae) - network.encode(made.previous)).mean((1, 2, 3))
+    assert made.trends[:, :3].mean((1, 2, 3)).numpy() == pytest.approx(alpha * expected.numpy(), rel=0.1)
+    before = made.trends[:, 3:6].mean((1, 2, 3)) / alpha * math.log(5001)
+    assert (before < 0.8 * math.log(0.7 / 0.9)).all() and (before > 1.02 * math.log(0.7 / 0.9)).all()
+    assert torch.allclose(made.trends[:, 6].mean((1, 2)), batch.trends[:, 6].mean((1, 2)), atol=1e-7)
+    for kind in (batch, halved(batch)):  # without shading of its own only exposure changes: trends nearly stay
+        plain = Augmentation(torch.Generator().manual_seed(0), shading=0.0, noise=0.0)
+        monkeypatch.setattr(Augmentation, "_some", lambda self, count, share: torch.arange(0))
+        kind.trends[:, :6] = 0.01
+        assert torch.allclose(plain(kind).trends[:, :6], torch.tensor(0.01), atol=2e-3)
+
+
+# ---- training ------------------------------------------------------------------------------------------
+
+RECIPE = Recipe(seed=3, steps=16, batch=4, learning_rate=3e-3, final_learning_rate=1e-3, full_every=8)
+CLIPS = 3
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small():
+    """Clips hardly larger than a crop, and a few crops to validate with."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clips, "_SIZES", ((288, 264),) * len(clips._SIZES))
+        patch.setattr(training_module, "_VALIDATION_CROPS", 4)
+        yield
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory, opened, small):
+    """Three small clips, and their folder."""
+    folder = tmp_path_factory.mktemp("training")
+    assert clips.make_clips(folder, opened, 3, CLIPS) == CLIPS
+    return folder
+
+
+@pytest.fixture(scope="module")
+def opened():
+    from gffe_cl.engine.opencl.device import open_device
+
+    return open_device()
+
+
+def started(folder, data, recipe=RECIPE):
+    return Training(folder, recipe, list_crops(data, 3, CLIPS), Processes(), clips=CLIPS)
+
+
+@pytest.mark.slow
+def test_clips_are_cached_and_resumable(data, opened):
+    assert clips.make_clips(data, opened, 3, CLIPS) == 0
+    path = clips.clip_path(data, 3, 1)
+    document, samples = json.loads(path.with_suffix(".json").read_text()), np.load(path)
+    path.with_suffix(".json").unlink()  # as if it had been interrupted there
+    assert clips.make_clips(data, opened, 3, CLIPS) == 1
+    assert json.loads(path.with_suffix(".json").read_text()) == document
+    assert (np.load(path) == samples).all()
+    plan = document["plan"]
+    assert samples.shape == (4, clips.CHANNELS, plan["height"], plan["width"]) and len(document["alphas"]) == 4
+    half = np.load(clips.halved_path(path))
+    assert half.shape == (4, clips.HALVED_CHANNELS, plan["height"] // 2, plan["width"] // 2)
+    for trend in half[:, clips.CHANNELS :].astype(np.float32):
+        assert trend[:3].any() and trend[3:6].any() and 0 < trend[6].mean() <= 1
+    gae, truth = samples[:, clips.PLANES["gae"]], samples[:, clips.PLANES["truth"]]
+    assert np.abs(gae.astype(np.float32) - truth).mean() < 0.1 * truth.astype(np.float32).mean()
+
+
+@pytest.mark.slow
+def test_clips_are_made_without_the_network(data, opened, tmp_path, monkeypatch):
+    """Whatever weights are installed: they are to correct the extrapolated frame, not one that is corrected."""
+    from scn_models import constant_model
+
+    model = Path(constant_model(tmp_path / "m.onnx", delta=0.3, mask=1.0))
+    monkeypatch.setattr(inference, "default_model", lambda: model)
+    samples, *_ = clips.make_clip(opened, clips.ClipPlan.draw(3, 1))
+    assert (samples == np.load(clips.clip_path(data, 3, 1))).all()
+
+
+@pytest.mark.slow
+def test_crops_at_half_resolution_are_what_the_network_sees(data):
+    crops = [crop for crop in list_crops(data, 3, CLIPS) if crop.x % 2 == crop.y % 2 == 0][:2]
+    whole, half = load_batch(crops), load_batch(crops, halved=True)
+    assert half.halved and half.gae.shape == (2, 3, clips.CROP // 2, clips.CROP // 2)
+    assert torch.allclose(half.frames(), whole.frames(), atol=2e-3)
+    assert torch.equal(half.trends, whole.trends)
+    assert half.trends.shape == (2, TREND_PLANES, clips.CROP // 4, clips.CROP // 4)
+    assert half.heights.tolist() == [264, 264]
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
+    training = started(tmp_path / "run", data)
+    crops = training.crops[:8]
+    before = fixed_loss(training, crops)
+    start = {name: value.clone() for name, value in training.network.named_parameters()}
+    assert training.run()
+    after = fixed_loss(training, crops)
+    assert after["loss"] < 0.96 * before["loss"]
+    assert after["focus"] < before["focus"]
+    for name, value in training.network.named_parameters():
+        assert value.grad is not None and value.grad.abs().sum() > 0, name
+        assert not torch.equal(value, start[name]), name
+    out = training.network.head[1].weight.grad.abs().sum((1, 2, 3))
+    assert (out > 0).all(), "Δ, keep or M"
+    first = training.network.convolutions.seen[0].weight.grad.abs().sum((0, 2, 3))
+    assert (first > 0).all(), "of the frames"
+    figures = training.validate()
+    assert all(math.isfinite(value) for value in figures.values())
+
+
+@pytest.mark.long
+def test_in_integers_a_network_is_taught_by_that_in_floats(data, tmp_path):
+    """By what it was begun with, which stays; and only then."""
+    assert started(tmp_path / "floats", data, Recipe(seed=3, steps=1, batch=2)).teacher is None
+    training = started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2, integers=True))
+    teacher, batch = training.teacher, load_batch(training.crops[:2], halved=True)
+    said = [p.clone() for p in teacher.parameters()]
+    inputs = batch.frames(), batch.alpha, batch.trends
+    terms = []
+    for student in (teacher, training.network.eval()):
+        correction = student(*inputs)
+        rest = correction[:, 4:5], batch, batch.focus().float(), training.perceptual, teacher(*inputs)
+        terms.append(float(training_module.loss_terms(correction, *rest)["teacher"].detach()))
+    assert terms[0] < 1e-9 < terms[1]
+    _, taught = training._train_step()
+    assert taught["teacher"] > 0 and taught["loss"] > 4 * taught["teacher"]
+    assert all(torch.equal(p, was) for p, was in zip(teacher.parameters(), said, strict=True))
+    assert not any(p.requires_grad for p in teacher.parameters())
+
+
+def fixed_loss(training, crops):
+    from gffe_cl.lab.training.training import loss_terms
+
+    batch = load_batch(crops)
+    with torch.no_grad():
+        out = training.network.train()(batch.frames(), batch.alpha, batch.trends)
+        terms = loss_terms(*out, batch, batch.focus().float(), training.perceptual)
+    factors = weights(training.recipe)
+    return terms | {"loss": sum(factors[name] * value for name, value in terms.items())}
+
+
+@pytest.mark.long
+def test_equal_seeds_agree_and_slices_make_no_difference(data, tmp_path):
+    recipe = Recipe(seed=3, steps=4, batch=1)
+    whole = started(tmp_path / "whole", data, recipe)
+    assert whole.run()
+    part = started(tmp_path / "parts", data, recipe)
+    assert not part.run(until=0.0)  # nothing but a checkpoint
+    for _ in range(2):
+        part = started(tmp_path / "parts", data, recipe)
+        stop = part.step + 2
+        with pytest.raises(KeyboardInterrupt):
+            part.run(on_step=lambda progress, stop=stop: interrupt(progress.step == stop))
+    part = started(tmp_path / "parts", data, recipe)
+    assert part.step == 4 and part.run()
+    assert_same_weights(whole, part)
+    other = started(tmp_path / "other", data, Recipe(seed=4, steps=4, batch=1))
+    assert other.run()
+    assert not torch.allclose(next(other.network.parameters()), next(whole.network.parameters()), atol=1e-4)
+
+
+def assert_same_weights(one, other):
+    for a, b in zip(one.network.parameters(), other.network.parameters(), strict=True):
+        assert torch.allclose(a, b, atol=1e-6)
+
+
+def interrupt(now):
+    if now:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_checkpoints_of_other_runs_are_refused(data, tmp_path, monkeypatch):
+    training = started(tmp_path, data, Recipe(seed=3, steps=2, batch=2))
+    training.save()
+    with pytest.raises(GffeError, match=r"was started with steps 2 \(expected the same options"):
+        started(tmp_path, data, Recipe(seed=3, steps=9, batch=2))
+    with monkeypatch.context() as patch:
+        patch.setattr(losses, "VERSION", losses.VERSION + 1)
+        with pytest.raises(GffeError, match=rf"was started with losses {losses.VERSION - 1} \(expected"):
+            started(tmp_path, data, Recipe(seed=3, steps=2, batch=2))
+    (tmp_path / CHECKPOINT).write_bytes(b"broken")
+    with pytest.raises(GffeError, match=r"checkpoint\.pt: not a checkpoint"):
+        started(tmp_path, data)
+
+
+@pytest.mark.slow
+def test_broken_data_is_named(data, tmp_path):
+    with pytest.raises(GffeError, match="no training clips"):
+        list_crops(tmp_path, 3, 5)
+    path = clips.clip_path(tmp_path, 3, 0)
+    source = clips.clip_path(data, 3, 0)
+    path.with_suffix(".json").write_text(source.with_suffix(".json").read_text())
+    for cut in (path, clips.halved_path(path)):
+        for file, whole in ((path, source), (clips.halved_path(path), clips.halved_path(source))):
+            file.write_bytes(whole.read_bytes()[: 1000 if file == cut else None])
+        with pytest.raises(GffeError, match=rf"{cut.name}: not a training clip"):
+            load_batch(list_crops(tmp_path, 3, 1)[:1])
+    path.with_suffix(".json").write_text("{")
+    with pytest.raises(GffeError, match=r"clip_3_000000\.json: not a description"):
+        list_crops(tmp_path, 3, 1)
+
+
+RANKS = """
+import torch
+from gffe_cl.cli import main
+from gffe_cl.lab.training import training
+from gffe_cl.lab.training.training import Training
+
+training._VALIDATION_CROPS = 4
+run = Training.run
+
+
+def checked(self, *arguments, **options):
+    done = run(self, *arguments, **options)
+    sums = [None, None]
+    torch.distributed.all_gather_object(sums, [value.double().sum().item() for value in self.network.parameters()])
+    assert sums[0] == sums[1], "weights differ"
+    return done
+
+
+Training.run = checked
+main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_two_processes_train_one_network(data, tmp_path):
+    """The command, started by torchrun: half of each batch in either process, and yet one set of weights."""
+    (tmp_path / "ranks.py").write_text(RANKS)
+    options = ["--clips", str(CLIPS), "--seed", "3", "--batch", "2", "--steps", "3", "--full-every", "2"]
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "ranks.py"]
+    for _ in range(2):  # gloo aborts a process now and then as it ends
+        shutil.rmtree(tmp_path / "run", ignore_errors=True)
+        ended = subprocess.run(
+            [*launcher, "train", "run", "--data", str(data), *options],
+            cwd=tmp_path,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        if "exitcode: -6" not in ended.stderr:
+            break
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    assert {"scn.onnx", "MODEL_CARD.md", CHECKPOINT, "log"} <= {path.name for path in (tmp_path / "run").iterdir()}
+    assert ended.stdout.count("steps: 3 of 3") == 1
+    with pytest.raises(GffeError, match="was started with processes 2"):
+        started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2, full_every=2))
+
+
+@pytest.mark.slow
+def test_batches_are_shared_out_evenly(data, tmp_path):
+    processes = Processes()
+    processes.count = 2
+    with pytest.raises(GffeError, match="batch must be a multiple of the number of processes, got 3 and 2"):
+        Training(tmp_path, Recipe(batch=3), list_crops(data, 3, CLIPS), processes)
+
+
+@pytest.mark.slow
+def test_signals_wait_for_the_end_of_a_step(data, tmp_path):
+    """Ctrl-C within a step: the checkpoint is of whole steps, and going on gives what an undisturbed run gives."""
+    recipe = Recipe(seed=3, steps=3, batch=1)
+    whole = started(tmp_path / "whole", data, recipe)
+    assert whole.run()
+    part = started(tmp_path / "part", data, recipe)
+    update = part.optimizer.step
+    part.optimizer.step = lambda: (update(), signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        part.run()
+    assert part.step == 1
+    part = started(tmp_path / "part", data, recipe)
+    assert part.step == 1 and part.run()
+    assert_same_weights(whole, part)
+
+
+@pytest.mark.slow
+def test_a_loss_that_is_not_finite_keeps_the_checkpoint(data, tmp_path):
+    recipe = Recipe(seed=3, steps=4, batch=1)
+    training = started(tmp_path, data, recipe)
+    with pytest.raises(KeyboardInterrupt):
+        training.run(on_step=lambda progress: interrupt(progress.step == 2))
+    training = started(tmp_path, data, recipe)
+    with torch.no_grad():
+        training.network.head[1].bias.fill_(math.nan)
+    with pytest.raises(GffeError, match="the loss is not finite at step 2"):
+        training.run()
+    kept = started(tmp_path, data, recipe)
+    assert kept.step == 2 and all(torch.isfinite(value).all() for value in kept.network.parameters())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--minutes", "0"], "--minutes must be positive"),
+        (["--clips", "1"], "--clips must be at least 2"),
+        (["--learning-rate", "1e-7"], "learning rates must be"),
+        (["--vgg", "none.pth", "--clips", "3", "--steps", "1"], "none.pth: not VGG-19"),
+    ],
+)
+def test_wrong_options_are_one_line(arguments, message, tmp_path, monkeypatch, capsys, request):
+    from gffe_cl.cli import main
+
+    if "--vgg" in arguments:
+        arguments = [*arguments, "--seed", "3", "--data", str(request.getfixturevalue("data"))]
+    monkeypatch.setattr(sys, "argv", ["gffe", "train", str(tmp_path / "run"), *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert message in told and "Traceback" not in told
+    assert not (tmp_path / "run" / "scn.onnx").exists()
+
+
+@pytest.fixture
+def train(tmp_path, monkeypatch, capsys):
+    """Runs `gffe train run ARGS…` in this process: (exit code, stdout and stderr, JSON report)."""
+    from gffe_cl.cli import main
+
+    def call(*arguments):
+        report = tmp_path / "report.json"
+        command = ["gffe", "train", str(tmp_path / "run"), *map(str, arguments), "--json", str(report)]
+        monkeypatch.setattr(sys, "argv", command)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, "".join(capsys.readouterr()), json.loads(report.read_text())
+
+    return call
+
+
+@pytest.mark.long
+def test_however_short_the_time_there_is_a_model_in_the_end(train, tmp_path):
+    """Clips take all of it, and yet some steps are done; the same command goes on with the clips it began with."""
+    recipe = ("--seed", "3", "--batch", "1", "--steps", "1000")
+    code, told, report = train(*recipe, "--minutes", "0.002")
+    assert code == 0 and not report["done"] and report["step"] > 0
+    assert {path.name for path in (tmp_path / "run").iterdir()} >= {"scn.onnx", "MODEL_CARD.md", CHECKPOINT}
+    assert len(clips.finished_clips(tmp_path / "run" / "data", 3, 400)) == 2
+    assert "clips: at most 0 s" in told and "s each, about 2 of 400 in this time" in told
+    assert "steps: 1,000 of 1,000 to go, for " in told
+    inference.load_network(tmp_path / "run" / "scn.onnx")
+    _, told, later = train(*recipe, "--minutes", "0.002")
+    assert later["step"] > report["step"] and later["data"].startswith("2 clips")
+    assert "going on with the 2 clips that this run was started with" in told
+
+
+def test_validation_clips_are_not_trained_on():
+    crops = [Crop(f"clip{k}", 0, 0, x, 0.5, 0.1) for k in range(10) for x in range(5)]
+    held, rest = split_crops(crops, 0)
+    assert held and {crop.path for crop in held}.isdisjoint(crop.path for crop in rest)
+
+
+def test_recipes_are_checked():
+    for wrong in (
+        {"steps": 0},
+        {"batch": 0},
+        {"full_every": 0},
+        {"seed": -1},
+        {"shading": 1.1},
+        {"learning_rate": 1e-6},
+        {"final_learning_rate": 0},
+    ):
+        with pytest.raises(GffeError, match="training: "):
+            Recipe(**wrong)
+    recipe = Recipe(steps=100)
+    rates = [recipe.learning_rate_at(k) for k in (0, 50, 100, 200)]
+    assert rates == pytest.approx([1e-4, 5.5e-5, 1e-5, 1e-5])
+
+
+def test_export(tmp_path):
+    torch.manual_seed(0)
+    net = network.ShadingCorrectionNetwork()
+    assert export_onnx(net, tmp_path / "scn.onnx") < 2e-4
+    other = network.ShadingCorrectionNetwork()
+    assert differences(other.eval(), tmp_path / "scn.onnx")[0] > 1e-3
+    assert [path.name for path in tmp_path.iterdir()] == ["scn.onnx"]
+    with pytest.raises(GffeError, match="cannot write the model"):
+        export_onnx(net, tmp_path / "no" / "scn.onnx")
+
+
+def test_convolutions_have_a_multiple_of_four_input_channels(tmp_path):
+    """WebGPU's provider of onnxruntime computes others wrongly."""
+    import onnx
+
+    export_onnx(network.ShadingCorrectionNetwork(), tmp_path / "scn.onnx")
+    graph = onnx.load(tmp_path / "scn.onnx").graph
+    shapes = {value.name: tuple(value.dims) for value in graph.initializer}
+    convolutions = [shapes[node.input[1]] for node in graph.node if node.op_type == "Conv"]
+    assert len(convolutions) == 15
+    assert all(inputs % 4 == 0 for _, inputs, *_ in convolutions), convolutions
+
+
+def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):
+    """Flow search, convolutions and head in kernels and onnxruntime, against PyTorch's forward."""
+    from gffe_cl import Options, Pipeline
+    from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+    from gffe_cl.engine.opencl.program import constants
+
+    torch.manual_seed(5)
+    net, model = network.ShadingCorrectionNetwork(), tmp_path / "scn.onnx"
+    net.convolutions.out.weight.data *= 5
+    export_onnx(net, model)
+    frames = SceneFrames(SceneRenderer(opened, load_scene("corridor", 0), 96, 64))
+    pipeline = Pipeline(opened, 96, 64, Options(scn_model=str(model)))
+    for frame in frames.sequence(3, 30, 0):
+        pipeline.submit(frame)
+    made = pipeline.extrapolate()
+    assert np.isfinite(made.numpy("color")).all() and not pipeline.stages["correction"].unusable_pixels
+    seen, trends = (
+        torch.from_numpy(pipeline.stages[stage].read(name))[None]
+        for stage, name in (("network_input", "frames"), ("shading_trend", "trends"))
+    )
+    with torch.no_grad():
+        expected = net.eval()(seen, torch.tensor([made.alpha], dtype=torch.float32), trends)[0].numpy()
+    assert trends.any() and np.abs(expected[:3]).max() > 0.01
+    expected[4, seen[0, 7].numpy() < constants("correction.cl")["DISOCCLUDED_BELOW"]] = 0  # as kernels do
+    np.testing.assert_allclose(pipeline.stages["correction"].read("correction"), expected, atol=1e-4)
