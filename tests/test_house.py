@@ -1,7 +1,10 @@
-"""The house: a module imports only from floors below its own, and no imports run in a circle. Imports inside functions
-and under TYPE_CHECKING count too."""
+"""The house: wings of the package, and floors inside them. A module imports only from wings that its own may know and
+from floors below its own; no imports run in a circle. Imports inside functions and under TYPE_CHECKING count, too."""
 
 import ast
+import json
+import subprocess
+import sys
 from importlib.resources import files
 from pathlib import Path
 
@@ -9,18 +12,39 @@ import pytest
 
 from gffe_cl.engine.options import OPTIONS
 
+# What a module of each wing may import beyond its own wing.
+WINGS = {
+    "engine": (),
+    "captures": ("engine",),
+    "lab": ("engine", "captures"),
+    "viewer": ("engine", "captures", "lab.metrics"),
+    "cli": ("engine", "captures", "lab", "viewer"),
+    "__main__": ("cli",),
+}
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
-FLOORS = (
-    ("core",),
-    ("opencl", "frame"),
-    ("inference", "sequence"),
-    ("stages", "formats", "scenes"),
-    ("pipeline", "doctor"),
-    ("evaluation", "export"),
-    ("scn", "selftest", "viewer"),
-    ("cli",),
-    ("__main__",),
-)
+FLOORS = {
+    "engine": (
+        ("core",),
+        ("opencl", "frame"),
+        ("inference",),
+        ("options",),
+        ("stages",),
+        ("pipeline",),
+        ("timing", "export"),
+        ("selftest",),
+    ),
+    "captures": (
+        ("sequence", "report_style", "video"),
+        ("formats", "scenes", "calibration"),
+        ("offline", "doctor"),
+    ),
+    "lab": (
+        ("metrics", "report", "fault_injection"),
+        ("compare",),
+        ("table", "training", "demo"),
+        ("bench",),
+    ),
+}
 ROOMS_OF_VIEWER = (
     ("viewer.engine",),
     ("viewer.picture",),
@@ -69,7 +93,7 @@ def imports(module, path, known):
 @pytest.fixture(scope="module")
 def graph():
     known = modules()
-    assert len(known) > 100 and {"__init__", "viewer.app", "stages.warp", "cli"} <= set(known)
+    assert len(known) > 100 and {"__init__", "viewer.app", "engine.stages.warp", "cli"} <= set(known)
     return {module: imports(module, path, known) for module, path in known.items()}
 
 
@@ -80,6 +104,32 @@ def floor(module, floors):
             if module == room or module.startswith(f"{room}."):
                 return number, room
     raise AssertionError(f"{module} is on no floor: add it to those of this test and of the documentation")
+
+
+def wing_of(module):
+    return module.partition(".")[0]
+
+
+def across(graph, wings):
+    """Imports from wings that the module's own may not know."""
+    return sorted(
+        f"{module} → {other}"
+        for module, imported in graph.items()
+        for other in imported
+        if wing_of(other) != wing_of(module)
+        and not any(f"{other}.".startswith(f"{known}.") for known in wings[wing_of(module)])
+    )
+
+
+def inside(graph, wing):
+    """The part of the graph within a wing, by names without it; not the wing's `__init__`."""
+    return {
+        module.removeprefix(f"{wing}."): {
+            other.removeprefix(f"{wing}.") for other in imported if other.startswith(f"{wing}.")
+        }
+        for module, imported in graph.items()
+        if module.startswith(f"{wing}.")
+    }
 
 
 def upwards(graph, floors):
@@ -112,12 +162,15 @@ def circle(graph):
     return next(filter(None, map(visit, sorted(graph))), [])
 
 
-def test_modules_import_only_from_floors_below(graph):
-    inside = {module: imported - {"__init__"} for module, imported in graph.items() if module != "__init__"}
-    assert upwards(inside, FLOORS) == []
-    assert {module for module, imported in graph.items() if "__init__" in imported} <= {
-        "cli.commands"
-    }  # for the version
+def test_wings_import_only_from_those_they_may_know(graph):
+    known = {module: imported - {"__init__"} for module, imported in graph.items() if module != "__init__"}
+    assert across(known, WINGS) == []
+    assert {module for module, imported in graph.items() if "__init__" in imported} <= {"cli.commands"}  # the version
+
+
+@pytest.mark.parametrize("wing", FLOORS)
+def test_modules_import_only_from_floors_below(graph, wing):
+    assert upwards(inside(graph, wing), FLOORS[wing]) == []
 
 
 def test_rooms_of_the_viewer_import_only_from_floors_below(graph):
@@ -136,16 +189,50 @@ def test_no_circle(graph):
 def test_the_rules_can_fail():
     """... or they would hold for any house."""
     graph = {
-        "core.errors": {"pipeline.options"},
-        "pipeline.options": {"cli.run"},
-        "cli.run": {"core.errors"},
-        "viewer.app": {"viewer.state.model"},
+        "engine.core.errors": {"engine.pipeline.pipeline"},
+        "engine.pipeline.pipeline": {"captures.formats"},
+        "captures.formats": {"engine.core.errors"},
+        "viewer.app": {"viewer.state.model", "lab.table.jobs", "lab.metrics.images"},
     }
-    assert upwards(graph, FLOORS) == ["core.errors → pipeline.options", "pipeline.options → cli.run"]
-    assert circle(graph) == ["cli.run", "core.errors", "pipeline.options"]
+    assert across(graph, WINGS) == ["engine.pipeline.pipeline → captures.formats", "viewer.app → lab.table.jobs"]
+    assert upwards(inside(graph, "engine"), FLOORS["engine"]) == ["core.errors → pipeline.pipeline"]
+    assert circle(graph) == ["captures.formats", "engine.core.errors", "engine.pipeline.pipeline"]
     assert upwards({"viewer.engine.story": {"viewer.state.model"}}, ROOMS_OF_VIEWER)
     with pytest.raises(AssertionError, match="on no floor"):
-        upwards({"cellar": set()}, FLOORS)
+        upwards({"cellar": set()}, FLOORS["engine"])
+
+
+_PIPELINE = """
+import json, sys
+import numpy as np
+import gffe_cl
+before = set(sys.modules)
+import pyopencl as cl
+device = gffe_cl.open_device()
+def buffer(*shape):
+    array = np.ones(shape, np.float16 if shape[-1] == 4 else np.float32)
+    return cl.Buffer(device.context, cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+pipeline = gffe_cl.Pipeline(device, 32, 24, gffe_cl.Options(shading_correction=False))
+camera = gffe_cl.Camera(np.eye(4), 32.0, 32.0, 16.0, 12.0)
+for k in range(2):
+    frame = gffe_cl.RenderedFrame(buffer(24, 32, 4), buffer(24, 32), buffer(24, 32, 2), camera, k / 30)
+    pipeline.submit(frame)
+    pipeline.extrapolate(camera, k / 30 + 1 / 60)
+print(json.dumps(sorted(sys.modules)))
+"""
+# Of a renderer's process, beside the standard library and the engine wing: the rest is what NumPy and pyopencl load.
+_LINKED = {"numpy", "pyopencl", "platformdirs", "pytools", "siphash24", "typing_extensions", "mako", "cython_runtime"}
+
+
+def test_a_renderer_links_the_engine_alone():
+    """A pipeline on device buffers loads NumPy, pyopencl (with what that needs), platformdirs and the engine wing."""
+    done = subprocess.run([sys.executable, "-c", _PIPELINE], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    loaded = json.loads(done.stdout)
+    ours = {name for name in loaded if name.startswith("gffe_cl.")}
+    assert {name for name in ours if wing_of(name.removeprefix("gffe_cl.")) not in ("engine", "kernels")} == set()
+    tops = {name.partition(".")[0] for name in loaded} - set(sys.stdlib_module_names) - {"gffe_cl", "__main__"}
+    assert {name for name in tops if not name.startswith("_")} <= _LINKED
 
 
 def test_the_viewer_knows_no_option_by_name():

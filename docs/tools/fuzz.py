@@ -7,7 +7,8 @@ messages between attached programs and the viewer.
 
 Each target of tests/helpers/fuzz_targets.py runs in a child process. With atheris (`pip install atheris`) mutations
 follow the code that they reach; without, they are made by chance. An input that ends neither well nor with an error of
-one line is kept in tests/captures/formats/fuzz_cases, which tests/captures/formats/test_fuzz.py reads again. Exit code 1 if there is one.
+one line is kept in tests/captures/formats/fuzz_cases, which test_fuzz.py beside it reads again. Exit code 1 if there is
+one.
 """
 
 from __future__ import annotations

@@ -164,7 +164,7 @@ def test_a_file_as_home(tmp_path):
     file.write_text("")
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "POCL_", "PYOPENCL_", "GFFE_D"))}
     changes = {"HOME": str(file), "GFFE_DEVICE_CACHE": str(file), "TMPDIR": str(tmp_path)}
-    code = "from gffe_cl.engine.opencl.device import list_devices as l; f = l(True); assert f and all(i.works for i in f), f"
+    code = "import gffe_cl; f = gffe_cl.list_devices(True); assert f and all(i.works for i in f), f"
     child = subprocess.run(
         [sys.executable, "-c", code], env=environment | changes, capture_output=True, text=True, cwd=tmp_path
     )

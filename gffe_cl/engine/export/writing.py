@@ -50,7 +50,7 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
 
 
 def _templates() -> list[Path]:
-    folder = Path(str(files("gffe_cl") / "export" / "c"))
+    folder = Path(str(files("gffe_cl.engine.export") / "c"))
     return sorted(path for path in folder.iterdir() if path.is_file())
 
 

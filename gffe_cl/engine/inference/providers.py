@@ -65,7 +65,7 @@ class Provider:
         return found
 
 
-PACKAGED = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
+PACKAGED = Path(str(files("gffe_cl.engine.inference") / "weights" / "scn.onnx"))
 
 CPU = Provider("cpu", "CPUExecutionProvider")
 _KNOWN = (

@@ -72,7 +72,7 @@ class Reference:
 
 def reference_path() -> Path:
     """Where the package has its references."""
-    return Path(str(files("gffe_cl") / "selftest" / "reference.bin"))
+    return Path(str(files("gffe_cl.engine.selftest") / "reference.bin"))
 
 
 @cache

@@ -18,9 +18,9 @@ from gffe_cl.lab.table.jobs import Cell
 _VERSION = 1
 _MOST_BYTES = 64 << 20  # of a file
 # Modules that figures do not depend on, or that only transport them.
-_ELSEWHERE = ("cli", "viewer", "scn", "remote_workers.py", "demo.py", "run.py", "render.py", "__main__.py")
-_MEASURING = ("datasets", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "jobs",
-              "pipelines", "windows")  # fmt: skip
+_ELSEWHERE = ("cli", "viewer", "training", "remote_workers.py", "run.py", "render.py", "__main__.py")
+_MEASURING = ("images", "datasets", "regions", "labels", "methods", "baselines", "image_space", "network", "flicker",
+              "videos", "jobs",              "pipelines", "windows")  # fmt: skip
 
 
 class Cache:
@@ -82,7 +82,7 @@ def sources() -> str:
     root, total = Path(str(files("gffe_cl"))), hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)
-        measuring = path.stem in _MEASURING if "evaluation" in place.parts else True
+        measuring = path.stem in _MEASURING if "lab" in place.parts else True
         if measuring and not set(place.parts) & set(_ELSEWHERE):
             total.update(f"{place.as_posix()}\0{_code(path.read_text('utf-8'))}\0".encode())
     return total.hexdigest()

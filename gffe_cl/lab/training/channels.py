@@ -2,8 +2,8 @@
 
 onnxruntime's WebGPU provider (plug-in 0.4.0) gives wrong results for a convolution of more than 4 input channels where
 they are no multiple of 4. Such a one gets channels of zeros, and weights of zeros for them: the result stays the same
-but for the order of sums. `python -m gffe_cl.lab.training.channels IN.onnx OUT.onnx` does it to a network of old; `gffe train`
-to all that it writes.
+but for the order of sums. `python -m gffe_cl.lab.training.channels IN.onnx OUT.onnx` does it to a network of old;
+`gffe train` to all that it writes.
 """
 
 from __future__ import annotations

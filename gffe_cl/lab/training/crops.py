@@ -73,7 +73,8 @@ class Batch:
         return focus_truth(self.gae, self.truth, dynamic, _HALF_REACH if self.halved else 1.0)
 
     def regions(self) -> dict[str, Tensor]:
-        """`evaluation.metrics.shading_regions`, (N, 1, H, W) bool: where results are measured. Whole samples only."""
+        """`gffe_cl.lab.metrics.shading_regions`, (N, 1, H, W) bool: where results are measured.
+        Whole samples only."""
         return shading_regions(self.focus(), self.side[:, 1:] == _DISOCCLUDED)
 
 

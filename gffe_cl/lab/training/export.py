@@ -141,7 +141,7 @@ def commit() -> str:
     try:
         name = git("rev-parse", "--short=12", "HEAD")
         return name + (
-            ", changed" if git("status", "--porcelain", "--untracked-files=no", "..", "../../kernels") else ""
+            ", changed" if git("status", "--porcelain", "--untracked-files=no", "../..", "../../../kernels") else ""
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

@@ -44,8 +44,8 @@ WRONG = (
     np.zeros((2, 0)), np.ones((3, 5, 7), np.float32), np.array("now", "datetime64[s]"), np.array(["a"]), print, CAMERA,
     Options(), FRAME,
 )  # fmt: skip
-# What needs a device, or a fake driver (tests/engine/opencl/test_graphics_sharing.py); plain records, checked where they are
-# used; what is made by others only.
+# What needs a device, or a fake driver (tests/engine/opencl/test_graphics_sharing.py); plain records, checked where
+# they are used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
     "Pipeline.keep", "Pipeline.change_options", "attach", "present",
