@@ -128,7 +128,7 @@ class _Rehearsal:
             name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
             for name, stage in chosen.items()
         }
-        self.board.lend()
+        self.board.memory.place()
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
@@ -231,7 +231,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         for owner in (rehearsal.board.frame, *rehearsal.all.values())
         for spec in owner.buffers
     }
-    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
+    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.memory.lent}
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 

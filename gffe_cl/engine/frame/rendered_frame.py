@@ -7,7 +7,6 @@ motion float ×2, row-major.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -99,11 +98,6 @@ class RenderedFrame:
     overlays: Overlays | None = None
     # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
-
-    def pack(self) -> HostArrays:
-        """Deprecated: `Pipeline.submit` converts arrays itself. Returns the result of `pack_frame`."""
-        warnings.warn("RenderedFrame.pack is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
-        return host_arrays(self).packed()
 
     @property
     def shown_camera(self) -> Camera:
@@ -232,19 +226,6 @@ class HostArrays:
         color = color_of_planes(rgb[..., c] for c in range(3)).base
         motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
         return replace(self, color=color, motion=motion)
-
-    def packed(self) -> HostArrays:
-        """Result of `pack_frame`."""
-        return replace(self.in_device_layout(), known_bad=self.bad)
-
-
-def pack_frame(frame: RenderedFrame, height: int, width: int) -> HostArrays:
-    """Deprecated: `Pipeline.submit` converts arrays itself. Returns them in device layout, with a count of bad pixels.
-
-    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
-    """
-    warnings.warn("pack_frame is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
-    return host_arrays(frame, height, width).packed()
 
 
 def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> HostArrays:

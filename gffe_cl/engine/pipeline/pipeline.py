@@ -200,7 +200,7 @@ class Pipeline:
         try:
             for stage in stages_of(options):
                 stage(board)
-            board.lend()
+            board.memory.place()
             _ = board.frame  # made when it is first asked for
         except BaseException:
             board.let_go()
@@ -265,7 +265,6 @@ class Pipeline:
     def submit(
         self,
         frame: RenderedFrame,
-        packed: HostArrays | None = None,
         *,
         wait_for: Iterable[cl.Event | int] = (),
         zero_copy: bool = False,
@@ -275,8 +274,7 @@ class Pipeline:
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
         another queue or from the host, before the event of the second `submit` is complete.
-        Returns at once, but on CPUs waits where it copies NumPy arrays. `packed`, the result of `pack_frame`, is
-        deprecated: its arrays replace the frame's.
+        Returns at once, but on CPUs waits where it copies NumPy arrays.
 
         Whether the frame is an unmarked cut is decided when the next frame is made, or `is_cut` is read. The host then
         waits for the first work on this frame, which counts samples, and not for the rest. A cut is worked on again, as
@@ -295,11 +293,6 @@ class Pipeline:
         """
         frame, zero_copy = checked_frame(frame), require_bool(zero_copy, "submit: zero_copy")
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
-        if packed is not None:
-            warnings.warn("submit: packed is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=3)
-            require_kind(packed, HostArrays, "submit: packed", "the result of pack_frame")
-            frame = replace(frame, color=packed.color, depth=packed.depth, motion=packed.motion)
-            frame._known_bad = packed.known_bad
         if self._times and not frame.reset and frame.time <= self._times[0]:
             raise GffeError(
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
@@ -326,7 +319,7 @@ class Pipeline:
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
         for stage in self.stages.values():
             stage.swap()
-        self.board.lend()
+        self.board.memory.place()
         self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and self._previous else False
         if self.presentation is None and not self._shown_whole(on_device):

@@ -110,7 +110,7 @@ class Acceleration(Stage):
         memory = BufferSpec("memory", np.uint8, (), "once", "of all", planes=nbytes, kept=True, scratch=True)
         self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
         super().__init__(board)
-        board.lend_memory(self, "memory'", at_once=True)
+        board.memory.lend(self, "memory'", at_once=True)
 
     def rendered(self, step: Step) -> None:
         self.launch("track_acceleration", step)

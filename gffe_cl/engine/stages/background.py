@@ -173,7 +173,7 @@ class Background(NearestStage):
         )
         super().__init__(board)
         for name in ("memory'", *_KEY_MEMORY):
-            board.lend_memory(self, name)
+            board.memory.lend(self, name)
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:

@@ -23,8 +23,8 @@ from gffe_cl.engine.opencl.program import Program, build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
 from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
+from gffe_cl.engine.stages.memory import LentMemory
 
-_EXTRAPOLATE = 1000  # more than there are stages
 _PREPARED = 256  # launches of a stage that are kept ready: those of uploads differ by where arrays begin
 _EVENTS = 256  # at most, kept per stage for requests of timings
 # Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
@@ -151,22 +151,15 @@ class Board:
     """Where stages find each other's buffers.
 
     `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
-
-    Stages lend memory that they do not need themselves between one `submit` and the next, or once they have worked on
-    the rendered frame, for transient and fleeting buffers of all stages: several in one place, if no stage works with
-    more than one of them.
     """
 
     def __init__(self, device: Device, sizes: Sizes, options: Options | None = None, int64: bool | None = None):
         self.device, self.sizes, self.options = device, sizes, options or Options()
         self.int64 = device.int64_atomics if int64 is None else int64
-        self.facts = block_facts(
-            self.options, sizes
-        )  # members of the frame block that do not change; stages add theirs
+        # Members of the frame block that do not change; stages add theirs.
+        self.facts = block_facts(self.options, sizes)
         self.stages: dict[str, Any] = {}  # by name, each of its own class
-        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
-        self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
-        self._regions: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and its parts
+        self.memory = LentMemory(sizes, self.stages)
         self.turn = 0  # a bit for each stage, which changes whenever its buffers and those of the frame before do
         self.members = 0  # stages so far
         self.rendered: DeviceFrame | None = None
@@ -183,56 +176,11 @@ class Board:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
 
-    def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
-        """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
-        self.lent[stage, name] = list(self.stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
-
-    def lend(self) -> None:
-        """Give every transient buffer its place in lent memory, or one of its own if none is lent. Call it once all
-        stages exist, and after every swap."""
-        for stage, spec in self.transient:
-            if place := self._places[stage.name, spec.name]:
-                (owner, name), start = place
-                memory = owner.own(name)
-                key = stage.name, spec.name, id(memory)
-                if key not in self._regions:
-                    self._regions[key] = memory, memory.get_sub_region(start, spec.nbytes(self.sizes))
-                stage.buffer[spec.name] = self._regions[key][1]
-            elif spec.name not in stage.buffer:
-                stage.buffer |= stage.allocate([spec])
-
-    @cached_property
-    def _places(self) -> dict[tuple[str, str], tuple[tuple[Stage, str], int] | None]:
-        """Of transient buffers, largest first: in which lent memory, and from which byte on."""
-        places: dict = {}
-        taken: dict[tuple[Stage, str], list] = {lent: [] for lent in self.lent}
-        for stage, spec in sorted(self.transient, key=lambda one: -one[1].nbytes(self.sizes)):
-            nbytes, used = spec.nbytes(self.sizes), self._use(stage, spec)
-            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
-            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
-            fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
-            lent = next(fitting, None)
-            places[stage.name, spec.name] = lent and (lent, starts[lent])
-            if lent:  # a byte more: texels of one index must not take each other's place in caches
-                taken[lent].append((starts[lent], self.sizes.aligned(starts[lent] + nbytes + 1), used))
-        return places
-
-    def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
-        """The work at whose time a buffer is used, that of stages on the rendered frame, by their numbers, and then on
-        the new one: until the last that names it, or all that follow if it is of interest afterwards."""
-        name, used = f"{stage.name}.{spec.name}", []
-        for number, other in enumerate(self.stages.values()):
-            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
-            if names_it or other is stage or (used and not spec.scratch):
-                used.append(number)
-        start = 0 if spec.fleeting else _EXTRAPOLATE
-        return frozenset(range(start + used[0], start + used[-1] + 1))
-
     def let_go(self) -> None:
         """Drop the references to the stages. Stages and board refer to each other; with this cycle, memory of an
         unused pipeline would wait for Python's cyclic garbage collector."""
-        for known in (self.stages, self.transient, self.lent, self._regions, self.__dict__.get("_places", {})):
-            known.clear()
+        self.stages.clear()
+        self.memory.let_go()
         self.__dict__.pop("blocks", None)
 
     def buffer(self, owner: str, name: str) -> cl.Buffer:
@@ -250,16 +198,6 @@ class Board:
             return next(spec for spec in RENDERED if spec.name == rest)
         owners: dict[str, Owner] = {"frame": self.frame, FrameBlocks.name: self.blocks}
         return (owners.get(owner) or self.stages[owner]).spec(rest.removesuffix("'"))
-
-
-def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
-    """The first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
-    start = 0
-    for begin, end, _ in sorted(part for part in parts if part[2] & used):
-        if start + nbytes <= begin:
-            break
-        start = max(start, end)
-    return start
 
 
 class Recorder(Protocol):
@@ -323,7 +261,7 @@ class Stage(Owner):
         self._check()
         if self.registered:
             board.stages[self.name] = self
-            board.transient += [(self, spec) for spec in borrowing]
+            board.memory.borrowing += [(self, spec) for spec in borrowing]
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
