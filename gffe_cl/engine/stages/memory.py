@@ -9,30 +9,44 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 import pyopencl as cl
 
 from gffe_cl.engine.stages.buffers import BufferSpec, Sizes
 
-if TYPE_CHECKING:
-    from gffe_cl.engine.stages.base import Stage
-
 _EXTRAPOLATE = 1000  # more than there are stages
 
-Lent = tuple["Stage", str]  # a stage, and its name for the memory
+
+class Worker(Protocol):
+    """A stage, as far as memory is concerned."""
+
+    name: Any
+    kernels: Any
+    buffer: dict[str, cl.Buffer]
+
+    def own(self, name: str) -> cl.Buffer:
+        """Return a buffer of the stage."""
+        ...
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """Return new buffers by name."""
+        ...
+
+
+Lent = tuple[Worker, str]  # a stage, and its name for the memory
 
 
 class LentMemory:
     """Places of borrowed buffers in lent memory. `stages`: all of a pipeline, by name, in the order of their work."""
 
-    def __init__(self, sizes: Sizes, stages: Mapping[str, Stage]):
-        self.borrowing: list[tuple[Stage, BufferSpec]] = []  # transient and fleeting buffers of all stages so far
+    def __init__(self, sizes: Sizes, stages: Mapping[str, Worker]):
+        self.borrowing: list[tuple[Worker, BufferSpec]] = []  # transient and fleeting buffers of all stages so far
         self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
         self._sizes, self._stages = sizes, stages
         self._parts: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and a part of it
 
-    def lend(self, stage: Stage, name: str, at_once: bool = False) -> None:
+    def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
         """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
         self.lent[stage, name] = list(self._stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
 
@@ -66,7 +80,7 @@ class LentMemory:
                 taken[lent].append((starts[lent], self._sizes.aligned(starts[lent] + nbytes + 1), used))
         return places
 
-    def use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
+    def use(self, stage: Worker, spec: BufferSpec) -> frozenset[int]:
         """The work at whose time a buffer is used: that of stages on the rendered frame, by their numbers, and then on
         the new one; until the last that names it, or all that follow if it is of interest afterwards."""
         name, used = f"{stage.name}.{spec.name}", []
