@@ -1,6 +1,7 @@
-/* Colors as they are mixed: in linear light, interpolation rings and smears beside highlights. The code of c is (c + 2 o sqrt(c)) / 2
-   with c's sign: like a square root where it is dark, linear where it is bright. The frame block has `code_offset` o, which is half the root of
-   the color that is displayed as 1; 0 stands for linear light, where a color is its own code. */
+/* Colors as they are mixed: in linear light, interpolation rings and smears beside highlights. The code of c is (c +
+   2 o sqrt(c)) / 2 with c's sign: like a square root where it is dark, linear where it is bright. The frame block
+   has `code_offset` o, which is half the root of the color that is displayed as 1; 0 stands for linear light, where
+   a color is its own code. */
 
 INLINE float3 encode_color(const float3 c, const float offset) {
     const float3 size = fabs(c);

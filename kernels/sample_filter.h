@@ -5,7 +5,8 @@
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
 INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     for (int k = 0; k < 3; ++k) {
-        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH), left = wide_greater(1.0f - t * t, (Floats)(0.0f));
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH),
+                     left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left * left;
     }
 }
@@ -20,7 +21,10 @@ INLINE void far_weights(const Floats off, Floats *weights) {
 }
 
 /* Of 3x3 samples: weights of the columns, for each of LANES pixels of a row, and of the rows. */
-typedef struct { Floats x[3]; float3 y; } Weights;
+typedef struct {
+    Floats x[3];
+    float3 y;
+} Weights;
 
 INLINE Weights weights_of(const Floats *x, const Floats *y) {
     const Weights w = {{x[0], x[1], x[2]}, (float3)(FIRST_LANE(y[0]), FIRST_LANE(y[1]), FIRST_LANE(y[2]))};
@@ -44,8 +48,8 @@ INLINE float16 rows_of(const Weights *w, const int part, const int *first, const
 #endif
 
 /* Of the 3x3 samples around each of LANES pixels of a row: their weighted sum, and one with other weights. */
-INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width, const int height,
-                         __global const half *compressed, Wide4 *far_sum) {
+INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width,
+                         const int height, __global const half *compressed, Wide4 *far_sum) {
 #if LANES == 8
     int column[LANES];
     store_ints(x, 0, column);

@@ -11,7 +11,8 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-/* ---- vectors of three (gffe_cl/engine/frame/vectors.py) ------------------------------------------------------------ */
+/* ---- vectors of three (gffe_cl/engine/frame/vectors.py)
+   ------------------------------------------------------------ */
 
 static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -59,7 +60,8 @@ static int normalized(const double v[3], double made[3]) {
     return 1;
 }
 
-/* ---- cameras (gffe_cl/engine/frame/camera.py) ---------------------------------------------------------------------- */
+/* ---- cameras (gffe_cl/engine/frame/camera.py)
+   ---------------------------------------------------------------------- */
 
 static void rotation_of(const gffe_camera *camera, double made[3][3]) {
     int i, j;
@@ -122,8 +124,8 @@ const char *gffe_camera_fault(const gffe_camera *camera) {
     double m[3][3];
     int i, j;
     if (!camera) return "camera: there is none (expected a gffe_camera)";
-    if (!is_finite(&camera->world_to_view[0][0], 16) || !is_finite(&camera->fx, 1) || !is_finite(&camera->fy, 1) ||
-        !is_finite(&camera->cx, 1) || !is_finite(&camera->cy, 1))
+    if (!is_finite(&camera->world_to_view[0][0], 16) || !is_finite(&camera->fx, 1) || !is_finite(&camera->fy, 1)
+        || !is_finite(&camera->cx, 1) || !is_finite(&camera->cy, 1))
         return "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)";
     rotation_of(camera, m);
     for (i = 0; i < 3; ++i)
@@ -134,12 +136,12 @@ const char *gffe_camera_fault(const gffe_camera *camera) {
         if (fabs(camera->world_to_view[3][j] - (j == 3)) > 1e-9)
             return "camera: the last row of world_to_view must be 0 0 0 1 (column vectors)";
     if (camera->fx <= 0 || camera->fy <= 0) return "camera: singular projection, fx and fy must be positive";
-    if (camera->fx > GFFE_MOST_FOCAL || camera->fx < 1 / GFFE_MOST_FOCAL || camera->fy > GFFE_MOST_FOCAL ||
-        camera->fy < 1 / GFFE_MOST_FOCAL)
+    if (camera->fx > GFFE_MOST_FOCAL || camera->fx < 1 / GFFE_MOST_FOCAL || camera->fy > GFFE_MOST_FOCAL
+        || camera->fy < 1 / GFFE_MOST_FOCAL)
         return "camera: fx and fy must be within 1e-9 and 1e9 pixels";
     for (i = 0; i < 3; ++i)
-        if (fabs(camera->world_to_view[i][3]) > GFFE_MOST_DISTANCE || fabs(camera->cx) > GFFE_MOST_FOCAL ||
-            fabs(camera->cy) > GFFE_MOST_FOCAL)
+        if (fabs(camera->world_to_view[i][3]) > GFFE_MOST_DISTANCE || fabs(camera->cx) > GFFE_MOST_FOCAL
+            || fabs(camera->cy) > GFFE_MOST_FOCAL)
             return "camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units";
     return NULL;
 }
@@ -260,7 +262,8 @@ static const char *predict(const gffe_camera *previous, const gffe_camera *curre
     return NULL;
 }
 
-/* ---- prediction from several cameras (gffe_cl/engine/frame/camera_prediction.py) ------------------------------------------ */
+/* ---- prediction from several cameras (gffe_cl/engine/frame/camera_prediction.py)
+   ------------------------------------------ */
 
 /* The rotation vector from the view of `old` to that of `new`: axis times angle. */
 static void turn_between(const gffe_camera *older, const gffe_camera *newer, double made[3]) {
@@ -357,8 +360,8 @@ static void correction_of(const next_change *model, double inputs[3][3], const d
     }
     solve(matrix, model->targets, factors);
     for (c = 0; c < 3; ++c)
-        made[c] = inputs[1][c] - usual[c] +
-                  (factors[0] * inputs[0][c] + factors[1] * inputs[1][c] + factors[2] * inputs[2][c]);
+        made[c] = inputs[1][c] - usual[c]
+                  + (factors[0] * inputs[0][c] + factors[1] * inputs[1][c] + factors[2] * inputs[2][c]);
 }
 
 /* The share of `correction` that would have made the errors so far least. */

@@ -48,12 +48,13 @@ const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *
 gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *display, double width, double height,
                                double render_width, double render_height);
 
-/* A `distance` for windows: the lower 5% quantile of a depth image, world units; infinite without any depth. Negative if
-   there is no memory for it. */
+/* A `distance` for windows: the lower 5% quantile of a depth image, world units; infinite without any depth.
+   Negative if there is no memory for it. */
 double gffe_nearest_depth(const float *depth, int width, int height);
 
-/* The camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds; `order` 1
-   (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2, and what the frames before taught). NULL if it was made, else the error. */
+/* The camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds;
+   `order` 1 (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2, and what the frames before
+   taught). NULL if it was made, else the error. */
 const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, const double *times, int count, int order,
                                    gffe_camera *made);
 

@@ -38,8 +38,8 @@ static int has_int64_atomics(gffe *g) {
     cl_program program = NULL;
     cl_kernel kernel = try_kernel(g, gffe_int64_source, gffe_int64_source_count, "least", &program);
     cl_mem buffer = clCreateBuffer(g->context, CL_MEM_READ_WRITE | CL_MEM_COPY_HOST_PTR, sizeof found, found, NULL);
-    int works = kernel && run_trial(g, kernel, &buffer, 1, 64) &&
-                clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS;
+    int works = kernel && run_trial(g, kernel, &buffer, 1, 64)
+                && clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS;
     works = works && found[0] == (((cl_ulong)1 << 33) | 62) && found[1] == 63;
     if (buffer) clReleaseMemObject(buffer);
     if (kernel) clReleaseKernel(kernel);
@@ -88,10 +88,10 @@ static int divides_exactly(gffe *g) {
     buffers[0] = clCreateBuffer(g->context, given, nbytes, a, NULL);
     buffers[1] = clCreateBuffer(g->context, given, nbytes, b, NULL);
     for (k = 2; k < 4; ++k) buffers[k] = clCreateBuffer(g->context, CL_MEM_WRITE_ONLY, nbytes, NULL, NULL);
-    works = kernel && run_trial(g, kernel, buffers, 4, QUOTIENTS / EIGHT) &&
-            clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS &&
-            clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS &&
-            are_quotients(a, b, one, eight);
+    works = kernel && run_trial(g, kernel, buffers, 4, QUOTIENTS / EIGHT)
+            && clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS
+            && clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS
+            && are_quotients(a, b, one, eight);
     for (k = 0; k < 4; ++k)
         if (buffers[k]) clReleaseMemObject(buffers[k]);
     if (kernel) clReleaseKernel(kernel);
@@ -251,8 +251,9 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
                                                    : copy(g, operation);
         }
         if (error != CL_SUCCESS)
-            return gffe_opencl_failed(g, error, operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
-                                                                               : "filling or copying a buffer");
+            return gffe_opencl_failed(g, error,
+                                      operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
+                                                                     : "filling or copying a buffer");
     }
     return GFFE_OK;
 }
@@ -262,8 +263,9 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
 gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
     cl_uint k;
     cl_int error;
-    if (!count != !events) return gffe_fail(g, GFFE_INVALID, "wait_for: %u events, and %s", (unsigned)count,
-                                            events ? "a list of some" : "no list of them");
+    if (!count != !events)
+        return gffe_fail(g, GFFE_INVALID, "wait_for: %u events, and %s", (unsigned)count,
+                         events ? "a list of some" : "no list of them");
     for (k = 0; k < count; ++k) {
         cl_context context = NULL;
         cl_int state = CL_COMPLETE;
@@ -275,7 +277,8 @@ gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
         error = clGetEventInfo(events[k], CL_EVENT_COMMAND_EXECUTION_STATUS, sizeof state, &state, NULL);
         if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
         if (state < 0) /* some drivers would wait for ever */
-            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k, (int)state);
+            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k,
+                             (int)state);
     }
     error = count ? clEnqueueBarrierWithWaitList(g->queue, count, events, NULL) : CL_SUCCESS;
     return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "waiting for events");

@@ -10,8 +10,22 @@ extern "C" {
 #endif
 
 /* Grids of buffers and launches; a level or a number of levels goes with the last three. */
-enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_DOWNSAMPLED, GFFE_TILES, GFFE_RESIDUALS, GFFE_CUT_SAMPLES,
-       GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS, GFFE_NETWORK, GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
+enum {
+    GFFE_ONCE,
+    GFFE_SOURCE,
+    GFFE_TARGET,
+    GFFE_DOWNSAMPLED,
+    GFFE_TILES,
+    GFFE_RESIDUALS,
+    GFFE_CUT_SAMPLES,
+    GFFE_SOURCE_BLOCKS,
+    GFFE_TARGET_BLOCKS,
+    GFFE_CELLS,
+    GFFE_NETWORK,
+    GFFE_MIP,
+    GFFE_LEVEL,
+    GFFE_LEVELS
+};
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
@@ -25,20 +39,46 @@ enum {
 enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY, GFFE_RUN_NETWORK };
 
 /* Occasions, each with a list of operations; those of a frame without one before come first. */
-enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPOLATED, GFFE_CUT, GFFE_PRESENT_FIRST,
-       GFFE_PRESENT, GFFE_LEAVE_OUT, GFFE_COMPOSE, GFFE_COMPOSE_RENDERED, GFFE_OCCASIONS };
+enum {
+    GFFE_RENDERED_FIRST,
+    GFFE_RENDERED,
+    GFFE_EXTRAPOLATED_FIRST,
+    GFFE_EXTRAPOLATED,
+    GFFE_CUT,
+    GFFE_PRESENT_FIRST,
+    GFFE_PRESENT,
+    GFFE_LEAVE_OUT,
+    GFFE_COMPOSE,
+    GFFE_COMPOSE_RENDERED,
+    GFFE_OCCASIONS
+};
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
-/* Of buffers: that of the frame before is kept, too; the host works in it where it shares memory with the device; made with the first windowed frame; the caller's;
-   memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated; made
-   with the first overlays. */
-enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
-       GFFE_LENT_BEFORE = 64, GFFE_OF_OVERLAYS = 128 };
+/* Of buffers: that of the frame before is kept, too; the host works in it where it shares memory with the device;
+   made with the first windowed frame; the caller's; memory of others, side by side, and whether, or what of the
+   frame before, is free while frames are extrapolated; made with the first overlays. */
+enum {
+    GFFE_KEPT = 1,
+    GFFE_MAPPED = 2,
+    GFFE_LATE = 4,
+    GFFE_GIVEN = 8,
+    GFFE_MEMORY = 16,
+    GFFE_LENT = 32,
+    GFFE_LENT_BEFORE = 64,
+    GFFE_OF_OVERLAYS = 128
+};
 
 /* References of the callers' buffers: the first ones of every plan. */
-enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
-       GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
+enum {
+    GFFE_RENDERED_COLOR = 0,
+    GFFE_RENDERED_DEPTH = 2,
+    GFFE_RENDERED_MOTION = 4,
+    GFFE_PREVIOUS_COLOR = 6,
+    GFFE_SHOWN_COLOR = 12,
+    GFFE_SHOWN_DEPTH = 14,
+    GFFE_FIRST_OVERLAY = 16
+};
 enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
 
 typedef struct gffe_program {

@@ -33,10 +33,13 @@ static void place_parts(gffe *g) {
         }
     }
     for (number = 0; number < g->plan->buffer_count; ++number)
-        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE)) g->places[number].bytes += SPARES * g->step.alignment;
+        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE))
+            g->places[number].bytes += SPARES * g->step.alignment;
 }
 
-static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) { return a->first <= b->last && b->first <= a->last; }
+static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) {
+    return a->first <= b->last && b->first <= a->last;
+}
 
 /* The first byte of the memory `root` from which on the transient buffer `number` finds room beside those that are
    there already. */
@@ -50,7 +53,8 @@ static size_t free_start(const gffe *g, int root, int number) {
         for (k = 0; k < g->plan->buffer_count; ++k) {
             const gffe_place *other = &g->places[k];
             const size_t end = gffe_aligned(&g->step, other->start + other->bytes + 1);
-            if (!is_transient(&g->plan->buffers[k]) || other->root != root || !at_one_time(buffer, &g->plan->buffers[k]))
+            if (!is_transient(&g->plan->buffers[k]) || other->root != root
+                || !at_one_time(buffer, &g->plan->buffers[k]))
                 continue;
             if (start < end && other->start < start + nbytes) {
                 start = end;
@@ -115,8 +119,8 @@ static cl_int create_part(const gffe *g, const gffe_place *place, int root, cl_m
 /* Whether there are two of a buffer, which change places with every frame: it is kept, or it lies in such memory. */
 static int is_double(const gffe *g, int number) {
     const int root = g->places[number].root;
-    return g->plan->buffers[number].flags & GFFE_KEPT ||
-           (is_transient(&g->plan->buffers[number]) && root >= 0 && g->plan->buffers[root / 2].flags & GFFE_KEPT);
+    return g->plan->buffers[number].flags & GFFE_KEPT
+           || (is_transient(&g->plan->buffers[number]) && root >= 0 && g->plan->buffers[root / 2].flags & GFFE_KEPT);
 }
 
 gffe_status gffe_allocate(gffe *g, int late) {
@@ -133,8 +137,8 @@ gffe_status gffe_allocate(gffe *g, int late) {
             if ((place->root >= 0) != parts || !place->bytes) continue;
             for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
                 cl_mem *made = &g->memory[2 * number + k];
-                const cl_int error = parts ? create_part(g, place, place->root ^ k, made)
-                                           : create(g, buffer->flags, place->bytes, made);
+                const cl_int error =
+                    parts ? create_part(g, place, place->root ^ k, made) : create(g, buffer->flags, place->bytes, made);
                 if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
             }
         }

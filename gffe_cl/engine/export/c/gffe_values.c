@@ -17,14 +17,15 @@ size_t gffe_level_start(const gffe_step *step, int level) {
     int k;
     for (k = 0; k < level; ++k) {
         const size_t side = (size_t)1 << k;
-        start += gffe_aligned(step, rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
+        start +=
+            gffe_aligned(step, rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
     }
     return start;
 }
 
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
-    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS || grid == GFFE_RESIDUALS
-        || grid == GFFE_LEVEL;
+    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS
+                          || grid == GFFE_RESIDUALS || grid == GFFE_LEVEL;
     const int *image = on_source ? step->source : step->target;
     size_t side[2] = {1, 1};
     int k;
@@ -73,7 +74,8 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
-/* Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8 (gffe_cl/engine/stages/prediction.py). */
+/* Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
+   (gffe_cl/engine/stages/prediction.py). */
 static void polynomial(const gffe_step *step, int most, float *weights) {
     int order, i, k;
     memset(weights, 0, (size_t)most * 8 * sizeof *weights);

@@ -188,7 +188,8 @@ static int submit(example *e, const char *name, char *text) {
     for (part = 0; part < BUFFERS; ++part) {
         if (!read_part(e, name, part)) return 0;
         if (clEnqueueWriteBuffer(e->queue, slot[part], CL_TRUE, 0, BYTES[part] * render_pixels(e), e->pixels, 0, NULL,
-                                 NULL) != CL_SUCCESS)
+                                 NULL)
+            != CL_SUCCESS)
             return failed(name, "cannot be copied to the device");
     }
     if (gffe_submit(e->g, slot[0], slot[1], slot[2], &render, &display, time, reset != 0))
@@ -236,9 +237,11 @@ static int run(example *e, const char *platform) {
     int version = 0, good = 0;
     FILE *file = open_file(e->input, "frames.txt", "", "r");
     if (!file) return 0;
-    if (!fgets(line, sizeof line, file) ||
-        sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &e->options.width, &e->options.height,
-               &e->options.render_width, &e->options.render_height, &e->options.fps) != 6 || version != 1)
+    if (!fgets(line, sizeof line, file)
+        || sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &e->options.width, &e->options.height,
+                  &e->options.render_width, &e->options.render_height, &e->options.fps)
+               != 6
+        || version != 1)
         failed("frames.txt", "does not begin with 'gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS'");
     else
         good = open_device(e, platform) && open_pipeline(e);
