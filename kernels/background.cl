@@ -46,7 +46,7 @@ typedef struct {
     int level, width;  /* of that level, or of the one that is read now */
 } Texels;
 
-/* Of the SHOWN fragment of a texel, or of the REMEMBERED one. */
+/* The depth of the SHOWN fragment of a texel, or of the REMEMBERED one. */
 INLINE float depth_of(const Texels t, const int texel, const bool shown) {
     return shown ? t.frame_depth[texel] : t.depth[texel];
 }
@@ -251,6 +251,8 @@ WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const
                            .push_keys = push_keys,
                            .fill_winners = fill_winners,
                            .push_winners = push_winners};
+
+    /* The last texels of a row, one by one. */
     const int count = min(LANES, level_width - texel_x);
     if (count < LANES) {
         const Texels old = {.depth = old_depth,
@@ -268,6 +270,8 @@ WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const
         }
         return;
     }
+
+    /* LANES texels at once: first what the frame before shows there, then what they remember. */
     const Ints state = to_ints(load_bytes(0, old_state + texel));
     const float side = (float)(1 << level);
     const Floats frame_z = load_floats(0, frame_depth + texel);
@@ -281,12 +285,16 @@ WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const
             px_y += unpack_y(packed, level);
             z = held ? load_floats(0, old_depth + texel) : frame_z;
         }
+
+        /* Most only meet the surface that they are of; a rough position tells. */
 #if LANES > 1
         if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) continue;
 #endif
         const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
         const Ints wanted = held & may_be_offered(now, to);
         if (!ANY(wanted)) continue;
+
+        /* The few that may be offered, one by one. */
         float now_x[LANES], now_y[LANES], now_z[LANES];
         int is_wanted[LANES];
         store_floats(now.x, 0, now_x);
@@ -337,6 +345,8 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
         if (!begun) store_bytes((Bytes)(EMPTY), 0, level.state + first);
         return;
     }
+
+    /* Each texel's winner, and what is stored of it: a REMEMBERED fragment, or a pixel that was SHOWN. */
     uint winner[LANES];
     int packed[LANES], color[LANES], is_won[LANES], is_shown[LANES], any_shown = 0;
     float z[LANES], r[LANES], g[LANES], b[LANES];
@@ -361,6 +371,8 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
             packed[k] = old.px[winner[k]];
         }
     }
+
+    /* Where the winners lie now, relative to their texels. */
     Ints old_x, old_y;
     wide_column_and_row(to_ints(load_uints(0, winner)), old.width, &old_x, &old_y);
     const float old_side = (float)(1 << old.level), side = (float)(1 << level.level);
@@ -371,10 +383,14 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     store_ints(pack_px(now.x - row_centers(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0,
                packed);
     store_floats(now.z, 0, z);
+
+    /* Colors that were shown are not packed yet. */
     if (any_shown) {
         const Ints shown = pack_colors(load_floats(0, r), load_floats(0, g), load_floats(0, b));
         store_ints(load_ints(0, is_shown) != 0 ? shown : load_ints(0, color), 0, color);
     }
+
+    /* Store those that won, and empty all keys. */
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
         const int before = begun ? level.state[texel] : EMPTY;

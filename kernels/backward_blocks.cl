@@ -67,7 +67,7 @@ INLINE Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
     return box;
 }
 
-/* The same of a block one pixel within the image. */
+/* The reach of a block that lies one pixel within the image. */
 INLINE Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
@@ -191,8 +191,9 @@ WIDE __kernel void find_reach(__constant Frame *frame, __global const float *dep
             for (int k = 0; k < 4; ++k) atomic_max(reached_by + 4 * (y * target_blocks + x) + k, extent[k]);
 }
 
-/* Where the center of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
-   (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads elsewhere. */
+/* Finds where the center of a target block comes from, by Newton's method from the middle of the source blocks that
+   reach it: (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads
+   elsewhere. */
 INLINE bool find_source(const float2 center, const int4 extent, const int source_width, const int plane,
                         __global const float *target_position, float8 *source) {
     const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1,

@@ -1,4 +1,5 @@
-/* What shading_flow.cl makes and correction.cl reads, too. Channels of the shading correction network's candidates: */
+/* Shared by shading_flow.cl, which makes these, and correction.cl, which reads them, too. Channels of the shading
+ * correction network's candidates: */
 
 #define FOUND 0 /* first of two channels: the flow from the extrapolated frame into the warped previous one, in ... */
 #define FOUND_UNIT 4.0f /* ... pixels of a quarter of the resolution */

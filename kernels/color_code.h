@@ -13,7 +13,7 @@ INLINE float3 decode_color(const float3 code, const float offset) {
     return offset > 0.0f ? copysign(root * root, code) : code;
 }
 
-/* Of a pixel of an image in linear light. */
+/* The code of a pixel of an image in linear light. */
 INLINE float3 load_code(__global const half *color, const int i, const float offset) {
     return encode_color(load_color(color, i), offset);
 }

@@ -14,8 +14,9 @@
 #define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
 #define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16 /* channels of its hidden layer */
-#define SAID 6 /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend  \
-                */
+#define SAID                                                                                                           \
+    6 /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend           \
+       */
 #define SLOPE 0.1f /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW                                                                                              \
     0.4f /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
@@ -43,8 +44,8 @@ INLINE Floats trust(__global const float *differences, const int plane, const Ta
     return clamp(TRUSTED - DISTRUST * ratio, (Floats)(0.0f), (Floats)(1.0f));
 }
 
-/* At a quarter of the resolution: the flow to follow (2), in pixels of half the resolution, how far the trend lasts,
-   and how far the focus mask is trusted. */
+/* Chooses, at a quarter of the resolution, the flow to follow (2), in pixels of half the resolution, how far the trend
+   lasts, and how far the focus mask is trusted. */
 WIDE __kernel void choose_flow(__constant Frame *frame, __global const float *judgement,
                                __global const float *candidates, __global const float *differences,
                                __global float *chosen) {
@@ -90,7 +91,7 @@ INLINE Floats moved_light(__global const float *frame_now, __global const float 
     return wide_lesser(wide_greater(moved, least), most);
 }
 
-/* At half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in
+/* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in
    disocclusions, where a change of light is indistinguishable from another surface. */
 WIDE __kernel void judge(__constant Frame *frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,

@@ -10,7 +10,7 @@ INLINE float4 cubic_weights(const float t) {
                     0.5f * t3 - 0.5f * t2);
 }
 
-/* The same of LANES numbers, by tap. */
+/* The cubic weights of LANES numbers, by tap. */
 INLINE void wide_cubic_weights(const Floats t, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
     weights[0] = -0.5f * t + t2 - 0.5f * t3;

@@ -31,7 +31,7 @@ typedef struct {
 
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
-/* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
+/* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
 INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));

@@ -28,8 +28,9 @@
 #define DEPTH_PER_MOTION 2.0f /* ... and the addition per unit of its sideways motion */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
-#define DEPTH_CHANGE_MOST 0.12f /* relative change within an interval of a surface that fills the neighborhood of x'   \
-                                 */
+#define DEPTH_CHANGE_MOST                                                                                              \
+    0.12f /* relative change within an interval of a surface that fills the neighborhood of x'                         \
+           */
 
 INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -153,8 +154,8 @@ INLINE void find_steps(__local const int *histogram, const float threshold_squar
     }
 }
 
-/* By how much residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not; NaN
-   stays. Which way vectors were rounded to 0 gives the motion of static points, mv + residual. */
+/* The amount by which residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not;
+   NaN stays. Which way vectors were rounded to 0 gives the motion of static points, mv + residual. */
 INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *of_classes) {
     const Floats error = times * (mv + residual < 0.0f ? (Floats)(of_classes[1]) : (Floats)(of_classes[0]));
     const Floats excess = fabs(residual) - error;

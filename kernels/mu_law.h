@@ -4,7 +4,7 @@
 #include "common.h"
 #include "simd.h"
 
-/* Of the power of two within sqrt(2) of x > 0. */
+/* The exponent of the power of two within sqrt(2) of x > 0. */
 INLINE Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
 
 INLINE Floats mantissa_of(const Floats x, const Ints exponent) {

@@ -82,7 +82,7 @@ INLINE Floats both_at(__global const float *now, __global const float *warped, c
     return gather_floats(now, i) + gather_floats(warped, i);
 }
 
-/* Of gradients and differences, means over 2x2 pixels of their products: xx, xy, yy, xr, yr. */
+/* Makes the means over 2x2 pixels of products of gradients and differences: xx, xy, yy, xr, yr. */
 WIDE __kernel void sum_products(__constant Frame *frame, const int level, __global const float *brightness,
                                 __global const float *warped, __global float *products) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
@@ -145,7 +145,7 @@ WIDE __kernel void step_flow(__constant Frame *frame, const int level, __global 
                       flow + plane + at);
 }
 
-/* At level 2, squared differences: means over 2x2 pixels of level 1 of the brightness of both frames, in place and
+/* Makes squared differences at level 2: means over 2x2 pixels of level 1 of the brightness of both frames, in place and
    along the flow; and of its change from the previous interval's, in place and along the flow. */
 WIDE __kernel void sum_differences(__constant Frame *frame, __global const float *brightness,
                                    __global const float *warped, __global const float *coarser,
@@ -175,7 +175,7 @@ WIDE __kernel void sum_differences(__constant Frame *frame, __global const float
     store_some_floats(again_along * again_along, count, products + 3 * plane + at);
 }
 
-/* Their means around. */
+/* Blurs the squared differences. */
 WIDE __kernel void blur_differences(__constant Frame *frame, __global const float *products,
                                     __global float *differences) {
     const int width = frame->network_width / 4, height = frame->network_height / 4, plane = width * height;

@@ -30,7 +30,7 @@ typedef struct {
     __global const float *depth_prev;
 } Frames;
 
-/* By which factor lifted colors have changed since t-1, 1 where it is not known. */
+/* The factor by which lifted colors have changed since t-1, 1 where it is not known. */
 typedef struct {
     WideRgb factor;
     Ints known, moves;
@@ -41,7 +41,7 @@ INLINE Floats factor_of(const Floats now, const Floats before, const Ints known,
     return known ? clamp(factor, (Floats)(1.0f / MOST_CHANGE), (Floats)(MOST_CHANGE)) : (Floats)(1.0f);
 }
 
-/* Of the pixels (x, y). */
+/* The change of the pixels (x, y). */
 INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
@@ -151,7 +151,7 @@ __kernel void blur_rows(__constant Frame *frame, __global const float *changes, 
     }
 }
 
-/* The same along columns, and the mean of known values. */
+/* Blurs along columns, and takes the mean of known values. */
 __kernel void find_trend(__constant Frame *frame, __global const float *blurred, __global float *trend) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;

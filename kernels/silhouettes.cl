@@ -30,8 +30,9 @@
 
 #define ALL_LINKS 15
 #define ANYWHERE 100000000.0f /* px: fragments that go nowhere have targets beyond this */
-#define MARKED 3 /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides   \
-                  */
+#define MARKED                                                                                                         \
+    3 /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides              \
+       */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
 INLINE float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }

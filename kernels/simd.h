@@ -98,8 +98,8 @@ INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = 
 
 #endif
 
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. If one is NaN, the second
-   of `wide_lesser` and the first of `wide_greater`. */
+/* The lesser and the greater of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN.
+   If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */
 INLINE Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
 INLINE Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
 

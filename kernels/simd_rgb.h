@@ -34,7 +34,7 @@ INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
 
 #if LANES == 8
 
-/* Of a row, from the first on. */
+/* LANES colors of a row, from the first on. */
 INLINE WideRgb load_rgb_run(__global const half *color) {
     const float16 a = vload_half16(0, color), b = vload_half16(1, color);
     const WideRgb rgb = {(float8)(a.s048c, b.s048c), (float8)(a.s159d, b.s159d), (float8)(a.s26ae, b.s26ae)};
@@ -103,13 +103,13 @@ typedef struct {
     Texels part[PARTS];
 } Strip;
 
-/* As `finite`. */
+/* `finite` of texels: NaN becomes 0, and magnitudes are limited. */
 INLINE Texels finite_texels(const Texels c) {
     const Texels number = c == c ? c : (Texels)(0.0f), low = number < -COLOR_MAX ? (Texels)(-COLOR_MAX) : number;
     return low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
 }
 
-/* Its four channels. */
+/* The four channels of a strip, apart. */
 INLINE void channels_of(const Strip *s, Floats *channels) {
 #if LANES == 8
     channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);

@@ -31,7 +31,7 @@ INLINE void store_channels(const Wide4 c, const int count, __global half *image)
     store_strip(s, count, image);
 }
 
-/* Of the pixels i. */
+/* The four channels of the pixels i. */
 INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
     Strip s;
 #if LANES == 8
@@ -121,7 +121,7 @@ INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const 
 
 #if LANES == 8
 
-/* The same of four pixels whose taps lie in a row, within the image, from index `first` on. */
+/* The round cubic sums of four pixels whose taps lie in a row, within the image, from index `first` on. */
 INLINE float16 round_cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
                                   __global const half *image) {
     float16 total, low, high;

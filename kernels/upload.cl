@@ -17,7 +17,7 @@ INLINE int run_x(const int width, const int k) {
     return LANES > 1 ? (run * RUN_PIXELS + k) * LANES : run + k * runs_of(width);
 }
 
-/* Of the first `count` lanes, those for which a condition holds. */
+/* How many of the first `count` lanes a condition holds for. */
 INLINE int lanes_where(const Ints condition, const int count) {
     int number = 0;
     uchar lanes[LANES];

@@ -25,8 +25,9 @@
 #define LEAST_WEIGHT                                                                                                   \
     0.5f     /* of the displayed color until samples arrive; with a lighter history, samples count less, too */
 #define FRESH 0.8f /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
-#define SLOPE 0.75f /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run  \
-                     */
+#define SLOPE                                                                                                          \
+    0.75f /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run            \
+           */
 #define DEVIATIONS 2.0f /* deviations from the mean that a history may have */
 #define NOISE 0.01f /* of compressed colors, in addition to their deviation */
 #define SCATTER 1.0f /* weight of the scatter of the history's error, against its mean, which is followed */
@@ -67,7 +68,7 @@ INLINE Ints within(const Floats px_x, const Floats px_y, const int width, const 
     return (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)width) & (px_y < (float)height); /* not of NaN */
 }
 
-/* Where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
+/* Finds where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
    Gives whether any is. */
 INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
     const Floats own = beside(p, depth, 0, 0);
@@ -124,7 +125,8 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
     return clamped;
 }
 
-/* Of each rendered pixel: where its surroundings were, and the distance of its color from the history there. */
+/* Writes, for each rendered pixel, where its surroundings were, and the distance of its color from the history there.
+ */
 WIDE __kernel void compare(__constant Frame *frame, __global const half *color, __global const float *depth,
                            __global const float2 *motion, __global const float *previous_depth,
                            __global const half *history, __global half *out_compressed, __global float2 *out_dilated,

@@ -435,6 +435,7 @@ typedef struct {
    silhouettes. */
 INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won,
                           const int dst_x, const int dst_y) {
+    /* The fragments that won, and where they go. */
     const int dst = dst_y * from.target_width + dst_x;
     const Floats center_x = row_centers(dst_x);
     const float center_y = (float)dst_y + 0.5f;
@@ -444,6 +445,8 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
 
     Positions at;
     load_positions(from, places, &at);
+
+    /* Their flow; those beside a silhouette that may step off it are left to `resolve_pixel`. */
     WideFlow f;
     Ints done = won.use;
     if (won.smooth) {
@@ -454,15 +457,20 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
         wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
         done &= stays(at, depth, f);
     }
+
+    /* The place within each fragment that lands on the pixel's center. */
     const Floats ex = center_x - at.x.here, ey = center_y - at.y.here, z = at.z.here;
     Floats dx = clamp(wide_divide(f.yy * ex - f.yx * ey, f.det), -1.0f, 1.0f);
     Floats dy = clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f);
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
+
+    /* The taps around that place. */
     Samples samples;
     samples_at(src, dx, dy, from.width, &samples);
     if (!won.smooth) samples.alike = taps_alike(from, at, src, floor(dx), floor(dy), f);
 
+    /* The pixel: depth, motion, labels, color. */
     const Floats out_z = z + f.xz * dx + f.yz * dy;
     store_floats(out_z > 0.0f ? out_z : z, 0, to.depth + dst);
     store_xy((to_floats(won.x) + 0.5f) + dx - center_x, (to_floats(won.y) + 0.5f) + dy - center_y, to.motion + dst);

@@ -5,8 +5,9 @@
 #include "common.h"
 #include "simd_rgb.h"
 
-#define SAME_SURFACE 0.03f /* relative depth within which the surface met in the previous frame is the fragment's ...  \
-                            */
+#define SAME_SURFACE                                                                                                   \
+    0.03f /* relative depth within which the surface met in the previous frame is the fragment's ...                   \
+           */
 #define DEPTH_PER_MOTION 2.0f /* ... and an addition per unit of its sideways motion, as in history tracking */
 #define LEAST_WEIGHT 0.25f /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
@@ -44,8 +45,8 @@ INLINE bool color_before(const float3 before, const float tolerance, const int s
     return true;
 }
 
-/* Where pixels of a row, of depth z, were at t-1 if they are static or were filled in: pixels of the previous image,
-   less half a pixel, and depth there. reproject of common.h with fewer divisions. */
+/* The positions where pixels of a row, of depth z, were at t-1 if they are static or were filled in: pixels of the
+   previous image, less half a pixel, and depth there. reproject of common.h with fewer divisions. */
 INLINE Wide3 position_before(const Floats px_x, const float px_y, const Floats z, const Reprojection r) {
     const Floats x = (px_x - r.source_inverse.z) * r.source_inverse.x, nearness = 1.0f / z; /* of the sky: 0 */
     const float y = (px_y - r.source_inverse.w) * r.source_inverse.y;
@@ -87,9 +88,9 @@ INLINE Floats input_mask_of(const StripOfFrame *s) {
     return s->moves ? (Floats)(MASK_DYNAMIC) : still;
 }
 
-/* Where a strip's pixels were at t-1. `tolerance`: in depth. Of those that are `inner`, all four taps are in the
-   image, from tap_0 on. Of most strips they follow one another but for one jump, which the ends tell: they are those
-   from `first` on, or, where in_second, from `second` on. */
+/* The places where a strip's pixels were at t-1. `tolerance`: in depth. Of those that are `inner`, all four taps are in
+   the image, from tap_0 on. Of most strips they follow one another but for one jump, which the ends tell: they are
+   those from `first` on, or, where in_second, from `second` on. */
 typedef struct {
     Wide3 before; /* pixels, less half a pixel, and depth there: -1 where it is unknown */
     Floats tolerance, weight[4];
@@ -97,7 +98,7 @@ typedef struct {
     int first, second;
 } StripTaps;
 
-/* The same of those that move, by the motion of both intervals. */
+/* Replaces the places of pixels that move, by the motion of both intervals. */
 INLINE void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) {
     Floats mv_y;
     const Floats mv_x = load_some_xy(s->count, f->out_motion + s->first, &mv_y);
@@ -174,7 +175,7 @@ INLINE Strip sum_of_run(const int first, const StripTaps *t, const int width, __
     return sum;
 }
 
-/* The same of taps that are in either run. */
+/* The weighted sum of taps that are in either of two runs. */
 INLINE Strip sum_of_runs(const StripTaps *t, const int width, __global const half *color) {
     Strip sum = sum_of_run(t->first, t, width, color);
     if (t->second == t->first) return sum;

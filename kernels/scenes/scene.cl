@@ -156,9 +156,9 @@ __kernel void bin(__global const float4 *frame, __global const float4 *objects, 
     list[0] = n;
 }
 
-/* What each pixel's center sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other time;
-   position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there; object_id: -1
-   for sky; keys: surface, for the antialiasing. Motion is rounded to multiples of motion_step, if that is not 0. */
+/* Renders what each pixel's center sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other
+   time; position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there; object_id:
+   -1 for sky; keys: surface, for the antialiasing. Motion is rounded to multiples of motion_step, if that is not 0. */
 __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float *depth, __global float2 *motion,
                        __global float4 *position, __global int *object_id, __global int *keys) {
     const int x = get_global_id(0), y = get_global_id(1);
