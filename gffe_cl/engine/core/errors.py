@@ -1,4 +1,5 @@
-"""The one exception users meet, how names of theirs are shown, and how parts that are not installed are installed."""
+"""GffeError, the one exception that users meet; how messages show the user's values; how missing extras are installed.
+"""
 
 from __future__ import annotations
 
@@ -37,13 +38,13 @@ def shortened(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """`text` with everything that is no visible character (line breaks, terminal controls, halves of surrogate pairs)
-    as an escape: `\\n`, `\\x1b`."""
+    """Return `text`, with everything that is no visible character (line breaks, terminal controls, halves of surrogate
+    pairs) as an escape: `\\n`, `\\x1b`."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def how_to_install(extra: str) -> str:
-    """How to install an extra of the package, which is on no package index."""
+    """Return the text that explains how to install an extra of this package, which is on no package index."""
     return f"pip install '.[{extra}]' in a checkout of gffe-cl, or 'THE-WHEEL.whl[{extra}]'"

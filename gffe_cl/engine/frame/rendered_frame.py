@@ -1,4 +1,4 @@
-"""Buffers of a frame, on the host.
+"""Rendered frames and their overlays as callers pass them, and checks of their arrays.
 
 A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer`, `pyopencl.array.Array`, or integer handles)
 of the pipeline's context; device buffers are used in place. Layouts on the device: color half ×4, depth float,
@@ -48,7 +48,7 @@ class Overlays:
     effects : (H, W, 4) float RGBA, render pixels
         Smoke, fire, particles, lens flares: without depth, over all but the user interface. On the device half ×4.
     effects_motion : (H, W, 2) float32, pixels, like the frame's motion
-        Along which the effects go on; None: they stay in place. On the device float ×2.
+        Motion of the effects; None: they stay in place. On the device float ×2.
     ui : (H, W, 4) float RGBA, display pixels
         User interface, as it is in this frame. On the device half ×4.
     """
@@ -74,15 +74,15 @@ class RenderedFrame:
     motion : (H, W, 2) float32, pixels: (position in the previous rendered frame) − (position here); or a
         device buffer of float ×2. May be None on a reset frame.
     camera : Camera
-        What was rasterized (the render camera), in pixels of these arrays.
+        The render camera, in pixels of these arrays.
     time : float
         Seconds.
     display_camera : Camera or None
-        What is shown; None if it is the render camera.
+        The camera of the displayed image; None if it is the render camera.
     reset : bool
         Nothing before this frame may be used (scene cut, teleport, start).
     overlays : Overlays or None
-        What is not to be warped with the picture.
+        Layers that are not warped with the picture.
 
     Notes
     -----
@@ -101,7 +101,7 @@ class RenderedFrame:
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
 
     def pack(self) -> HostArrays:
-        """Deprecated: `Pipeline.submit` converts arrays itself. Returns the result of `pack_frame`."""
+        """Return the result of `pack_frame`. Deprecated: `Pipeline.submit` converts arrays itself."""
         warnings.warn("RenderedFrame.pack is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
         return host_arrays(self).packed()
 
@@ -126,7 +126,7 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
 
 
 def require_motion(frame: RenderedFrame) -> Any:
-    """The frame's motion; GffeError if it has none and is no reset."""
+    """Return the frame's motion. Raises GffeError if it has none and is no reset."""
     if frame.motion is None and not require_bool(frame.reset, "frame: reset"):
         time = require_number(frame.time, "frame: time")
         raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
@@ -141,7 +141,7 @@ def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: 
 
 
 def require_one_pose(render: Camera, display: Camera) -> None:
-    """GffeError unless both cameras stand in one place and look one way: a window is a part of an image."""
+    """Raise GffeError unless both cameras have the same position and direction: a window is a part of an image."""
     turned = np.abs(render.world_to_view[:3, :3] - display.world_to_view[:3, :3]).max()
     apart = np.abs(render.world_to_view[:3, 3] - display.world_to_view[:3, 3]).max()
     if turned > SAME_POSE or apart > SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):
@@ -155,7 +155,7 @@ def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
 
 @dataclass
 class BadPixels:
-    """How many pixels of a frame could not be taken at face value (they are survived, not errors)."""
+    """Counts of pixels with invalid values in a frame. They are replaced, and are no errors."""
 
     color: int = 0  # NaN or infinite; NaN counts as 0
     clamped: int = 0  # magnitude over 65504, clamped
@@ -205,8 +205,8 @@ def is_long(motion: np.ndarray) -> np.ndarray:
 class HostArrays:
     """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
 
-    color (H, W, 3 or 4) float16 or float32, linear RGB, of which a fourth channel is not used; depth (H, W) float32,
-    world units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
+    color (H, W, 3 or 4) float16 or float32, linear RGB, whose fourth channel is not used; depth (H, W) float32, world
+    units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
     """
 
     color: np.ndarray
@@ -234,12 +234,13 @@ class HostArrays:
         return replace(self, color=color, motion=motion)
 
     def packed(self) -> HostArrays:
-        """Result of `pack_frame`."""
+        """Return the arrays in the device's layout with a count of bad pixels, as `pack_frame` does."""
         return replace(self.in_device_layout(), known_bad=self.bad)
 
 
 def pack_frame(frame: RenderedFrame, height: int, width: int) -> HostArrays:
-    """Deprecated: `Pipeline.submit` converts arrays itself. Returns them in device layout, with a count of bad pixels.
+    """Return the frame's arrays in device layout, with a count of bad pixels. Deprecated: `Pipeline.submit` converts
+    arrays itself.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
@@ -248,7 +249,8 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> HostArrays:
 
 
 def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> HostArrays:
-    """Check a frame's NumPy arrays, by default for the size of its depth. Arrays that `Upload` can take are not copied.
+    """Check a frame's NumPy arrays, by default for the size of its depth, and return them. Arrays that `Upload` can
+    take are not copied.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
@@ -266,8 +268,8 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
 
 
 def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
-    """(H, W, 3) float16 from three images (H, W), as the device wants them: a fourth channel, which is not seen, is 0.
-    `host_arrays` takes it without a copy."""
+    """Return color (H, W, 3) float16 from three images (H, W), laid out for the device: a fourth channel, which is not
+    visible, is 0. `host_arrays` takes it without a copy."""
     first, *others = planes
     color = np.zeros((*first.shape, 4), np.float16)
     for c, plane in enumerate((first, *others)):  # several times as fast as all at once
@@ -276,8 +278,8 @@ def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _uploadable(color: np.ndarray) -> np.ndarray:
-    """`color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array, that
-    array, of which nothing is copied."""
+    """Return `color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array,
+    that array is returned and nothing is copied."""
     if color.dtype.itemsize > 4:
         color = _rounded_to_odd(color)
     color = color.astype(color.dtype.newbyteorder("="), copy=False)

@@ -1,4 +1,4 @@
-"""When frames are shown, and for which time they are made."""
+"""Pacing: when frames are shown, and for which time they are made."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Plan:
 
     `refresh`: when it is, seconds of the caller's clock; `time`: of the frame, on the renderer's clock, for
     `Pipeline.extrapolate`; `alpha`: the same in intervals from the last rendered frame on, 0 for that one itself;
-    `held`: show again what is shown.
+    `held`: keep showing the present frame.
     """
 
     refresh: float
@@ -96,7 +96,7 @@ class Pacer:
         self._counts = dict.fromkeys(("rendered", "extrapolated", "held", "late", "dropped"), 0)
 
     def rendered(self, time: float) -> None:
-        """A rendered frame of this `time`, on the renderer's clock, is here."""
+        """Note that a rendered frame of this `time`, on the renderer's clock, is here."""
         time = require_within(time, "pacer: time", -_MOST_SECONDS, _MOST_SECONDS)
         if self._newest is not None:
             if time <= self._newest:
@@ -162,7 +162,8 @@ class Pacer:
         return now
 
     def _refresh_after(self, now: float) -> float:
-        """The first refresh from `now` on that nothing is planned for; refreshes are counted from the first one on."""
+        """Return the time of the first refresh from `now` on for which nothing is planned; refreshes are counted from
+        the first one on."""
         if self._last is None:
             return now
         periods = math.ceil((now - self._last.refresh) / self._period - _SAME)

@@ -83,7 +83,7 @@ class BlockWriter:
 
 
 def block_facts(options: Options, sizes: Sizes) -> dict[str, Any]:
-    """The members of the frame block that are options, and where the background's levels start."""
+    """Return the members of the frame block that are options, and the starts of the background's levels."""
     facts = {name: getattr(options, name) for name in FRAME.names or () if hasattr(options, name)}
     if levels := facts.get("levels", 0):
         starts = sizes.level_starts(levels)
