@@ -1,4 +1,4 @@
-"""Work on the next few items of a series while the consumer has the current one."""
+"""Parallel work on the next few items of a series while the consumer has the current one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import islice
 
 
 def usable_cores() -> int:
-    """Processor cores that this process may use."""
+    """Return how many processor cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -1,4 +1,4 @@
-"""Writing a sequence: all of it, or nothing new after an error; after Ctrl-C the frames that were finished."""
+"""Writer of a sequence: all of it, or nothing new after an error; after Ctrl-C the frames that were finished."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ class SequenceWriter:
         EXRs are compressed on so many threads, by default one for each processor core; `add` waits while many more
         frames than that are under way.
     generator : str
-        Who writes; only an earlier output of the same generator is replaced.
+        Name of the writing program; only an earlier output of the same generator is replaced.
     attributes : dict or None
         Further attributes of the EXRs' headers, such as `Sequence.attributes`.
     compression : str
-        Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
+        Compression of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
     Notes
     -----
@@ -149,12 +149,12 @@ class SequenceWriter:
         self._submit(entry, write, nbytes)
 
     def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
-        """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
+        """Add the existing EXR file `source_path` as the frame `entry`: a hard link, or else a copy."""
         source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
         self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
 
     def folder(self, name: str) -> Path:
-        """Where to write other files of this run, which come to `path`/name together with the frames."""
+        """Return the folder for other files of this run, which come to `path`/name together with the frames."""
         return self._folder.folder(check_file_name(name, str(self.path)))
 
     def __exit__(self, kind, error, trace) -> None:
@@ -241,8 +241,8 @@ class SequenceWriter:
         return entry.render_size or (self._description.width, self._description.height)
 
     def _attributes(self, entry) -> dict:
-        """Camera and windows. The display window is the display where the stored image is a crop or an
-        overscan of it in whole pixels; else both windows are the stored image."""
+        """Return the attributes of camera and windows. The display window is the display where the stored image is a
+        crop or an overscan of it in whole pixels; else both windows are the stored image."""
         size = (self._description.width, self._description.height)
         stored = self._size_of(entry)
         if entry.render_camera is None:
@@ -265,8 +265,8 @@ def named_channels(
     motion: ArrayLike | None = None,
     overlays: Overlays | None = None,
 ) -> dict[str, np.ndarray]:
-    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays. Raises
-    GffeError for other shapes."""
+    """Return the channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and
+    overlays. Raises GffeError for other shapes."""
     color = require_array(color, "color", None, None, (3, 4))
     channels = dict(zip("RGB", np.moveaxis(color[..., :3], -1, 0), strict=True))
     if depth is not None:
