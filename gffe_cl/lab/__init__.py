@@ -1,1 +1,1 @@
-"""What research needs: metrics, comparisons, benchmarks, the table of methods, training."""
+"""The part that research needs: metrics, comparisons, benchmarks, the table of methods, training."""
