@@ -196,7 +196,7 @@ def study(
     rate: Annotated[float, typer.Option(help="Turn rate of the camera for --windows, degrees per second.")] = 150.0,
     device: DeviceOption = None,
 ) -> None:
-    """Older name of parts of `gffe eval`: prints the command that does the same, and runs it."""
+    """Run parts of `gffe eval` under their older name, after printing the command that does the same."""
     if disocclusions + windows + shading > 1:
         raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
     methods = (

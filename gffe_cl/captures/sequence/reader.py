@@ -85,7 +85,7 @@ class Sequence:
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
 
     def __iter__(self) -> Iterator[RenderedFrame]:
-        """Yield the rendered frames in order. The next ones are read meanwhile on threads.
+        """Return an iterator over the rendered frames in order. The next ones are read meanwhile on threads.
 
         for frame in gffe.open_sequence(folder):
             pipeline.submit(frame)

@@ -67,14 +67,14 @@ def require_frame_rate(value: Any, what: str = "fps") -> float:
 
 
 def require_within(value: Any, what: str, low: float, high: float) -> float:
-    """Return `value` as a float; GffeError unless it is a number from `low` to `high`."""
+    """Return `value` as a float. Raises GffeError unless it is a number from `low` to `high`."""
     if is_number(value) and low <= float(value) <= high:
         return float(value)
     raise GffeError(f"{what} must be a finite number from {low:g} to {high:g}, got {_shown_number(value)}")
 
 
 def require_whole(value: Any, what: str, low: float = -math.inf, high: float = math.inf) -> int:
-    """Return `value` as an int; GffeError unless it is an integer, of Python or NumPy, from `low` to `high`."""
+    """Return `value` as an int. Raises GffeError unless it is an integer, of Python or NumPy, from `low` to `high`."""
     number = scalar(value)
     if isinstance(number, int) and not isinstance(number, bool) and low <= number <= high:
         return number
@@ -106,7 +106,7 @@ def require_seed(value: Any, what: str = "seed") -> int:
 
 
 def require_bool(value: Any, what: str) -> bool:
-    """Return `value` as a bool; GffeError for everything but the truth values of Python and NumPy."""
+    """Return `value` as a bool. Raises GffeError for everything but the truth values of Python and NumPy."""
     given = scalar(value)
     if isinstance(given, bool):
         return given
@@ -114,7 +114,7 @@ def require_bool(value: Any, what: str) -> bool:
 
 
 def require_choice(value: Any, choices: Iterable[str], what: str) -> str:
-    """Return `value`; GffeError unless it is one of the texts `choices`."""
+    """Return `value`. Raises GffeError unless it is one of the texts `choices`."""
     choices = tuple(choices)
     if isinstance(value, str) and value in choices:
         return value
@@ -129,7 +129,7 @@ def require_kind(value: Any, kind: Any, what: str, expected: str = "") -> Any:
 
 
 def require_path(value: Any, what: str) -> Path:
-    """Return `value` as a path; GffeError unless it is a text or path-like, and one that a file can have."""
+    """Return `value` as a path. Raises GffeError unless it is a text or path-like, and one that a file can have."""
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and "\0" not in os.fspath(value):
         return Path(value)
     raise GffeError(f"{what} must be a path, got {shown(value)}")

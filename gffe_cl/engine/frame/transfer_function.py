@@ -13,7 +13,7 @@ SRGB_TOE = np.float32(0.0031308)
 def to_display(color: ArrayLike, exposure: float = 1.0) -> np.ndarray:
     """Return display values of linear scene-referred `color` (H, W, 3): sRGB(clip(exposure · color, 0, 1)), float32.
 
-    NaN counts as 0. GffeError for an exposure not within 1e-6 and 1e6, or no array. Metrics compare such values:
+    NaN counts as 0. Raises GffeError for an exposure not within 1e-6 and 1e6, or no array. Metrics compare such values:
 
         gffe.psnr(gffe.to_display(made), gffe.to_display(truth))
     """

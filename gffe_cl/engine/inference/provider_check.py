@@ -192,8 +192,8 @@ def _from_json(text: str) -> Verdict:
 
 
 def _kept(path: Path, provider: Provider) -> Path | None:
-    """Return the path of a stored verdict, None if nothing is stored. Its name hashes everything the verdict depends
-    on."""
+    """Return the path of a stored verdict, None if there is no folder for it. The name hashes everything the verdict
+    depends on."""
     folder = kept_folder()
     if folder is None:
         return None

@@ -137,7 +137,8 @@ class Device:
 
     @classmethod
     def from_context(cls, context: Any, queue: Any = None) -> Device:
-        """Use the OpenCL context and queue of an engine: its buffers can be submitted, and its events waited for.
+        """Return a device that uses the OpenCL context and queue of an engine: its buffers can be submitted, and its
+        events waited for.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""The order of the stages, and the state between frames."""
+"""Order of the stages, and state between frames."""
 
 from __future__ import annotations
 
@@ -655,9 +655,9 @@ class Pipeline:
                 yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
 
     def keep(self, names: Iterable[str] | None = None) -> None:
-        """From the next frame on, keep the outputs `names`, such as "warp.color" (None: all), and no others. Outputs
-        that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of
-        other buffers are ignored. Raises GffeError for anything but a collection of texts."""
+        """Keep the outputs `names`, such as "warp.color" (None: all), from the next frame on, and no others. Outputs
+        that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of other
+        buffers are ignored. Raises GffeError for anything but a collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
         self._finish()
         for stage in self.stages.values():

@@ -125,7 +125,7 @@ def distance(a: Camera, b: Camera) -> float:
 
 
 def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> np.ndarray:
-    """Lagrange weights of P_i − P_0 at `time`, for every order that `times` (newest first) allow.
+    """Return the Lagrange weights of P_i − P_0 at `time`, for every order that `times` (newest first) allow.
 
     Returns
     -------

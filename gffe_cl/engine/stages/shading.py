@@ -28,10 +28,10 @@ SEEN = {
 
 
 class ShadingInputs(Stage):
-    """The previous rendered frame warped backward to t + α, ghosts replaced, and the input mask.
+    """Warps the previous rendered frame backward to t + α, replaces ghosts, and makes the input mask.
 
-    They are only for the viewer and for dumps. The network's own inputs come from the same functions, without the
-    images at full size.
+    The results are only for the viewer and for dumps. The network's own inputs come from the same functions, without
+    the images at full size.
     """
 
     name = "shading"

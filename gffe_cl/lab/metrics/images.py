@@ -160,7 +160,7 @@ def psnr(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Return the peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
 
     `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts the metric to the pixels where it is not
-    0. The result is NaN if there are none. GffeError for arrays of other shapes.
+    0. The result is NaN if there are none. Raises GffeError for arrays of other shapes.
     """
     return METRICS["psnr"].measure(*_pair(a, b, mask))
 
@@ -170,7 +170,7 @@ def ssim(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     pixels.
 
     `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts the metric to the pixels where it is not
-    0. The result is NaN for images smaller than 7×7. GffeError for arrays of other shapes.
+    0. The result is NaN for images smaller than 7×7. Raises GffeError for arrays of other shapes.
     """
     return METRICS["ssim"].measure(*_pair(a, b, mask))
 
