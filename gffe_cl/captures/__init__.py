@@ -1,2 +1,2 @@
-"""Captures: pictures in and out. Sequences on disk, other programs' captures, built-in scenes, `gffe run`, the doctor.
-"""
+"""Captures: pictures in and out. Sequences on disk, other programs' captures, built-in scenes, `gffe run`, the
+doctor."""

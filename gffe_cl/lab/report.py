@@ -47,8 +47,8 @@ def to_image(values: np.ndarray):
 
 
 def error_image(a: np.ndarray, b: np.ndarray, gain: float = 4.0) -> np.ndarray:
-    """Return the mean absolute difference of display values times `gain`, on a black–red–yellow–white scale (H, W, 3).
-    """
+    """Return the mean absolute difference of display values times `gain`, on a black–red–yellow–white scale (H, W,
+    3)."""
     e = np.abs(a - b).mean(-1) * gain
     return np.clip(np.stack([3 * e, 3 * e - 1, 3 * e - 2], -1), 0, 1)
 

@@ -47,7 +47,7 @@ def is_blender(folder: Path) -> bool:
 
 
 def open_blender(folder: Path) -> Sequence:
-    """Open the capture in `folder`: JSON and the headers of all files are checked. Raises GffeError."""
+    """Open the capture in `folder` and return it: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
     reader, headers = HeaderReader(), []

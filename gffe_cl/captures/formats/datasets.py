@@ -129,7 +129,7 @@ def is_sintel(folder: Path) -> bool:
 
 
 def open_sintel(folder: Path) -> Sequence:
-    """Open the scene whose colors are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
+    """Open and return the scene whose colors are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
     parts = _sintel_folders(folder)
     assert parts is not None  # `is_sintel` was asked
     images = _images(folder, "frame_*.png")
@@ -184,8 +184,8 @@ def _sintel_array(path: Path, channels: int, size: Size) -> np.ndarray:
 
 
 def _sintel_camera(path: Path) -> Camera:
-    """Return the camera of a file of tag, 3×3 intrinsics and 3×4 world → camera (x right, y down, z forward), float64.
-    """
+    """Return the camera of a file of tag, 3×3 intrinsics and 3×4 world → camera (x right, y down, z forward),
+    float64."""
     try:
         with open_regular(path) as file:
             data = file.read(4 + 8 * 21)
@@ -214,7 +214,7 @@ def is_tartanair(folder: Path) -> bool:
 
 
 def open_tartanair(folder: Path) -> Sequence:
-    """Open the trajectory in `folder`, left camera. Raises GffeError."""
+    """Open and return the trajectory in `folder`, left camera. Raises GffeError."""
     images = _images(folder / "image_left", "*_left.png")
     depths = numbered_files(folder / "depth_left", "*_left_depth.npy")
     flows = _flows(folder / "flow")
@@ -280,7 +280,8 @@ def is_spring(folder: Path) -> bool:
 
 
 def open_spring(folder: Path) -> Sequence:
-    """Open the scene in `folder`, left camera, at the size of the colors. Raises GffeError, also without h5py."""
+    """Open and return the scene in `folder`, left camera, at the size of the colors. Raises GffeError, also without
+    h5py."""
     images = _images(folder / "frame_left", "frame_left_*.png")
     disparities = numbered_files(folder / "disp1_left", "disp1_left_*.dsp5")
     flows = numbered_files(folder / "flow_BW_left", "flow_BW_left_*.flo5")

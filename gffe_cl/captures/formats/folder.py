@@ -82,8 +82,8 @@ def is_folder(path: Path) -> bool:
 
 
 def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
-    """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
-    need be described. Raises GffeError."""
+    """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. With `cameras`
+    "optional" none need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
     notes = _settle_view(folder, made) + _settle_colors(folder, made)
     for frame in made.frames.values():

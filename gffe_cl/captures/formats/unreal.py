@@ -55,8 +55,8 @@ def is_unreal(folder: Path) -> bool:
 
 
 def open_unreal(folder: Path) -> Sequence:
-    """Open the frames in `folder`. The headers of all files are checked, and a few frames are read to determine the
-    meaning of motion and depth. Raises GffeError."""
+    """Open the frames in `folder` and return them as a sequence. The headers of all files are checked, and a few frames
+    are read to determine the meaning of motion and depth. Raises GffeError."""
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
     headers = []
     size = fps = before = None

@@ -1,5 +1,5 @@
-"""Conversion of a scene to the arrays that kernels/scenes/scene.cl reads; float64 transforms, relative to the camera.
-"""
+"""Conversion of a scene to the arrays that kernels/scenes/scene.cl reads; float64 transforms, relative to the
+camera."""
 
 from __future__ import annotations
 

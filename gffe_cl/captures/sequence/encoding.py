@@ -62,8 +62,8 @@ class Encoding:
 
     @classmethod
     def parse(cls, text: str, size: tuple[int, int] = CODE_SIZE) -> Encoding:
-        """Return the encoding of a text PART[,PART…]; the names of PRESETS stand for several parts. Raises GffeError.
-        """
+        """Return the encoding of a text PART[,PART…]; the names of PRESETS stand for several parts. Raises
+        GffeError."""
         parts: set[str] = set()
         for name in text.split(","):
             if name not in PARTS and name not in PRESETS:

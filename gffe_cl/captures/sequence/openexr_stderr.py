@@ -67,8 +67,8 @@ class _Call:
 
 
 def _own_descriptors() -> tuple[int | None, int | None]:
-    """Give this thread file descriptors of its own. Return the files behind 1 and 2, None if the system cannot do it.
-    """
+    """Give this thread file descriptors of its own. Return the files behind 1 and 2, None if the system cannot do
+    it."""
     if not sys.platform.startswith("linux") or not hasattr(os, "memfd_create"):
         return None, None
     # All others are closed, so that files closed by the process are really closed, locks and pipes above all.

@@ -1,5 +1,4 @@
-"""GffeError, the one exception that users meet; how messages show the user's values; how missing extras are installed.
-"""
+"""The one exception that users meet, the form of the user's values in messages, and the text on missing extras."""
 
 from __future__ import annotations
 

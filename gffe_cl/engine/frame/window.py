@@ -192,8 +192,8 @@ class WindowChooser:
         self._distance = math.inf
 
     def choose(self, current: Camera, previous: Camera | None) -> Window:
-        """Return the window for the frame shown by `current`, after the one shown by `previous` (None: after a reset).
-        """
+        """Return the window for the frame shown by `current`, after the one shown by `previous` (None: after a
+        reset)."""
         if self._fixed:
             return self._fixed
         if previous is None:

@@ -284,7 +284,7 @@ def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
 
 
 def open_device(wanted: str | None = None) -> Device:
-    """Open the device that matches `wanted` (an index, a kind or part of a name), or the default one.
+    """Open and return the device that matches `wanted` (an index, a kind or part of a name), or the default one.
 
     Raises GffeError if no device works or none matches, or `wanted` is no text.
     """

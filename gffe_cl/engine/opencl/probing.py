@@ -248,8 +248,8 @@ def _built(queue: cl.CommandQueue, source: str, *options: str) -> cl.Program:
 
 @contextmanager
 def quiet_builds():
-    """Hide drivers' remarks on builds that succeed during the block, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them.
-    """
+    """Hide drivers' remarks on builds that succeed during the block, unless PYOPENCL_COMPILER_OUTPUT=1 asks for
+    them."""
     with warnings.catch_warnings():
         if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
             warnings.simplefilter("ignore", cl.CompilerWarning)

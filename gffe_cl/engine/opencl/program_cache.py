@@ -26,8 +26,8 @@ _MOST_BYTES = 64 << 20
 
 
 def built_program(context: cl.Context, device: cl.Device, source: str, options: tuple[str, ...] = ()) -> cl.Program:
-    """Return the program of `source`, built for a device of `context`. Raises cl.RuntimeError with the compiler's log.
-    """
+    """Return the program of `source`, built for a device of `context`. Raises cl.RuntimeError with the compiler's
+    log."""
     if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
         options = (*options, "-w")  # else clang counts its warnings on standard error
     path = None if has_src_build_cache(device) else _path(device, source, options)

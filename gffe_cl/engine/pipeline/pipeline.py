@@ -605,8 +605,8 @@ class Pipeline:
         return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
 
     def _geometry(self, given: tuple[np.ndarray, np.ndarray] | None) -> dict[str, np.ndarray]:
-        """Return depth and motion that replace the new frame's, by name. Raises GffeError for other shapes than theirs.
-        """
+        """Return depth and motion that replace the new frame's, by name. Raises GffeError for other shapes than
+        theirs."""
         if given is None:
             return {}
         if not isinstance(given, tuple | list) or len(given) != 2:

@@ -17,8 +17,8 @@ class Watcher(Protocol):
         now."""
 
     def submitted(self, pipeline: Any, frame: RenderedFrame, on_device: DeviceFrame) -> None:
-        """React to `frame`, which was submitted. Its pixels are `on_device`; all work that is due for it is enqueued.
-        """
+        """React to `frame`, which was submitted. Its pixels are `on_device`; all work that is due for it is
+        enqueued."""
 
     def extrapolated(self, pipeline: Any, frame: ExtrapolatedFrame) -> None:
         """React to `frame`, which was extrapolated: its kernels are enqueued."""

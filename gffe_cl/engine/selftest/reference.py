@@ -147,8 +147,8 @@ def _tell(found: Difference, expected: np.ndarray, array: np.ndarray) -> None:
 
 
 def ulps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return (int64) how many values of their type lie between a and b; for integers their distance. Two NaN are equal.
-    """
+    """Return (int64) how many values of their type lie between a and b; for integers their distance. Two NaN are
+    equal."""
     if a.dtype.kind != "f":
         return np.abs(a.astype(np.int64) - b.astype(np.int64))
     kind = {2: np.int16, 4: np.int32, 8: np.int64}[a.itemsize]

@@ -48,8 +48,8 @@ def facts_of(device: cl.Device) -> dict[str, Any]:
 
 
 def compare_form(info: DeviceInfo, form: Form, reference: Reference, cases: list[str], until: str | None) -> dict:
-    """Return how the buffers of all `cases` differ, until the moment `until` if that is not None, in a form of kernels.
-    """
+    """Return how the buffers of all `cases` differ, until the moment `until` if that is not None, in a form of
+    kernels."""
     told: dict[str, Any] = asdict(form) | {"cases": {}}
     for case in cases:
         comparison = Comparison(reference, case)

@@ -441,8 +441,8 @@ class Stage(Owner):
         return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
 
     def take_kernel_milliseconds(self) -> dict[str, float]:
-        """Return the milliseconds of kernel time by kernel since events were last taken; the device must have finished.
-        """
+        """Return the milliseconds of kernel time by kernel since events were last taken; the device must have
+        finished."""
         taken: dict[str, float] = {}
         for kernel, event in self.take_events():
             taken[kernel] = taken.get(kernel, 0.0) + (event.profile.end - event.profile.start) * 1e-6

@@ -118,8 +118,8 @@ def texel_of(grid: str) -> tuple[int, int]:
 
 
 def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """Return the block of texels of `grid` (x, y, width, height) over a block of texels of `fine`, which is no coarser.
-    """
+    """Return the block of texels of `grid` (x, y, width, height) over a block of texels of `fine`, which is no
+    coarser."""
     side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
     x0, y0 = x // side_x, y // side_y
     return x0, y0, (x + width - 1) // side_x + 1 - x0, (y + height - 1) // side_y + 1 - y0
@@ -311,8 +311,8 @@ class DeviceFrame:
 
     @classmethod
     def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
-        """Return a frame with new buffers for images of `size` (width, height); `motion`: the buffer to use for that.
-        """
+        """Return a frame with new buffers for images of `size` (width, height); `motion`: the buffer to use for
+        that."""
         color, depth, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
         buffers = device.buffer(color), device.buffer(depth), motion or device.buffer(moved)
         return cls(*buffers, camera, display_camera, time)

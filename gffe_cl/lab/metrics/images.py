@@ -192,8 +192,8 @@ def relative_error(a, b):
 
 
 def smape(a, b, exposure: float = 1.0) -> np.ndarray:
-    """Return the symmetric mean absolute percentage error of linear color, (H, W) float32 in [0, 2). NaN counts as 0.
-    """
+    """Return the symmetric mean absolute percentage error of linear color, (H, W) float32 in [0, 2). NaN counts as
+    0."""
     factor = np.float32(require_exposure(exposure))
     a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * factor, nan=0.0) for x in (a, b))
     return relative_error(a, b).mean(-1)

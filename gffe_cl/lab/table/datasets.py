@@ -390,8 +390,8 @@ def _positions(future) -> np.ndarray:
 
 
 def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
-    """Return (H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at `depth`.
-    """
+    """Return (H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at
+    `depth`."""
     static_px, _ = other.project(_world(camera, depth))
     with np.errstate(invalid="ignore"):
         off = np.linalg.norm(motion + _centers(*depth.shape) - static_px, axis=-1)

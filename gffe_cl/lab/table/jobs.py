@@ -90,8 +90,8 @@ def compute_cell(
 
 
 def _describe(footage: Footage) -> Cell:
-    """Return the description of a sequence: shares of the regions, and pictures of the moment that shows most of them.
-    """
+    """Return the description of a sequence: shares of the regions, and pictures of the moment that shows most of
+    them."""
     counts = np.zeros(len(REGIONS), np.int64)
     for labels in footage.labels:
         counts += np.bincount(labels.ravel(), minlength=len(REGIONS))

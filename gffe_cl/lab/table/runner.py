@@ -114,8 +114,8 @@ def fill(
 
 
 def _machine(device: str | None, executor: Executor | None) -> str:
-    """Return the name of this machine for times. A machine without a device may have others compute: then "a cluster".
-    """
+    """Return the name of this machine for times. A machine without a device may have others compute: then "a
+    cluster"."""
     try:
         return machine_of(device)
     except GffeError:

@@ -195,15 +195,15 @@ class Augmentation:
 
 
 def _earlier(batch: Batch) -> Tensor:
-    """Return the frame before the warped previous one, as far as it is known: linear color, at the batch's resolution.
-    """
+    """Return the frame before the warped previous one, as far as it is known: linear color, at the batch's
+    resolution."""
     change = functional.interpolate(batch.trends[:, 7:8], batch.gae.shape[-2:], mode="bilinear", align_corners=False)
     return decode(encode(batch.previous) - change)
 
 
 def _changes(colors: Tensor, halved: bool) -> Tensor:
-    """Return (N, 6, h, w): change of encoded color at half resolution over the last interval, and over the one before.
-    """
+    """Return (N, 6, h, w): change of encoded color at half resolution over the last interval, and over the one
+    before."""
     now, previous, earlier = (encode(colors[k]) for k in (0, 1, 3))
     changes = torch.cat((now - previous, previous - earlier), 1)
     return changes if halved else halve(changes)

@@ -28,8 +28,8 @@ DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it i
 
 @dataclass(frozen=True)
 class Crop:
-    """Position of a crop; `focus` is its share of focus pixels (`clips.crops_of`), `height` that of the clip's frames.
-    """
+    """Position of a crop; `focus` is its share of focus pixels (`clips.crops_of`), `height` that of the clip's
+    frames."""
 
     path: Path
     sample: int
@@ -80,8 +80,8 @@ class Batch:
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
-    """Return M^focus, (N, 1, H, W) bool, as `gffe_cl.lab.metrics.focus_mask` does; neighbors are `reach` pixels away.
-    """
+    """Return M^focus, (N, 1, H, W) bool, as `gffe_cl.lab.metrics.focus_mask` does; neighbors are `reach` pixels
+    away."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
     least = None

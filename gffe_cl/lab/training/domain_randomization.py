@@ -1,5 +1,5 @@
-"""Random changes to built-in scenes that make training data varied: other lights, casters and finishes, moving shading.
-"""
+"""Random changes to built-in scenes that make training data varied: other lights, casters and finishes, moving
+shading."""
 
 from __future__ import annotations
 

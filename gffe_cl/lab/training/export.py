@@ -132,8 +132,8 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
 
 
 def commit() -> str:
-    """Return the commit of the running source; "unknown" outside a git checkout, "…, changed" with uncommitted changes.
-    """
+    """Return the commit of the running source; "unknown" outside a git checkout, "…, changed" with uncommitted
+    changes."""
     folder = Path(__file__).resolve().parent
 
     def git(*arguments):

@@ -204,8 +204,8 @@ def moving(motion: np.ndarray) -> np.ndarray:
 
 
 def log_score(residual: np.ndarray, coarsest, finest) -> np.ndarray:
-    """Return the score of residuals (pixels): 1 up to `finest`, 0 from `coarsest` on, logarithmic between; 0 for NaN.
-    """
+    """Return the score of residuals (pixels): 1 up to `finest`, 0 from `coarsest` on, logarithmic between; 0 for
+    NaN."""
     with np.errstate(divide="ignore", invalid="ignore"):
         score = np.log(coarsest / np.maximum(residual, finest)) / np.log(coarsest / finest)
     return np.nan_to_num(np.clip(score, 0, 1))

@@ -250,8 +250,8 @@ class Search:
         return list(dict.fromkeys(reading for _, reading in found))[:_JOINT]
 
     def _facing(self, reading: Reading) -> Reading:
-        """Return the reading with positive depths: negative ones under some axes are positive under the opposite axes.
-        """
+        """Return the reading with positive depths: negative ones under some axes are positive under the opposite
+        axes."""
         bench, ray = self.thin, self.thin.reach(reading.camera, reading.motion.step).ray
         if reading.depth != AS_GIVEN and np.nanmedian(reading.depth.inverse(bench.stored, ray)[bench.solid]) < 0:
             depth = replace(reading.depth, coefficients=tuple(-c for c in reading.depth.coefficients))
@@ -261,8 +261,8 @@ class Search:
         return reading
 
     def _refined(self, reading: Reading) -> list[Reading]:
-        """Return `reading` with parameters fitted to all samples: as it is, and with the focal length that fits best.
-        """
+        """Return `reading` with parameters fitted to all samples: as it is, and with the focal length that fits
+        best."""
         models = [reading.depth.model]
 
         def fits(focal: float) -> list[tuple[float, Reading]]:

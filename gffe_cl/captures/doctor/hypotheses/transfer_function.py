@@ -45,7 +45,7 @@ class Votes(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """ "display values", "doubtful", or "" for linear colors and without evidence."""
+        """Verdict of the votes: "display values", "doubtful", or "" for linear colors and without evidence."""
         if self.telling < _LEAST or self.mixed < _MIXED * self.silhouettes or self.share < _DOUBTFUL:
             return ""
         return "display values" if self.share >= _SURE else "doubtful"
