@@ -124,7 +124,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
 
 def _likely_cause(looks: dict[int, Look], edges: float) -> tuple[str, float]:
     """Return the findings of the simplest reading of one buffer with which vectors, depth and cameras agree, and its
-    score. The findings may also be that vectors lack the camera's part, or "" if no cause fits."""
+    score. If there is none, return with score 0 that vectors lack the camera's part, or ""."""
     search = Search([look for look in looks.values() if look.neighbors])
     bench = search.full
 

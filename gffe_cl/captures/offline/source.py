@@ -59,7 +59,8 @@ class Source(Protocol):
         ...
 
     def number_of(self, entry: FrameEntry) -> str:
-        """Return the number in the name of the rendered frame's file."""
+        """Return a text that identifies a rendered frame in names of files: the number in its own file's name, or its
+        index."""
         ...
 
     def refuse(self, output: Path) -> None:

@@ -155,7 +155,7 @@ def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
 
 @dataclass
 class BadPixels:
-    """Counts of pixels with invalid values in a frame. They are replaced, and are no errors."""
+    """Counts of pixels with invalid values in a frame. They are no errors: the pipeline works without these pixels."""
 
     color: int = 0  # NaN or infinite; NaN counts as 0
     clamped: int = 0  # magnitude over 65504, clamped

@@ -210,9 +210,9 @@ def _changes(colors: Tensor, halved: bool) -> Tensor:
 
 
 def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> Tensor:
-    """Return means of `changes` (N, C, h, w; half resolution) over cells of 8×8 pixels of the frame, of pixels that are
-    `known` (N, 1, h, w), and with `heights` (N,) of their frames over cells around, too: as in
-    kernels/shading_trend.cl, at a quarter of the resolution."""
+    """Return means of `changes` (N, C, h, w; half resolution), where they are `known` (N, 1, h, w), over cells of 8×8
+    pixels of the frame, at a quarter of the resolution as in kernels/shading_trend.cl. With `heights` (N,) of the
+    frames in pixels, cells around are part of the means."""
     size = [-(-side // 2) for side in changes.shape[-2:]]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
     if heights is not None:

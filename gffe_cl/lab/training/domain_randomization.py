@@ -93,7 +93,7 @@ def _relit(light: Light, rng) -> Light:
 
 
 def _refinished(groups: list[Group], rng) -> list[Group]:
-    """Return the groups with some materials made glossy or mirrors, and some matte."""
+    """Return the groups with another finish on some materials: glossy, mirrors, or dull."""
     known: dict[Material, Material] = {}
 
     def finish(material: Material) -> Material:

@@ -122,8 +122,8 @@ def _linked(looks: dict[int, Look]) -> dict[int, Look]:
 
 
 def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
-    """Return `looks` at images in which the BUFFERS `rows` are turned upside down. If two of them, or three, are, the
-    others are turned in their place, and the result as a whole: so the samples are those of the same points."""
+    """Return `looks` at images in which the BUFFERS `rows` are turned upside down. If these are two or three, the other
+    buffers are turned, and then all images as a whole: so the samples are those of the same points."""
     if not rows:
         return looks
     if len(rows) > 1:
