@@ -26,8 +26,8 @@ TELEPORT = 10.0  # times the step before it, of a step beyond half of the view
 
 
 class SceneCuts(Stage):
-    """Test of whether the previous frame shows any part of the present one. Depths are compared along the motion
-    vectors, and so is the contrast between neighbors, which does not depend on the light."""
+    """Tests whether the previous frame shows any part of the present one. Depths are compared along the motion vectors,
+    and so is the contrast between neighbors, which does not depend on the light."""
 
     name = "scene_cuts"
     buffers = (

@@ -1,4 +1,4 @@
-"""Timed footage: rendered frames in a loop in which each one follows the frame that its motion refers to."""
+"""Footage of benchmarks: rendered frames in a loop in which each one follows the frame that its motion refers to."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ WITHOUT_NETWORK = "no-scn"
 MOMENTS = 6  # new frames whose quality is measured, and which are timed again and again
 _REST = 0.02  # seconds before each turn, in which the threads of the method before come to rest
 
-Step = Callable[[str, int], Callable[[], None]]  # description, number of parts → function to call after each
+OpenStep = Callable[[str, int], Callable[[], None]]  # description, number of parts → function to call after each
 
 
 class Clip(Footage):
@@ -108,7 +108,7 @@ class Contestant:
         return self.runner.extrapolated(moment) if self.device else self.runner.make(moment)
 
 
-def measure_methods(subject: Subject, devices: list[Device], options: Options, repeats: int, step: Step) -> dict:
+def measure_methods(subject: Subject, devices: list[Device], options: Options, repeats: int, step: OpenStep) -> dict:
     """Return the figures for one subject, as JSON: see `_report`. Pipelines, with and without the network, run on all
     `devices`; ratios are to the first method on the first one. `options`: of the pipelines. `repeats`: timed turns."""
     if options.upscale:
