@@ -254,7 +254,7 @@ class Pipeline:
 
     @property
     def copied_bytes(self) -> int:
-        """Bytes written so far for submitted NumPy arrays of color, depth and motion: by conversions to other types and
+        """Bytes written so far for submitted NumPy arrays of color, depth and motion, by conversions to other types and
         layouts, on the host and on the device, and by copies to devices with memory of their own. Arrays that are used
         in place (`zero_copy`) and device buffers count nothing."""
         return self._copied_bytes + (self._upload.copied_bytes if self._upload else 0)
