@@ -38,7 +38,7 @@ class Option:
     low, high : range of a number, both included; `usual_high` is where sliders end
     unit : of a number
     choices : of a string, with a sentence each; empty if any will do
-    automatic : what None stands for ("auto": found out from the data), where None is allowed
+    automatic : the meaning of None ("auto": found out from the data), where None is allowed
     off : the value that switches a module off; False for a bool, None if it is no module
     off_label, off_sentence : of the module, where switching it off is an option beside this one
     flag : of the command line; of a bool that is on by default, the flag that switches it off

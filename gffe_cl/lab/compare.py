@@ -111,7 +111,7 @@ def compare(
     ----------
     mask : str or None
         A channel of `a`'s frames: metrics are over the pixels where it is not 0. "focus" means the pixels whose shading
-        is wrong in `gae`: `focus_mask`, less what is disoccluded.
+        is wrong in `gae`: `focus_mask` without disocclusions.
     progress : callable or None
         Called with (frames done, frames in all).
     gae : Sequence or None

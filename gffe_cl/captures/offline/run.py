@@ -66,10 +66,10 @@ def run_sequence(
 ) -> RunReport:
     """Extrapolate after every rendered frame of `source`, write the result to `output`, and return a summary.
 
-    The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
-    one, or with `predicted_camera`, all of them are predicted (C̄). `compression` is that of new EXRs (see
-    `SequenceWriter`). `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts
-    become resets in `output`.
+    The cameras after a rendered frame come from `source`, for the times of all new frames there; if it lacks one, or
+    with `predicted_camera`, all of them are predicted (C̄). `compression` is that of new EXRs (see `SequenceWriter`).
+    `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts become resets in
+    `output`.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """

@@ -1,7 +1,7 @@
 """Output folder of a sequence: rules for files that may be replaced.
 
 Files are written into the folder `gffe-unfinished` within it and moved to their places when all of them are whole:
-until then an earlier output stays what it was. A journal in there is locked while a run is writing; the lock ends with
+until then an earlier output stays unchanged. A journal in there is locked while a run is writing; the lock ends with
 its process, however that ends. The next run removes files that a killed process left.
 """
 

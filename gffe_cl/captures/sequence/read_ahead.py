@@ -17,8 +17,8 @@ def usable_cores() -> int:
 def read_ahead(items: Iterable, function: Callable, ahead: int = 2) -> Iterator[tuple]:
     """Yield (item, function(item)) in order, `function` running on threads for the next `ahead`, from now on.
 
-    An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception,
-    Ctrl-C) drops what was not started and waits for what was.
+    An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception, Ctrl-C) drops
+    items that were not started and waits for the others.
     """
     ahead = max(1, ahead)
     items = iter(items)

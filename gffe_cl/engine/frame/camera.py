@@ -132,7 +132,7 @@ class Camera:
         Parameters
         ----------
         view : (4, 4), or 16 numbers
-            World → view space, as handed to the shaders.
+            World → view space, as given to the shaders.
         projection : (4, 4), or 16 numbers
             View → clip space. Which way the view axes point follows from it; normalized device coordinates go up.
         size : (width, height) of the image, pixels

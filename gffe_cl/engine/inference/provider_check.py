@@ -45,10 +45,10 @@ class Verdict:
 
     Attributes
     ----------
-    provider, device : names; the device's as its driver says it, "" if it does not
+    provider, device : names; the device's as its driver reports it, "" if it does not
     difference : largest between the outputs of provider and CPU; inf where there is none
     milliseconds, cpu_milliseconds : of one run for a frame of 960×540; inf where it was too slow to be timed
-    problem : a line that says why it is refused; "" if it is not
+    problem : a line with the reason why it is refused; "" if it is not
     present : whether it has a device here at all
     """
 

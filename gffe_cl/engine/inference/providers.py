@@ -36,7 +36,7 @@ class Provider:
     name : on the command line
     ort : onnxruntime's name of it
     package : the package that pip installs for it; "" for those of every onnxruntime
-    plugin : the module that knows the plug-in's library; "" where the provider is part of `package`'s onnxruntime
+    plugin : the module with the path of the plug-in's library; "" where the provider is part of `package`'s onnxruntime
     settings : its options, so that it computes as the CPU does
     """
 

@@ -134,7 +134,7 @@ class Pacer:
         return self._last
 
     def ready(self, now: float) -> None:
-        """Note that the frame planned last is ready `now`: made and handed to the display."""
+        """Note that the frame planned last is ready `now`: made and passed to the display."""
         now = self._advanced(now)
         if self._last is None:
             raise GffeError("pacer: nothing was planned")

@@ -156,8 +156,7 @@ class BufferSpec:
     another, each an image. `transient`: written in each `extrapolate` before it is read, so until the next `submit` it
     may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
     `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
-    holds anything; elsewhere it reads as 0. `packing`: how it lies on the device, if not as `dtype` and `components`
-    say.
+    holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
     """
 
     name: str

@@ -38,11 +38,10 @@ class ShadingCorrection(Stage):
 
     The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
     encoded color of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
-    within twice what changed since t − 1. With e for the code
-    of color (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE color there
-    and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
-    in linear color. M is less, down to 0, where the last interval's change of brightness is not that of the interval
-    before.
+    limited to twice the change since t − 1. With e for the code of color (`NetworkInput`), U for bilinear interpolation
+    from half resolution, L for the encoded GAE color there and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) ·
+    (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear color. M is less, down to 0, where the last
+    interval's change of brightness is not that of the interval before.
 
     `unusable_pixels`: number of pixels of all frames so far where the network gave NaN or infinity; they keep the GAE
     color. `with_refined`: whether `refined` is made too, from the next frame on.

@@ -106,7 +106,7 @@ class ShadingTrend(Stage):
 
     @property
     def is_still(self) -> bool:
-        """Whether there is nothing to correct. Waits until the device has looked at the rendered frame; work that was
+        """Whether there is nothing to correct. Waits until the device has examined the rendered frame; work that was
         enqueued after that goes on."""
         for event in self._known:
             event.wait()

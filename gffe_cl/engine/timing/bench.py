@@ -1,8 +1,7 @@
 """Cost of each stage, in milliseconds and in bytes per pixel (`gffe bench`).
 
-Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is what copying reaches in between the timed
-frames, so the figure means the same on every machine. Stage times are sums of kernel event times; the wall
-time of a frame stands beside.
+Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is that of copies between the timed frames, so the figure
+means the same on every machine. Stage times are sums of kernel event times; the wall time of a frame stands beside.
 """
 
 from __future__ import annotations

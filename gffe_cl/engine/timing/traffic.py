@@ -1,6 +1,7 @@
 """Bytes per pixel that must move, by the stages' declarations: exact and independent of the machine (`gffe bench`).
 
-Every kernel declares what it reads and writes, and for which share of the pixels; the shares are counted in the frame.
+Every kernel declares the buffers that it reads and writes, and for which share of the pixels; the shares are counted in
+the frame.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """Flicker: visible error when rendered and generated frames alternate.
 
 At 60 Hz people do not see the error of a single frame. They see that every second frame has one: lit edges that pulse,
-shadows that jump to and fro. The eye follows moving objects, so the difference between shown and true frame is what
-counts, not that between successive frames; and at 30 Hz it is only sensitive to coarse patterns, falling to half at
-about three cycles per degree (Kelly, Motion and vision II, JOSA 1979). So: error of the luma that is displayed (Rec.
-709), blurred by a Gaussian of 1/300 of the image's height (half at three cycles per degree, seen from three heights),
-and of that the mean absolute change from each shown frame to the next, rendered ones included, in per cent of display
-white. A renderer without generated frames has 0. An error that stays the same over time does not flicker.
+shadows that jump to and fro. The eye follows moving objects, so the difference between shown and true frame counts, not
+that between successive frames; and at 30 Hz it is only sensitive to coarse patterns, falling to half at about three
+cycles per degree (Kelly, Motion and vision II, JOSA 1979). So: error of the luma that is displayed (Rec. 709), blurred
+by a Gaussian of 1/300 of the image's height (half at three cycles per degree, seen from three heights), and of that the
+mean absolute change from each shown frame to the next, rendered ones included, in per cent of display white. A renderer
+without generated frames has 0. An error that stays the same over time does not flicker.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class Method:
     window : window of its rendered frames, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
     needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes),
-        "upscale" (rendered frames smaller than what is shown)
+        "upscale" (rendered frames smaller than the display)
     package : module that must be importable, and the extra that brings it
     model : of the ONNX contract
     pipelines : how our pipeline is used, if it is one

@@ -112,7 +112,8 @@ class ShadingCorrectionNetwork(nn.Module):
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
     trends : (N, 8, h/2, w/2): change of encoded color until t + α as the last interval has it (3), as the interval
-        before has it (3), share of the surroundings that tells; change of brightness close by in the interval before
+        before has it (3), share of the surroundings that is evidence; change of brightness close by in the interval
+        before
 
     Returns (N, 5, h, w): Δ (3; encoded color), keep, focus mask M. While training also p, (N, 1, h, w), of which
     M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
