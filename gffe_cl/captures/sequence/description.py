@@ -48,16 +48,16 @@ class FrameEntry:
     file : str
         EXR file, relative to the sequence's folder.
     time : float
-        Seconds.
+        Time of the frame, seconds.
     kind : "rendered", "ground_truth" or "extrapolated"
     reset : bool
         Whether frames before this rendered one must not be used; always true for the first one.
     render_size : (width, height) or None
-        Pixels of the stored images; None means the display size.
+        Size of the stored images in pixels; None means the display size.
     render_camera : Camera or None
-        In render pixels. None for frames that are not rendered.
+        Render camera, in render pixels. None for frames that are not rendered.
     display_camera : Camera or None
-        In display pixels. For rendered frames None means the frustum of the render camera; in an opened
+        Display camera, in display pixels. For rendered frames None means the frustum of the render camera; in an opened
         sequence it is always set for them, and None elsewhere if neither JSON nor EXR header has one.
     source : str or None
         The rendered frame that an extrapolated one was made from.

@@ -60,7 +60,7 @@ class Sequence:
         Display size in pixels.
     fps, exposure : float
     frames : list[FrameEntry]
-        By time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
+        All frames by time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
     known_cameras : list[FrameEntry]
         Times without a picture whose camera is known, of kind "camera_only".
     unfinished : bool
@@ -69,8 +69,8 @@ class Sequence:
     Raises
     ------
     GffeError
-        If rendered frames have several sizes. By methods: for arguments of other types, for files that were damaged
-        since opening, and for frames of another kind than expected.
+        If rendered frames have several sizes. Methods raise it for arguments of other types, for files that were
+        damaged since opening, and for frames of another kind than expected.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):
@@ -111,8 +111,9 @@ class Sequence:
         return [entry for entry in self.frames if entry.kind == "extrapolated"]
 
     def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
-        """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. All
-        matching of frames uses this. None without one. `source`: only frames that were extrapolated from this one."""
+        """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. The
+        result is None if there is no such frame. All matching of frames uses this method. `source`: only frames that
+        were extrapolated from this one."""
         if source is not None:
             require_kind(source, str, "sequence: source", "a file name or None")
         return self._timeline.at(*_moment(kind, time), source)
@@ -245,10 +246,10 @@ def open_sequence(
 ) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`), and return it.
 
-    JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
-    channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
-    None then), which nothing but calibration can work on. `mend` converts the JSON text before it is used. With
-    `follow_links` the JSON may name files outside the folder; by default it may not. Raises GffeError.
+    JSON, cameras and the headers of all files are checked here, so that no later work meets a missing channel or file,
+    a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack a camera (then it is None);
+    only calibration accepts such frames. `mend` converts the JSON text before it is used. With `follow_links` the JSON
+    may name files outside the folder; by default it may not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
     require_choice(cameras, CAMERAS, "open_sequence: cameras")

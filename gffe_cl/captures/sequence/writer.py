@@ -50,7 +50,7 @@ _MOST_BYTES = 2 << 30  # of frames under way
 
 
 class SequenceWriter:
-    """Writes a sequence into the folder `path`; a context manager.
+    """Context manager that writes a sequence into the folder `path`.
 
     Parameters
     ----------
@@ -72,13 +72,12 @@ class SequenceWriter:
 
     Notes
     -----
-    Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
-    until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
-    finished and marks it as unfinished; where there was an earlier output that stays, and the new frames are in
-    `path`/gffe-unfinished until the next run; a note of the exception names them. Left by any other exception,
-    everything is as before. Errors of the threads surface in the next `add`, `link`, or on leaving.
-    All of them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is
-    writing to.
+    Frames are written into a folder of their own and moved to `path`, with `sequence.json`, when the context ends:
+    until then an earlier output stays unchanged. If it ends by KeyboardInterrupt, `sequence.json` lists the finished
+    frames and is marked as unfinished. If there was an earlier output, that stays, and the new frames are in
+    `path`/gffe-unfinished until the next run; a note of the exception names them. After any other exception everything
+    is as before. Errors of the threads are raised by the next `add` or `link`, or at the end of the context. All of
+    them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is writing to.
     """
 
     def __init__(
@@ -117,12 +116,12 @@ class SequenceWriter:
         return self
 
     def add(self, entry: FrameEntry, channels: dict[str, np.ndarray], *, owned: bool = False) -> None:
-        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns, or later
-        if they, and the dict, are `owned` by the writer from now on, which empties it.
+        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before the call returns. With
+        `owned` the writer takes over the dict and its arrays, copies them later, and empties the dict.
 
-        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
-        entry's render size, else the display size. Raises GffeError for another shape or type, and entries that could
-        not be read again.
+        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` become float32. (H, W) is the entry's
+        render size, else the display size. Raises GffeError for another shape or type, and entries that could not be
+        read again.
         """
         entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
         require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")

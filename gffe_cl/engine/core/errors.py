@@ -10,10 +10,10 @@ _LONG_NUMBER = re.compile(r"(\d{12})\d{48,}")
 
 
 class GffeError(Exception):
-    """A structural fault in the caller's input: bad file, size, camera, device, option.
+    """Error for a structural fault in the caller's input: bad file, size, camera, device, option.
 
-    The message is one line with the fault, its place, and the expected input; control characters in it, of file
-    names perhaps, are escaped, and numbers of 60 digits and more are cut. The command line prints it and exits with
+    The message is one line with the fault, its place, and the expected input; control characters in it, for example
+    from file names, are escaped, and numbers of 60 digits and more are cut. The command line prints it and exits with
     code 2. Bad *pixels* never raise it, except in strict mode.
     """
 

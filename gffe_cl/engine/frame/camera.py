@@ -35,7 +35,7 @@ class Camera:
     Parameters
     ----------
     world_to_view : (4, 4) float64
-        Rigid transform (a mirrored one too: left-handed worlds); x right, y down, z forward.
+        Rigid transform from world to view space; mirrored for left-handed worlds; x right, y down, z forward.
     fx, fy : float
         Focal lengths in pixels, > 0.
     cx, cy : float
@@ -210,8 +210,8 @@ class Camera:
         cls, location: ArrayLike, rotation: ArrayLike, fov: float, size: tuple[float, float]
     ) -> Camera:
         """Return the camera of an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal
-        field of view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). The unit of
-        the location stays.
+        field of view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). World units
+        are those of the location.
 
         Raises GffeError for fields of view that are not between 0° and 180°.
         """

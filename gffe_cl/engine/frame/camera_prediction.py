@@ -31,9 +31,9 @@ def predict_camera_at(
 
     All orders add a change of velocity to the linear prediction (`predict_camera`), of position and of rotation each:
 
-    - Order 1 adds none.
-    - Order 2 adds the change of velocity between the last three poses, scaled by as much as the change before has gone
-      on: fully where it did, not at all where it turned round or came out of rest. After a jump, a step over four
+    - Order 1 adds none. - Order 2 adds the change of velocity between the last three poses, scaled by the share of the
+    change before that continued: fully where all of it did, not at all where it reversed or began from rest. After a
+    jump, a step over four
       times the one before, it adds none.
     - None, automatic, corrects order 2 by an autoregressive model. Ridge regression with exponential forgetting
       predicts the next change of velocity from the velocity, its change, and the change's change. It is refitted at
@@ -45,13 +45,13 @@ def predict_camera_at(
     Parameters
     ----------
     time : float
-        Seconds, not before the last frame.
+        Time of the prediction in seconds, not before the last frame.
     cameras, times
         The cameras of rendered frames since the last reset, newest first, and their times in seconds; those after the
-        twelfth are ignored. With one camera the prediction is that, with two it is linear, and up to four are too few
-        to learn from: None is order 2.
+        twelfth are ignored. One camera is its own prediction, two are continued linearly. Up to four are too few to
+        learn from: then None is order 2.
     order : 1, 2 or None
-        1 is the paper's.
+        Order of the prediction; 1 is the paper's, None is automatic.
 
     Raises
     ------

@@ -192,12 +192,12 @@ def depth_from_device(
         Depth after division by w, as `projection` makes it: 0 … 1 in Direct3D, Vulkan, Unity and Unreal, 1 … 0 where
         depth is reversed, −1 … 1 in OpenGL.
     projection : (4, 4)
-        The matrix that was rendered with, of any API; reversed and infinitely far planes follow from it.
+        The projection matrix used for rendering, of any API; reversed and infinitely far planes follow from it.
     layout : "auto", "row-major" or "column-major"
-        See `Camera.from_opengl`.
+        Layout of the matrix, as in `Camera.from_opengl`.
     opengl_buffer : bool
-        `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1. It is not used where `projection`
-        gives reversed depth from 1 to 0, which OpenGL has with `glClipControl` only.
+        Whether `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1. It is not used where
+        `projection` gives reversed depth from 1 to 0, which OpenGL has with `glClipControl` only.
     sky : bool
         Whether pixels with exactly the far plane's depth, as in a cleared buffer, become infinite.
 

@@ -35,10 +35,12 @@ KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motio
 
 @dataclass
 class Overlays:
-    """Layers that lie over the picture and are not warped; NumPy arrays or device buffers, each of them optional.
+    """Layers that lie over the picture and are not warped. They are NumPy arrays or device buffers, each of them
+    optional.
 
-    Colors are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
-    shown. The frame's own color has neither effects nor user interface in it; pixels of `fixed_mask` it has.
+    Colors are linear and scene-referred, like the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
+    displayed. The frame's own color must contain neither effects nor user interface, but it contains the pixels of
+    `fixed_mask`.
 
     Parameters
     ----------
@@ -76,11 +78,11 @@ class RenderedFrame:
     camera : Camera
         The render camera, in pixels of these arrays.
     time : float
-        Seconds.
+        Time of the frame, seconds.
     display_camera : Camera or None
         The camera of the displayed image; None if it is the render camera.
     reset : bool
-        Nothing before this frame may be used (scene cut, teleport, start).
+        Whether frames before this one must not be used (scene cut, teleport, start).
     overlays : Overlays or None
         Layers that are not warped with the picture.
 

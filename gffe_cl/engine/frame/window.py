@@ -107,10 +107,10 @@ def adaptive_window(
 ) -> Window:
     """Return the window through which to render the frame of `current` so that it covers all of `predicted`.
 
-    The appendix's formula, generalized to off-center pinholes: the edges of each predicted frustum are intersected
-    with the virtual plane at `distance` before the current camera; the window is the bounding box of the
-    intersections and the display. Whatever is farther than the plane is covered too: the edges' vanishing points
-    are in the box.
+    The formula is the appendix's, generalized to off-center pinholes: the edges of each predicted frustum are
+    intersected with the virtual plane at `distance` before the current camera; the window is the bounding box of the
+    intersections and the display. Whatever is farther than the plane is covered too: the edges' vanishing points are in
+    the box.
 
     Parameters
     ----------
@@ -125,8 +125,8 @@ def adaptive_window(
     size : (width, height) or None
         Size of the displayed image, pixels. None: twice the principal point, right for centered pinholes only.
     distance : float
-        World units; nearer content may leave holes. A low quantile of the last frame's depth is a good choice
-        (`nearest_depth`); infinite: only turning and zooming are covered.
+        Distance of the virtual plane, world units; nearer content may leave holes. A low quantile of the last frame's
+        depth is a good choice (`nearest_depth`); infinite: only turning and zooming are covered.
     margin : float
         Display pixels added beyond sides that are enlarged.
     least : float
@@ -174,7 +174,7 @@ def nearest_depth(depth: np.ndarray) -> float:
 
 
 class WindowChooser:
-    """Chooses the window of each rendered frame in turn, as an engine would.
+    """Chooses the window of each rendered frame, one after the other, as an engine would.
 
     Parameters
     ----------

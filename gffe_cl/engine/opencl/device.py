@@ -96,11 +96,11 @@ class Device:
     info : DeviceInfo
     context : pyopencl.Context
     queue : pyopencl.CommandQueue
-        Works in order. It has profiling, unless it came from an engine without.
+        Queue that works in order. It has profiling, unless it came from an engine without.
     profiles : bool
         Whether the queue has profiling; without there are no timings of kernels.
     alignment : int
-        Bytes: kernels can use host memory in place that begins at a multiple of it.
+        Alignment in bytes: kernels can use host memory in place that begins at a multiple of it.
     works_in_host_memory : bool
         Whether kernels can use NumPy arrays where they are: on CPUs.
     shares_memory : bool
@@ -112,7 +112,7 @@ class Device:
 
     Notes
     -----
-    Made by `open_device`, or by `Device.from_context` in an engine's own context.
+    Devices are made by `open_device`, or by `Device.from_context` in an engine's own context.
     """
 
     def __init__(
@@ -143,10 +143,10 @@ class Device:
         Parameters
         ----------
         context : pyopencl.Context or int
-            Or the handle (`cl_context`). The context is retained as long as the device, or something made with it, is
-            in use; the caller keeps its own reference.
+            The engine's context, or its handle (`cl_context`). It is retained as long as the device, or something made
+            with it, is in use; the caller keeps its own reference.
         queue : pyopencl.CommandQueue, int or None
-            Or the handle (`cl_command_queue`): a queue of this context that works in order, with or without profiling.
+            A queue of this context, or its handle (`cl_command_queue`), that works in order, with or without profiling.
             All work is enqueued there. None: a new queue with profiling, in a context of one device; then order the
             work by events (`wait_for` of `Pipeline.submit`, `event` of the frames made).
 

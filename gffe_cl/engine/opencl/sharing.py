@@ -44,7 +44,7 @@ class SharingSupport:
     Attributes
     ----------
     opengl : bool
-        Buffers of OpenGL (`GlSharing`).
+        Whether buffers of OpenGL can be shared (`GlSharing`).
     memory : tuple of str
         Memory of other APIs (`MemorySharing`), by the types of handles that can be imported: "opaque_fd", "dma_buf"
         (Linux), "opaque_win32", "opaque_win32_kmt", "d3d12_heap", "d3d12_resource" (Windows); empty: none.
@@ -105,18 +105,18 @@ class _Sharing:
 
 
 class GlSharing(_Sharing):
-    """Buffers of OpenGL that OpenCL uses in place: `buffer` makes them device buffers, `acquire` and `release`
-    (buffers, wait_for=()) enqueue taking them over and giving them back, and return the events of that.
+    """Sharing of OpenGL buffers, which OpenCL uses in place. `buffer` makes a device buffer of one. `acquire` and
+    `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
 
     Parameters
     ----------
     device : Device
-        Made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
+        A device made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
 
     Raises
     ------
     GffeError
-        Where the driver does not offer it.
+        Where the driver does not support sharing with OpenGL.
     """
 
     _commands = ("clEnqueueAcquireGLObjects", "clEnqueueReleaseGLObjects")
@@ -131,11 +131,11 @@ class GlSharing(_Sharing):
         Parameters
         ----------
         gl_context : int
-            The handle: GLXContext, EGLContext or HGLRC. The context must be current in this thread.
+            Handle of the context: GLXContext, EGLContext or HGLRC. The context must be current in this thread.
         display : int
             Handle of its display: X11's Display, EGLDisplay or HDC.
         window_system : str
-            "glx", "egl" or "wgl".
+            Window system: "glx", "egl" or "wgl".
 
         Raises
         ------
@@ -168,18 +168,18 @@ class GlSharing(_Sharing):
 
 
 class MemorySharing(_Sharing):
-    """Memory of Vulkan or Direct3D 12 that OpenCL uses in place: `buffer` imports it, `acquire` and `release`
-    (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
+    """Sharing of memory of Vulkan or Direct3D 12, which OpenCL uses in place. `buffer` imports it. `acquire` and
+    `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
 
     Parameters
     ----------
     device : Device
-        On the same GPU as the other API's device.
+        A device on the same GPU as the other API's.
 
     Raises
     ------
     GffeError
-        Where the driver does not offer it.
+        Where the driver does not support the import of memory.
     """
 
     _commands = ("clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR")

@@ -63,17 +63,17 @@ class Pacer:
             pacer.ready(clock())
             present(picture, plan.refresh)
 
-    Times are shown with the delay of the quickest of the last rendered frames, from its time to the refresh that can
-    show it: where others come later, more is extrapolated, and the steps of time stay even. Where the next rendered
-    frame is missing, time goes on until `most_alpha` intervals after the last one, and is held there. It never goes
-    back.
+    Times are displayed with a delay: that of the quickest of the last rendered frames, from its time to the refresh
+    that can show it. Where others come later, more is extrapolated, so that the steps of time stay even. Where the next
+    rendered frame is missing, time continues until `most_alpha` intervals after the last one, and is held there. It
+    never goes back.
 
     Parameters
     ----------
     display_rate : float
         Refreshes per second, 1e-6 to 1e6.
     most_alpha : float
-        How far to extrapolate at most, in intervals of rendered frames, up to a million.
+        Largest extrapolation, in intervals of rendered frames, up to a million.
 
     Raises
     ------

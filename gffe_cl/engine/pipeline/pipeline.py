@@ -117,7 +117,7 @@ class Pipeline:
     fps : float
         Rendered frames per second, used for α until two frames are known.
     int64_atomics : bool or None
-        Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
+        Force or forbid the 64-bit path of the warp; None: chosen by the device. Both give the same bits.
 
     Attributes
     ----------
@@ -217,9 +217,9 @@ class Pipeline:
     def change_options(self, options: Options) -> None:
         """Work with other options from the next `submit` on, which must come before the next `extrapolate`.
 
-        Buffers are allocated anew, and nothing is known of earlier frames, as after a reset: history and background
-        fill up again. Requests of `keep` are forgotten. Sizes stay; `bad_pixels` and `copied_bytes` go on. Frames that
-        were returned before keep their content.
+        Buffers are allocated again, and earlier frames are dropped, as after a reset: history and background fill up
+        again. Requests of `keep` are forgotten. Sizes stay; `bad_pixels` and `copied_bytes` go on. Frames that were
+        returned earlier keep their content.
 
         Raises GffeError for anything but `Options`, and where old and new buffers do not fit beside each other; the
         pipeline is then as it was before.
@@ -273,21 +273,21 @@ class Pipeline:
         """Take a rendered frame and return the event that is complete when the work on it is done. Frames must come in
         order of time.
 
-        Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
-        buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
-        another queue or from the host, before the event of the second `submit` is complete.
-        Returns at once, but on CPUs waits where it copies NumPy arrays. `packed`, the result of `pack_frame`, is
-        deprecated: its arrays replace the frame's.
+        Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device buffers, which
+        are used in place: do not overwrite them before two more frames have been submitted and, from another queue or
+        from the host, before the event of the second `submit` is complete. The call returns at once, but on CPUs waits
+        where it copies NumPy arrays. `packed`, the result of `pack_frame`, is deprecated: its arrays replace the
+        frame's.
 
         Whether the frame is an unmarked cut is decided when the next frame is made, or `is_cut` is read. The host then
-        waits for the first work on this frame, which counts samples, and not for the rest. A cut is worked on again, as
-        a reset.
+        waits for the first work on this frame, which counts samples, and not for the rest. The work on a cut is
+        repeated, as on a reset.
 
         `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
-        lie as device buffers do (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32; C-contiguous) and
-        begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion are used in place
-        both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied: `copied_bytes` counts
-        them.
+        have the layout of device buffers (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32;
+        C-contiguous) and begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion
+        are used in place both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied:
+        `copied_bytes` counts them.
 
         Raises GffeError for fields that do not match `RenderedFrame`, wrong shapes, missing motion, a time that
         does not increase, or events that cannot be waited for; the pipeline is then as it was before.
@@ -507,10 +507,10 @@ class Pipeline:
         `submit` works meanwhile. Reading a buffer waits. With the time of the rendered frame itself and a newer camera
         it is a late warp (α = 0). It overwrites the last frame made: `wait_for` its readers on other queues.
 
-        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
-        pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
-        and motion (H, W, 2) float32 of the new frame as `ExtrapolatedFrame` has them, replaces these before upscaling
-        reads them, likewise.
+        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target pixels, view
+        depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through` replaces depth (H, W) and
+        motion (H, W, 2) float32 of the new frame, as in `ExtrapolatedFrame`, before upscaling reads them, also for
+        experiments.
 
         Warns if the time is more than 16 intervals after the last rendered frame's: mostly it is of another clock or
         unit.

@@ -80,13 +80,14 @@ def present(
     Parameters
     ----------
     frame : RenderedFrame of NumPy arrays
-        With the `display_camera` in pixels of an image of `size`.
+        Frame whose `display_camera` is in pixels of an image of `size`.
     previous : RenderedFrame or None
         The rendered frame before, for motion between the images as displayed (only its cameras are used).
     size : (width, height) or None
         Size of the display, pixels; that of the arrays if None.
     device : Device or None
-        The default one if None. In a running `Pipeline`, `Pipeline.present` does the same from device to device.
+        Device that resamples; the default one if None. In a running `Pipeline`, `Pipeline.present` does the same from
+        device to device.
 
     Returns
     -------
@@ -94,7 +95,7 @@ def present(
         color (H, W, 3) float32 where float32 or float64 is given, else float16, resampled (cubic); depth (H, W) float32
         and motion (H, W, 2) float32 of the nearest rendered pixel, motion None for a reset or without `previous`;
         `camera` is the display camera. A frame that was not rendered through a window keeps its bits. Where the display
-        reaches beyond the rendered image, the image's border goes on. Motion of sky is converted like all other: it
+        reaches beyond the rendered image, the image's border is repeated. Motion of sky is converted like all other: it
         must follow the camera, windows included. Overlays are those of the nearest rendered pixel.
 
     Raises
