@@ -14,7 +14,7 @@ GENERATED = {"gffe_config.h", "gffe_tables.c"}  # by `gffe export`
 
 FRAGMENT = re.compile(
     r"(Of|As|The same|Their|Its|It|Whose|What|Which|That|Those|These|By|With|Without|For|To|At|In|From|Where|How|When"
-    r"|And|But|So|Both|Each|Also)\b|[^\w`(]|\(.*?\) \w+: |\([^)]*\)[ ,;:]|\w*Error\b(?! of)"
+    r"|And|But|So|Both|Each|Also)\b|[^\w`(]|\(.*?\) \w+: |\([^)]*\)[ ,;:]|\w+Error\b"
 )
 NOT_A_VERB = re.compile(r"(The|A|An|One|All|Whether|\w+s? of)\b|[^A-Z]")
 
