@@ -66,7 +66,7 @@ def _is_none(value: ast.expr) -> bool:
 
 def comments_of(kernels: str) -> Iterator[tuple[str, str]]:
     """Yield the name of each kernel in the text of a file, and the comment right above it."""
-    for comment, name in re.findall(r"/\*((?:(?!\*/).)*)\*/\s*__kernel\b[^(]*?(\w+)\(", kernels, re.S):
+    for comment, name in re.findall(r"/\*((?:(?!\*/).)*)\*/\s*(?:\w+ )?__kernel\b.*?\bvoid (\w+)\(", kernels, re.S):
         yield name, " ".join(comment.split())
 
 
@@ -147,6 +147,6 @@ def test_a_right_docstring_is_accepted(code):
 
 
 def test_comments_above_kernels_are_found():
-    text = "/* Not this. */\nint f();\n\n/* As before,\n   but faster. */\n__kernel void g(__global float *x)\n{}\n"
+    text = "/* Not. */\nint f();\n\n/* As before,\n   but faster. */\nWIDE __kernel void g(__global float *x)\n{}\n"
     assert [*comments_of(text)] == [("g", "As before, but faster.")]
     assert FRAGMENT.match("As before, but faster.")
