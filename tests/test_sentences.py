@@ -73,7 +73,10 @@ def comments_of(kernels: str) -> Iterator[tuple[str, str]]:
 def _nodes(text: str) -> Iterator[tuple[str, ast.AST]]:
     tree = ast.parse(text)
     yield "", tree
-    for node in ast.walk(tree):
+    inside = [*tree.body]
+    while inside:
+        node = inside.pop()
+        inside += getattr(node, "body", [])
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield f":{node.lineno} {node.name}", node
 
