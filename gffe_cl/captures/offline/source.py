@@ -31,7 +31,7 @@ JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
 
 
 class Source(Protocol):
-    """Rendered frames in order of time.
+    """Source of rendered frames in order of time.
 
     `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
     `attributes`: of EXR headers, which new frames get.
@@ -46,35 +46,36 @@ class Source(Protocol):
     attributes: dict[str, Any]
 
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
-        """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
-        `strict` GffeError for bad pixels."""
+        """Yield each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
+        `strict` bad pixels raise GffeError."""
         ...
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
-        """Put a rendered frame into an output."""
+        """Write a rendered frame to an output."""
 
     def cameras_at(self, times: list[float]) -> list[Camera] | None:
-        """The display cameras of the new frames of one interval, at `times` (seconds); None unless each of them is
-        known: predicted and known cameras do not mix within an interval."""
+        """Return the display cameras of the new frames of one interval, at `times` (seconds); None unless each of them
+        is known: predicted and known cameras do not mix within an interval."""
         ...
 
     def number_of(self, entry: FrameEntry) -> str:
-        """Return the identity of the rendered frame's file."""
+        """Return a text that identifies a rendered frame in names of files: the number in its own file's name, or its
+        index."""
         ...
 
     def refuse(self, output: Path) -> None:
-        """GffeError if `output` must not be written to."""
+        """Raise GffeError if `output` must not be written to."""
 
     def warnings(self) -> list[str]:
-        """Legal but suspicious things met so far."""
+        """Return legal but suspicious properties of the input so far, as sentences."""
         ...
 
 
 class Recorded:
-    """A sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts as rendered
-    through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is the factor
-    from rendered to displayed size. Without a display camera, a principal point within a pixel of the center is then
-    taken for jitter.
+    """Source from a sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts
+    as rendered through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is
+    the factor from rendered to displayed size. Without a display camera, a principal point within a pixel of the center
+    is then taken for jitter.
 
     Raises GffeError for other windows than that, and for a sequence without rendered frames.
     """
@@ -101,7 +102,8 @@ class Recorded:
         self._missed = ""  # the first truth that a new frame missed by little
 
     def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
-        """The display, where it has the size of the rendered frames; else it must be as many times larger."""
+        """Enlarge the display by `upscale` if it has the size of the rendered frames. Otherwise raise GffeError unless
+        it is so many times larger already."""
         sequence, recorded = self.sequence, (self.sequence.width, self.sequence.height)
         if self._cut:
             raise GffeError(f"--upscale {upscale:g} and --window off exclude each other for {sequence.path}")
@@ -177,7 +179,7 @@ class Recorded:
 
 
 class Live:
-    """`count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
+    """Source of `count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
 
     With `upscale` the frames are so many times smaller than the display, and jittered.
     """
@@ -230,14 +232,14 @@ def jittered_renderer(
     device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int | None = None
 ) -> tuple[SceneRenderer, Jitter]:
     """Return a renderer of `scene` for upscaling to a display of `size`: small frames with one sample per pixel, with
-    textures as fine as the display, and jitter. With `upscale` 0 frames of the display's size, without."""
+    textures as fine as the display, and jitter. With `upscale` 0 frames have the display's size and no jitter."""
     if not upscale:
         return SceneRenderer(device, scene, *size, samples or 8), Jitter()
     return smaller_renderer(device, scene, size, upscale, samples or 1), Jitter(JITTER_LENGTH)
 
 
 def _render_size(sequence: Sequence) -> tuple[int, int]:
-    """Return the size of the rendered frames, which have one."""
+    """Return the size of the rendered frames. Raises GffeError if there are none."""
     if not sequence.rendered:
         raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
     return sequence.size_of(sequence.rendered[0])

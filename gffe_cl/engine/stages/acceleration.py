@@ -19,8 +19,8 @@ _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
 
 
 class Acceleration(Stage):
-    """Change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the change,
-    rotated as it rotated before."""
+    """Tracks the change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the
+    change, rotated as it rotated before."""
 
     name = "acceleration"
     buffers = (

@@ -47,7 +47,7 @@ class LentMemory:
         self._parts: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and a part of it
 
     def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
-        """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
+        """Lend the buffer `name` of `stage`, after `submit` or, `at_once`, after its own work there."""
         self.lent[stage, name] = list(self._stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
 
     def place(self) -> None:
@@ -66,7 +66,8 @@ class LentMemory:
 
     @cached_property
     def places(self) -> dict[tuple[str, str], tuple[Lent, int] | None]:
-        """Of borrowed buffers, largest first: in which lent memory, and from which byte on."""
+        """Place of each borrowed buffer, largest first: the lent memory that holds it, and the first byte there; None if
+        none fits."""
         places: dict = {}
         taken: dict[Lent, list] = {lent: [] for lent in self.lent}
         for stage, spec in sorted(self.borrowing, key=lambda one: -one[1].nbytes(self._sizes)):
@@ -81,8 +82,9 @@ class LentMemory:
         return places
 
     def use(self, stage: Worker, spec: BufferSpec) -> frozenset[int]:
-        """The work at whose time a buffer is used: that of stages on the rendered frame, by their numbers, and then on
-        the new one; until the last that names it, or all that follow if it is of interest afterwards."""
+        """Return the numbers of the work during which a buffer is in use: of the stages on the rendered frame, and then
+        on the new one. It ends with the last stage that names the buffer, or with all if it is of interest afterwards.
+        """
         name, used = f"{stage.name}.{spec.name}", []
         for number, other in enumerate(self._stages.values()):
             names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
@@ -98,7 +100,7 @@ class LentMemory:
 
 
 def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
-    """The first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
+    """Return the first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
     start = 0
     for begin, end, _ in sorted(part for part in parts if part[2] & used):
         if start + nbytes <= begin:

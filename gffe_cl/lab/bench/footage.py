@@ -23,16 +23,16 @@ _BAND = 128  # rows enlarged at a time
 
 
 def is_sequence(subject: str | None) -> bool:
-    """Whether `footage_of` takes this for the folder of a sequence."""
+    """Return whether `footage_of` takes this for the folder of a sequence."""
     return subject is not None and not is_scene(subject)
 
 
 def footage_of(
     device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None, upscale: float = 0.0
 ) -> Footage:
-    """Of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size` None: the
-    sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is larger
-    than the sequence."""
+    """Return the footage of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder;
+    `size` None: the sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the
+    display is larger than the sequence."""
     if upscale:
         smaller = None if size is None else (max(1, round(size[0] / upscale)), max(1, round(size[1] / upscale)))
         footage = footage_of(device, subject, smaller, number)
@@ -44,8 +44,8 @@ def footage_of(
 
 
 def scene_footage(device: Device, name: str, width: int, height: int, number: int | None = None) -> Footage:
-    """Frames `number` − 1 and `number` (default: `SCENE_FRAME`) of a built-in scene, back and forth, rendered on
-    `device`, as host arrays."""
+    """Return the frames `number` − 1 and `number` (default: `SCENE_FRAME`) of a built-in scene, back and forth,
+    rendered on `device`, as host arrays."""
     number = SCENE_FRAME if number is None else number
     if number < 1:
         raise GffeError(f"--frame must be at least 1, a frame with one before it, got {number}")
@@ -65,10 +65,11 @@ def scene_footage(device: Device, name: str, width: int, height: int, number: in
 def sequence_footage(
     device: Device, sequence: Sequence, size: tuple[int, int] | None = None, number: int | None = None
 ) -> Footage:
-    """Up to 6 rendered frames of a sequence around `number` (default: the middle one), forward, none of them a reset
-    but perhaps the first, as host arrays; enlarged to `size` (width, height) by `enlarged`.
+    """Return up to 6 rendered frames of a sequence around `number` (default: the middle one), forward, none of them a
+    reset except perhaps the first, as host arrays; enlarged to `size` (width, height) by `enlarged`.
 
-    What was rendered through a window is cut to what is shown. The cameras are those of the truth where there is some.
+    Frames that were rendered through a window are cut to the displayed part. The cameras are those of the truth where
+    there is some.
     """
     entries = sequence.rendered
     first, last = _loop(sequence, number)
@@ -89,7 +90,7 @@ def sequence_footage(
 
 
 def _loop(sequence: Sequence, number: int | None) -> tuple[int, int]:
-    """The first rendered frame of the loop and the one after its last."""
+    """Return the number of the first rendered frame of the loop and of the one after its last."""
     entries = sequence.rendered
     resets = [k for k, entry in enumerate(entries) if entry.reset or k == 0]
     if number is None:
@@ -109,10 +110,10 @@ def _loop(sequence: Sequence, number: int | None) -> tuple[int, int]:
 
 
 def enlarged(frame: RenderedFrame, width: int, height: int) -> RenderedFrame:
-    """`frame` (host arrays) as one of `width` × `height` pixels; motion in its new pixels.
+    """Return `frame` (host arrays) with `width` × `height` pixels; motion in its new pixels.
 
-    Bilinear in color, inverse depth and motion where the four neighbors lie on one surface, so that planes stay
-    planes; the nearest pixel elsewhere, so that edges stay edges.
+    Interpolation is bilinear in color, inverse depth and motion where the four neighbors lie on one surface, so that
+    planes stay planes. Elsewhere the nearest pixel is used, so that edges stay edges.
     """
     old_height, old_width = np.shape(frame.depth)
     if (old_width, old_height) == (width, height):
@@ -134,14 +135,14 @@ def enlarged(frame: RenderedFrame, width: int, height: int) -> RenderedFrame:
 
 
 def _taps(count: int, old: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of `count` new pixels along a side of `old`: the neighbors before and after, and the latter's weight."""
+    """Return, for `count` new pixels along a side of `old`, the neighbors before and after, and the latter's weight."""
     place = np.clip((np.arange(count) + 0.5) * old / count - 0.5, 0, old - 1)
     low = place.astype(int)
     return low, np.minimum(low + 1, old - 1), (place - low).astype(np.float32)
 
 
 def _enlarged_rows(stack: np.ndarray, rows, columns) -> np.ndarray:
-    """Rows of the enlarged `stack` (H, W, 6): color, inverse depth, motion."""
+    """Return rows of the enlarged `stack` (H, W, 6): color, inverse depth, motion."""
     top, bottom, down = rows
     left, right, across = columns
     taps = [stack[y][:, x] for y in (top, bottom) for x in (left, right)]

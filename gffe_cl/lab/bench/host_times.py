@@ -1,4 +1,4 @@
-"""Processor time of the calling thread in `submit` and `extrapolate` (`gffe bench --host`)."""
+"""Measurement of the calling thread's processor time in `submit` and `extrapolate` (`gffe bench --host`)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class HostTimes:
 def measure_host(
     device: Device, footage: Footage, options: Options, pairs: int, on_pair: Callable[[], None]
 ) -> HostTimes:
-    """Time `pairs` pairs of a rendered and a new frame of `footage`."""
+    """Time `pairs` pairs of a rendered and a new frame of `footage`, and return the medians."""
     footage = footage.on(device)
     pipeline = Pipeline(device, footage.width, footage.height, options, render_size=footage.render_size)
     pipeline.exposure = footage.exposure

@@ -1,4 +1,4 @@
-/* The order of things, and the state between frames (gffe_cl/engine/pipeline/pipeline.py). */
+/* Order of the stages, and state between frames (gffe_cl/engine/pipeline/pipeline.py). */
 #include "gffe.h"
 
 #include <math.h>
@@ -140,7 +140,7 @@ static gffe_status check_time(gffe *g, double time, const char *call) {
 
 /* ---- rendered frames ---------------------------------------------------------------------------------- */
 
-/* Zeros where a reset comes without motion. */
+/* Makes a buffer of zeros for a reset without motion. */
 static gffe_status need_no_motion(gffe *g) {
     const size_t nbytes = 8 * (size_t)g->step.source[0] * (size_t)g->step.source[1];
     const cl_uchar zero = 0;
@@ -188,7 +188,7 @@ static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
     }
 }
 
-/* Decision by the counts of samples (gffe_cl/engine/stages/scene_cuts.py). */
+/* Decides by the counts of samples whether the frame is a cut (gffe_cl/engine/stages/scene_cuts.py). */
 static int is_cut(const cl_int *counts, int jumped) {
     const double valid = counts[GFFE_VALID], inside = counts[GFFE_INSIDE], compared = counts[GFFE_COMPARED];
     double depth;
@@ -234,7 +234,7 @@ static void forget(gffe *g) {
     g->step.cameras[GFFE_PREVIOUS_DISPLAY] = g->step.cameras[GFFE_FRAME_DISPLAY];
 }
 
-/* Puts time and camera at the head of the known ones since the last reset. */
+/* Stores time and camera before the known ones since the last reset. */
 static void remember(gffe *g, double time) {
     gffe_step *step = &g->step;
     int k;
@@ -271,7 +271,7 @@ static gffe_status decide_cut(gffe *g) {
     return gffe_run(g, GFFE_RENDERED_FIRST, 0);
 }
 
-/* The camera as it was meant: a principal point within a pixel of the middle belongs there
+/* Returns the camera without jitter: a principal point within a pixel of the middle belongs there
    (gffe_cl/engine/frame/jitter.py). */
 static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) {
     const double x = size[0] / 2.0, y = size[1] / 2.0;

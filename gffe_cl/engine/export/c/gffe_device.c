@@ -1,4 +1,4 @@
-/* Kernels, and carrying out lists of operations. */
+/* Kernels, and execution of lists of operations. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,7 +14,7 @@ enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division
 
 /* ---- capabilities of the device ----------------------------------------------------------------------- */
 
-/* Builds a program of one kernel to try something out; NULL: it does not build, so the device cannot. */
+/* Builds a program of one kernel that tests a capability; NULL: it does not build, so the device lacks it. */
 static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const char *name, cl_program *program) {
     cl_kernel kernel = NULL;
     cl_int error;
@@ -25,7 +25,7 @@ static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const 
     return kernel;
 }
 
-/* Runs it over `size` work-items with `count` buffers; whether that went well. */
+/* Runs a kernel over `size` work-items with `count` buffers, and returns whether that succeeded. */
 static int run_trial(gffe *g, cl_kernel kernel, const cl_mem *buffers, cl_uint count, size_t size) {
     cl_uint k;
     for (k = 0; k < count; ++k)
@@ -47,7 +47,7 @@ static int has_int64_atomics(gffe *g) {
     return works;
 }
 
-/* Numbers of either sign over some twelve orders of magnitude. */
+/* Fills in numbers of either sign over some twelve orders of magnitude. */
 static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
     int k;
     for (k = 0; k < count; ++k) {
@@ -60,7 +60,8 @@ static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
     }
 }
 
-/* Whether `one` (as many as work-items) and `eight` are a / b, correctly rounded: a double's quotient, rounded, is. */
+/* Returns whether `one` (as many as work-items) and `eight` are a / b, correctly rounded. A double's quotient,
+   rounded to float, is the reference. */
 static int are_quotients(const float *a, const float *b, const float *one, const float *eight) {
     int k;
     for (k = 0; k < QUOTIENTS; ++k) {

@@ -1,4 +1,4 @@
-/* How calls fail. */
+/* Errors of calls: status and message. */
 #include <stdarg.h>
 #include <stdio.h>
 

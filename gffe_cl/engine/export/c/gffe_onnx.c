@@ -13,7 +13,7 @@ struct gffe_onnx {
     OrtMemoryInfo *memory;
 };
 
-/* Whether a call succeeded; prints an error on stderr if not. */
+/* Returns whether a call succeeded; prints an error on stderr if not. */
 static int went_well(const gffe_onnx *n, OrtStatus *status) {
     if (!status) return 1;
     fprintf(stderr, "gffe_onnx: %s\n", n->api->GetErrorMessage(status));
@@ -54,7 +54,7 @@ void gffe_onnx_close(gffe_onnx *n) {
     free(n);
 }
 
-/* A tensor of images over memory that is there already. */
+/* Makes a tensor of images over existing memory. */
 static OrtValue *planes(const gffe_onnx *n, void *memory, int64_t count, int64_t width, int64_t height) {
     const int64_t shape[] = {1, count, height, width};
     const size_t nbytes = sizeof(float) * (size_t)(count * height * width);

@@ -1,4 +1,4 @@
-/* Sizes, and the values that kernels are given. */
+/* Sizes, and the values that kernels receive. */
 #include <math.h>
 #include <string.h>
 
@@ -59,7 +59,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }
 
-/* Until one texel is left of the target; at least one. */
+/* Returns how many halvings leave one texel of the target; at least one. */
 static int halvings(const gffe_step *step) {
     const int longer = step->target[0] > step->target[1] ? step->target[0] : step->target[1];
     int n = 1;
@@ -74,7 +74,7 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
-/* Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
+/* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
    (gffe_cl/engine/stages/prediction.py). */
 static void polynomial(const gffe_step *step, int most, float *weights) {
     int order, i, k;
@@ -120,7 +120,7 @@ static void grid_sides(const gffe_step *step, int grid, cl_int *width, cl_int *h
     *height = (cl_int)size[1];
 }
 
-/* As gffe_cl/engine/stages/frame_block.py does. */
+/* Fills the frame block as gffe_cl/engine/stages/frame_block.py does. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
     const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
     const gffe_camera *target = &step->cameras[GFFE_TARGET_CAMERA], *display = &step->cameras[GFFE_FRAME_DISPLAY];

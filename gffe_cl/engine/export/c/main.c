@@ -80,7 +80,7 @@ static double from_half(unsigned bits) {
     return sign * (exponent ? ldexp(mantissa + 1024, exponent - 25) : ldexp(mantissa, -24));
 }
 
-/* sRGB of linear color, in place: three bytes per pixel. */
+/* Converts linear color to sRGB in place: three bytes per pixel. */
 static void to_display(unsigned char *pixels, size_t count) {
     size_t k;
     int c;
@@ -106,7 +106,7 @@ static int write_picture(const example *e, const char *name, unsigned char *colo
 
 /* ---- OpenCL ------------------------------------------------------------------------------------------- */
 
-/* The first device of the first platform whose name holds `wanted`. */
+/* Opens the first device of the first platform whose name holds `wanted`, and returns whether that succeeded. */
 static int open_device(example *e, const char *wanted) {
     cl_platform_id platforms[MOST_PLATFORMS];
     cl_device_id device = NULL;
@@ -159,7 +159,7 @@ static char *next_number(char *text, double *number) {
     return end == text ? NULL : end;
 }
 
-/* Reads a camera; where the text goes on, or NULL. */
+/* Reads a camera, and returns where the text continues, or NULL. */
 static char *next_camera(char *text, gffe_camera *camera) {
     double *intrinsics[4];
     int k;
