@@ -20,8 +20,8 @@ from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.presentation import present
-from gffe_cl.viewer.engine.sources.file_watch import Growth, continues
-from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
+from .file_watch import Growth, continues
+from .source import CACHE_BYTES, FrameSource
 
 _AHEAD = 2  # frames read ahead
 
