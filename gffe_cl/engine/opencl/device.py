@@ -72,6 +72,18 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
     return []
 
 
+_process = os.getpid()  # kept up to date: asking the system before every command would take long
+
+
+def _note_process() -> None:
+    global _process
+    _process = os.getpid()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_process)
+
+
 @dataclass
 class Opened:
     """State that all `Device`s of one OpenCL device share in this process. Drivers keep some KiB of every loaded
@@ -86,7 +98,7 @@ class Opened:
 
     def __post_init__(self):
         if self.context is not None:
-            self.process = os.getpid()
+            self.process = _process
 
 
 _opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
@@ -195,12 +207,13 @@ class Device:
     @property
     def queue(self) -> cl.CommandQueue:
         """The in-order queue. Raises GffeError in a forked child if the parent has the context."""
-        self.require_process()
+        if self.opened.process != _process:
+            self.require_process()
         return self._queue or self._begin()
 
     def _begin(self) -> cl.CommandQueue:
         """Make the context, if no other device has, and the queue."""
-        self.opened.process = os.getpid()
+        self.opened.process = _process
         with self.opened.lock:
             try:
                 self.opened.context = self.opened.context or cl.Context([self.cl_device])
@@ -215,8 +228,10 @@ class Device:
 
     @cached_property
     def lanes(self) -> int:
-        """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`."""
-        return int(os.environ.get("GFFE_LANES") or (8 if self.info.kind == "cpu" else 1))
+        """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`. Mesa's
+        llvmpipe itself runs a work-item in each lane, as GPUs do: for 8 pixels each it would compile for minutes."""
+        is_wide = self.info.kind == "cpu" and self.info.platform != "rusticl"
+        return int(os.environ.get("GFFE_LANES") or (8 if is_wide else 1))
 
     @cached_property
     def exact_division(self) -> bool:
@@ -385,7 +400,7 @@ def _forks_when_opened(device: cl.Device) -> bool:
 
 def _require_process(opened: Opened, name: str) -> None:
     """Raise GffeError if another process, of which this one was forked, has the driver's threads."""
-    if opened.process not in (None, os.getpid()):
+    if opened.process not in (None, _process):
         raise GffeError(
             f"{name}: the device was opened before this process was forked (expected multiprocessing's start method"
             " 'spawn', or a device that only the child opens)"
