@@ -212,7 +212,7 @@ class Device:
         return self._queue or self._begin()
 
     def _begin(self) -> cl.CommandQueue:
-        """Make the context, if no other device has, and the queue."""
+        """Make the context, if no other device has, and the queue. Returns the queue."""
         self.opened.process = _process
         with self.opened.lock:
             try:
