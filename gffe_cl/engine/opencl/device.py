@@ -22,6 +22,7 @@ from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.engine.core.validation import require_bool, require_kind, require_whole, shown
 from gffe_cl.engine.opencl import device_cache
 from gffe_cl.engine.opencl.handles import adopted
+from gffe_cl.engine.opencl.malloc_tuning import ask_for_huge_pages
 from gffe_cl.engine.opencl.probing import (
     DeviceInfo,
     describe,
@@ -72,6 +73,7 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
     return []
 
 
+_LARGE = 4 << 20  # bytes of a buffer that is worth huge pages
 _process = os.getpid()  # kept up to date: asking the system before every command would take long
 
 
@@ -294,10 +296,22 @@ class Device:
         try:
             for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
             made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)
+            if self.works_in_host_memory and size >= _LARGE:
+                self._ask_for_huge_pages(made)
             self.allocated += size
             return made
         except cl.Error as error:
             raise GffeError(f"{self.info.name}: cannot allocate {nbytes / 2**20:.0f} MiB: {error}") from None
+
+    def _ask_for_huge_pages(self, buffer: cl.Buffer) -> None:
+        """Find out where the new `buffer` lies, and ask for huge pages there. On a queue of its own: the device may be
+        at work."""
+        queue = cl.CommandQueue(self.context, self.cl_device)
+        flags = cl.map_flags.WRITE_INVALIDATE_REGION
+        array, _ = cl.enqueue_map_buffer(queue, buffer, flags, 0, (buffer.size,), np.uint8)
+        ask_for_huge_pages(array.ctypes.data, buffer.size)
+        array.base.release(queue)
+        queue.finish()
 
 
 def list_devices(refresh: bool = False) -> list[DeviceInfo]:

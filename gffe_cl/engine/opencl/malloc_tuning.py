@@ -1,8 +1,9 @@
-"""Tuning of this process's allocator: where new pages are expensive, freed ones are kept for the next arrays."""
+"""Tuning of this process's memory: freed pages are kept where new ones are expensive, and buffers get huge pages."""
 
 from __future__ import annotations
 
 import ctypes
+import mmap
 from contextlib import suppress
 
 # Parameters of mallopt (malloc.h of glibc): memory freed at the end of the heap goes back to the system above so many
@@ -19,3 +20,13 @@ def keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
         for parameter, value in ((_M_TRIM_THRESHOLD, _NEVER), (_M_MMAP_MAX, 0), (_M_ARENA_MAX, 1)):
             mallopt(parameter, value)
+
+
+def ask_for_huge_pages(address: int, nbytes: int) -> None:
+    """Ask Linux to back memory with pages of 2 MiB where it can: with small ones, kernels that jump about in images
+    wait for translations of addresses. Does nothing elsewhere."""
+    start = -(-address // mmap.PAGESIZE) * mmap.PAGESIZE
+    length = (address + nbytes - start) // mmap.PAGESIZE * mmap.PAGESIZE
+    with suppress(OSError, AttributeError, TypeError):
+        madvise = ctypes.CDLL(None).madvise
+        madvise(ctypes.c_void_p(start), ctypes.c_size_t(length), mmap.MADV_HUGEPAGE)

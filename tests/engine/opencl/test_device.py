@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -423,3 +424,23 @@ def test_a_cache_that_the_user_named_and_that_cannot_be_written(tmp_path, monkey
     monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path / "mine"))
     runtimes.redirect_unwritable_caches()
     assert os.environ["POCL_CACHE_DIR"] == str(tmp_path / "mine")
+
+
+def _huge_pages() -> int:
+    """Return the bytes of this process that lie in huge pages."""
+    text = Path("/proc/self/smaps").read_text()
+    return sum(int(kilobytes) << 10 for kilobytes in re.findall(r"AnonHugePages: +(\d+)", text))
+
+
+def test_large_buffers_ask_for_huge_pages(device):
+    """... of Linux, on CPUs, although the device is at work."""
+    setting = Path("/sys/kernel/mm/transparent_hugepage/enabled")
+    if not (device.works_in_host_memory and setting.exists()) or "[never]" in setting.read_text():
+        pytest.skip("no huge pages here")
+    before, size = _huge_pages(), 32 << 20
+    held = cl.UserEvent(device.context)
+    cl.enqueue_marker(device.queue, wait_for=[held])
+    buffer = device.buffer(size)
+    held.set_status(cl.command_execution_status.COMPLETE)
+    cl.enqueue_fill_buffer(device.queue, buffer, b"\1", 0, size).wait()
+    assert _huge_pages() - before >= size // 2
