@@ -5,10 +5,13 @@
 #                 changes pictures, also what each part is worth and the pictures of the documentation: hours
 # make docs       the documentation as a site, into out/docs
 # PYTHON=…        another interpreter than python3
+# WORKERS=…       processes that run tests, 2 if not given; a file of tests is run by one of them
 
 PYTHON ?= python3
+WORKERS ?= 2
 VENV := .venv
 LOG := $(VENV)/pip.log
+PYTEST := $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile
 PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constraints.txt
 # What pip says is shown only if it fails.
 QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }
@@ -20,10 +23,10 @@ demo: $(VENV)/.installed
 	@$(VENV)/bin/gffe demo
 
 test: $(VENV)/.installed-for-tests
-	$(VENV)/bin/python -m pytest -m "not long"
+	$(PYTEST) -m "not long"
 
 test-all: test $(VENV)/.installed-for-examples
-	$(VENV)/bin/python -m pytest -m long
+	$(PYTEST) -m long
 
 # Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
 recorded: $(VENV)/.installed-for-tests

@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 import tempfile
+import traceback
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,10 @@ from gffe_cl.cli import main
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.device import best_of, list_devices, open_info, select
 
-_cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")  # children of tests share it
-os.environ["GFFE_DEVICE_CACHE"] = _cache.name
+if "PYTEST_XDIST_WORKER" not in os.environ:  # workers and children of tests share it
+    _cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")
+    os.environ["GFFE_DEVICE_CACHE"] = _cache.name
+sys.path.append(str(Path(__file__).parents[1] / "docs/tools"))  # which are tested, too
 _helpers = Path(__file__).parent / "helpers"
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(_helpers), os.environ.get("PYTHONPATH"))))
 
@@ -26,6 +29,11 @@ def _usable():
     working = [info for info in list_devices() if info.works]
     chosen = select(working, wanted) if wanted else working
     return sorted(chosen, key=lambda info: info != best_of(chosen))  # the default first
+
+
+def pytest_configure(config):
+    if getattr(config.option, "numprocesses", None):
+        _usable()  # so that workers find the same devices, in the same order
 
 
 def pytest_generate_tests(metafunc):
@@ -91,4 +99,23 @@ def pytest_collection_modifyitems(items):
             on_another = item.callspec.params["device"] != _usable()[0]
             if on_another and item.path.parent.name not in _DEPENDS_ON_DEVICE:
                 item.add_marker("long")
-    items.sort(key=lambda item: item.get_closest_marker("limits") is None)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """Run a test that limits the size of files in a forked child: OpenCL runtimes in this process write files, too."""
+    if pyfuncitem.get_closest_marker("limits") is None:
+        return None
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames})
+            code = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(code)
+    assert os.waitpid(child, 0)[1] == 0, "failed in a child process: see its standard error"
+    return True

@@ -262,16 +262,6 @@ def test_deviations_that_are_measured_exist():
         assert f"| {name} |" in page, f"{name}: run python docs/tools/measure_deviations.py --write"
 
 
-def test_the_map_has_the_wings_of_the_house():
-    from test_house import FLOORS
-
-    for wing, floors in FLOORS.items():
-        (row,) = re.findall(rf"^\| `gffe_cl/{wing}/` \|.*\| (.*) \|$", TEXTS["docs/map.md"], re.M)
-        rooms = [room for rooms in floors for room in rooms]
-        named = [name for name in re.findall(r"`(\w+)`", row) if name in rooms]
-        assert named == rooms
-
-
 def test_a_drifted_table_is_found():
     from make_tables import with_tables
     from pages import between_markers

@@ -3,6 +3,7 @@ from floors below its own; no imports run in a circle. Imports inside functions 
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from importlib.resources import files
@@ -304,3 +305,11 @@ def test_the_viewer_knows_no_option_by_name():
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Attribute) and node.attr in OPTIONS:
                 assert not ast.unparse(node.value).endswith("options"), f"{path}:{node.lineno} reads {node.attr}"
+
+
+def test_the_map_has_the_wings_of_the_house():
+    page = (Path(__file__).parents[1] / "docs/map.md").read_text("utf-8")
+    for wing, floors in FLOORS.items():
+        (row,) = re.findall(rf"^\| `gffe_cl/{wing}/` \|.*\| (.*) \|$", page, re.M)
+        rooms = [room for rooms in floors for room in rooms]
+        assert [name for name in re.findall(r"`(\w+)`", row) if name in rooms] == rooms

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_upscaling import MOVING, H, W, frames, path, pipeline_for
+from upscaling_frames import MOVING, H, W, frames, path, pipeline_for
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.stages.frame_block import mapping

@@ -1,7 +1,7 @@
 """Bytes per pixel that must move, from the declarations of the stages."""
 
 import pytest
-from test_twins import frames
+from twin_cases import frames
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.opencl.program import parse_constants, parse_kernels

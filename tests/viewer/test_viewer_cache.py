@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 import tiny_sequence
-from test_viewer_model import Session
+from viewer_session import Session
 
 from gffe_cl import Options
 from gffe_cl.engine.core.errors import GffeError

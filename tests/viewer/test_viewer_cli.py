@@ -15,8 +15,9 @@ import pytest
 import tiny_sequence
 from PIL import Image
 from scn_models import constant_model
-from test_viewer_model import Session
+from viewer_session import Session
 
+from gffe_cl.cli import main
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.automation.steps import check, parse, perform, unopened
 
@@ -78,8 +79,19 @@ def refused(gffe, *arguments, display=None):
         (["in"], "expected DISPLAY to be set"),
     ],
 )
-def test_refused_before_anything_is_opened(gffe, arguments, told):
-    assert told in refused(gffe, *arguments, display="")
+def test_refused_before_anything_is_opened(tmp_path, monkeypatch, capsys, arguments, told):
+    """In this process: a new one takes more than a second."""
+    tiny_sequence.write(tmp_path / "in")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["gffe", "view", *arguments])
+    for name, value in (("DISPLAY", ""), ("WAYLAND_DISPLAY", ""), ("XDG_CONFIG_HOME", str(tmp_path / "config"))):
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert (stopped.value.code, out, len(lines)) == (2, "", 1) and lines[0].startswith("error: "), (out, err)
+    assert told in lines[0]
 
 
 def test_display_that_is_not_there(gffe):

@@ -3,7 +3,6 @@
 import json
 import threading
 import time
-from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,8 +10,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import tiny_sequence
+from doctor_clips import COUNT, clip
 from scn_models import constant_model
-from test_doctor import COUNT, clip
+from viewer_session import PATIENCE, Canvas, Session
 
 from gffe_cl import OPTIONS, Options
 from gffe_cl.engine.core.errors import GffeError
@@ -28,52 +28,6 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.settings import Settings
-
-PATIENCE = 60.0
-
-
-class Canvas:
-    """What the model has put on the screen."""
-
-    def __init__(self):
-        self.frame, self.layers = None, {}
-
-    def upload(self, name, image, spec):
-        self.layers[name] = image
-
-    def forget(self, names):
-        for name in list(names):
-            self.layers.pop(name, None)
-
-
-class Session:
-    """A model, and frames of an interface."""
-
-    def __init__(self, target):
-        self.model, self.canvas = Model(Settings(), save_settings=False), Canvas()
-        self.model.open(str(target))
-        self.until(lambda: self.model.contents.result is not None)
-        self.settle()
-
-    def frame(self):
-        self.model.update(time.perf_counter(), self.canvas)
-
-    def until(self, happens):
-        end = time.monotonic() + PATIENCE
-        while not happens():
-            assert time.monotonic() < end, "nothing happened"
-            self.frame()
-            time.sleep(0.002)
-
-    def settle(self):
-        self.frame()
-        self.until(lambda: self.model.settled)
-
-    @contextmanager
-    def engine_waiting(self):
-        """Meanwhile the engine takes nothing up."""
-        with self.model.engine._news:
-            yield
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tiny_sequence
-from test_viewer_model import Canvas, Session
+from viewer_session import Canvas, Session
 
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine

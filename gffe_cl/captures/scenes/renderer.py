@@ -16,6 +16,7 @@ from gffe_cl.engine.opencl.program import build, constants
 
 _TILE = constants("scenes/scene.cl")["TILE"]
 _BASE_SAMPLES = 3
+_GROUP = 16, 4  # work-items of a work-group; the same for all images: PoCL builds kernels for each size, in seconds
 _LAYOUT = {  # of a rendering's buffers: channels and type
     "color": ((4,), np.float16),
     "depth": ((), np.float32),
@@ -165,6 +166,7 @@ class SceneRenderer:
             self._upload(self._materials, self.flat.materials(time))
 
         queue, program, image = self.device.queue, self.program, self.image
+        size = self.width, self.height
         values = self._static | {
             "frame": self._frame,
             "materials": self._materials,
@@ -192,9 +194,10 @@ class SceneRenderer:
             "position": image.other_position,
             "object_id": image.object_id,
         }
-        program.launch(queue, "bin", (self._tiles,), None, values)
-        for kernel in ("surfaces", "shade"):
-            program.launch(queue, kernel, (self.width, self.height), None, values)
+        for kernel, items in (("bin", (self._tiles,)), ("surfaces", size), ("shade", size)):
+            group = _GROUP[: len(items)]
+            padded = tuple(-(-n // side) * side for n, side in zip(items, group, strict=True))
+            program.launch(queue, kernel, padded, group, values)
         return image
 
     def _uploaded(self, array: np.ndarray) -> cl.Buffer:

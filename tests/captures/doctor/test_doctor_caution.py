@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from doctor_clips import H, W, clip, made_world, motion_of, names, written
 from synthetic import camera
-from test_doctor import H, W, _world, clip, motion_of, names, written
 
 import gffe_cl as gffe_api
 from gffe_cl.captures.doctor import Repair, examine, quick_warning
@@ -25,7 +25,7 @@ RESTS = (0, 0, 0, 1, 1, 1, 1, 1, 2, 3, 3, 3)  # for each frame: how far the came
 @cache
 def resting():
     """Frames of a moving rectangle; the camera moves before three of them."""
-    world, frames, before = _world(), [], None
+    world, frames, before = made_world(), [], None
     for k, at in enumerate(RESTS):
         view = camera(W, H, (0.09 * at, 0.03 * at, 0.06 * at), yaw=0.012 * at)
         frames.append(world.frame(view, k / 30, W, H, before, reset=k == 0, samples=2))

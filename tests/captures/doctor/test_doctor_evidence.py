@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_doctor import H, W, clip, names, written
+from doctor_clips import H, W, clip, names, written
 
 from gffe_cl import check
 from gffe_cl.captures.doctor import examine, quick_warning

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_doctor import H, W, assert_restored, clip, names, tiled, written
+from doctor_clips import H, W, assert_restored, clip, names, tiled, written
 
 from gffe_cl import open_capture
 from gffe_cl.captures.doctor import Finding, Repair, examine, selected

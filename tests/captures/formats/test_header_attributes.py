@@ -7,9 +7,9 @@ from fractions import Fraction
 import numpy as np
 import OpenEXR
 import pytest
+from folder_captures import rendered, write
 from foreign import FPS, H, W, blender_layers, edit_json, shots, write_blender, write_exr
-from test_formats_folder import rendered, write
-from test_formats_images import chunk, png
+from png_files import chunk, png
 
 from gffe_cl import SequenceWriter, named_channels, open_capture, open_sequence
 from gffe_cl.captures.formats.importing import import_capture

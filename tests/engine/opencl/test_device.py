@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 import pytest
+from device_infos import GPU, INTEL, OLD_GPU, POCL
 
 from gffe_cl import GffeError
 from gffe_cl.engine.opencl import device as device_module
@@ -21,16 +22,6 @@ from gffe_cl.engine.opencl.program import build, expand, first_error, kernel_fol
 from gffe_cl.engine.opencl.program_cache import built_program
 from gffe_cl.engine.opencl.runtimes import only_vendors, vendors
 from gffe_cl.engine.opencl.subprocess_runner import run_child
-
-
-def info(index, name, platform, kind="cpu", version="", works=True, speed=1.0):
-    return DeviceInfo(index, name, platform, version, "1", kind, works, megapixels_per_second=speed)
-
-
-POCL = info("0:0", "pthread-Intel(R) Xeon(R)", "Portable Computing Language", version="OpenCL 3.0 PoCL 3.1")
-INTEL = info("1:0", "Intel(R) Xeon(R)", "Intel(R) OpenCL", speed=4)
-GPU = info("2:0", "Some GPU", "Vendor", "gpu", speed=60)
-OLD_GPU = info("3:0", "Old GPU", "Vendor", "gpu", speed=2)
 
 
 def test_selection():

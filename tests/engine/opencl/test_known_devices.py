@@ -10,7 +10,7 @@ from pathlib import Path
 
 import foreign_files
 import pytest
-from test_device import GPU, INTEL, POCL
+from device_infos import GPU, INTEL, POCL
 
 from gffe_cl import GffeError
 from gffe_cl.engine.opencl import device as device_module

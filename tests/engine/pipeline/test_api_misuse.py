@@ -10,7 +10,8 @@ from types import FunctionType
 import numpy as np
 import pyopencl as cl
 import pytest
-from synthetic import Rect, Rects, camera
+from synthetic import camera
+from tiny_frames import H, W, frames
 
 import gffe_cl
 from gffe_cl import (
@@ -29,7 +30,6 @@ from gffe_cl import (
 from gffe_cl.captures.sequence.description import checked_entry
 from gffe_cl.engine.options import OPTIONS
 
-W, H = 24, 16
 MOST_MESSAGE = 600  # characters
 CAMERA, TURNED = camera(W, H), camera(W, H, (0.1, 0, 0), yaw=0.2)
 VIEW, PROJECTION = CAMERA.view_matrix("opengl"), CAMERA.projection_matrix("opengl", W, H, near=0.1)
@@ -359,13 +359,6 @@ def test_misuse_ends_in_one_line(tmp_path):
 
 
 # ---- on a device -----------------------------------------------------------------------------------------
-
-
-def frames(count=3):
-    scene, poses = Rects([Rect((0, 0, 5), (9, 9)), Rect((0, 0, 3), (0.5, 0.5), (3, 0, 0))]), []
-    for k in range(count):
-        poses.append((camera(W, H, (0.1 * k, 0, 0)), k / 30))
-        yield scene.frame(*poses[-1], W, H, poses[k - 1] if k else None, reset=k == 0)
 
 
 def bits(pipeline):

@@ -4,7 +4,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from test_api_misuse import frames
+from tiny_frames import frames
 
 from gffe_cl import GffeError, Options, Pipeline
 

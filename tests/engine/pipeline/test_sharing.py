@@ -7,33 +7,18 @@ import subprocess
 import sys
 import threading
 import weakref
-from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
 import pytest
+from shared_work import SIZES, work
 
 from gffe_cl import GffeError
 from gffe_cl.engine.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.engine.opencl.device import open_info
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.selftest.reference import digest
-from gffe_cl.engine.selftest.scene import CUT, FPS, display_camera, frames
-
-SIZES = ((64, 36), (81, 47))
-TURNS = 3
-
-
-def work(device, size, seen, turns=TURNS):
-    """The hash of what a pipeline makes of the frames, `turns` times from a reset on."""
-    pipeline, found = Pipeline(device, *size, Options(shading_correction=False)), []
-    for turn in range(turns):
-        for k, frame in enumerate(seen):
-            pipeline.submit(replace(frame, time=frame.time + turn, reset=k == 0))
-            made = pipeline.extrapolate(display_camera(frame.time + 0.5 / FPS, *size), frame.time + turn + 0.5 / FPS)
-            found += [made.numpy("color"), made.numpy("depth"), made.numpy("filled_by")]
-    return digest(*found)
+from gffe_cl.engine.selftest.scene import CUT, frames
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +51,8 @@ def test_two_threads_share_a_device(device, seen):
 PROCESS = """
 import json, sys
 from gffe_cl.engine.opencl.device import open_device
-from test_sharing import SIZES, frames, work, CUT
+from gffe_cl.engine.selftest.scene import CUT, frames
+from shared_work import SIZES, work
 device = open_device(sys.argv[1])
 print("ready", flush=True)
 sys.stdin.readline()
@@ -76,7 +62,7 @@ print(json.dumps([work(device, size, frames(*size, count=CUT, samples=1)) for si
 
 def test_two_processes_share_a_device(device, seen):
     command = [sys.executable, "-c", PROCESS, device.info.index]
-    here = {"text": True, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "cwd": str(__file__).rpartition("/")[0]}
+    here = {"text": True, "stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     children = [subprocess.Popen(command, **here) for _ in range(2)]
     assert [child.stdout.readline() for child in children] == ["ready\n"] * 2
     for child in children:

@@ -9,9 +9,9 @@ from pathlib import Path
 from shutil import copytree
 
 import numpy as np
+from network_stages import made_stages
 from synthetic import camera
-from test_shading_correction import made_stages
-from test_twins import run
+from twin_cases import run
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
 from gffe_cl.engine.opencl.device import open_device
@@ -41,11 +41,11 @@ def stages(device, int64):
         Options(history=3, order=2, shading_inputs=True, upscale=1, upscale_sharpening=0.5),
         Options(hole_filling="push-pull"),
     ):
-        pipeline, seen, *_, made = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
-        made.numpy("color")
-        pipeline.present().numpy("motion")
-        pipeline.submit(replace(seen[-1], time=seen[-1].time + 1, overlays=overlays()))
-        pipeline.extrapolate().numpy("color")
+        case = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
+        case.made.numpy("color")
+        case.pipeline.present().numpy("motion")
+        case.pipeline.submit(replace(case.now, time=case.now.time + 1, overlays=overlays()))
+        case.pipeline.extrapolate().numpy("color")
 
 
 def overlays():

@@ -3,11 +3,14 @@
 import numpy as np
 import pyopencl as cl
 import pytest
+import twins
 from synthetic import Rect, Rects, camera
+from twin_cases import assert_close, read_levels
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.stages.background import BOTH, REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
+from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
 
 W, H = 128, 80
@@ -25,6 +28,35 @@ def play(pipeline, scene, cameras, each=None, noise=0.0):
         previous = (cam, k / 30)
         if each:
             each(k)
+
+
+def test_kernels_equal_their_twins(case):
+    """Which texels hold what, exactly, and the labels of filled pixels; colors, depth and positions to a rounding of a
+    division."""
+    if not case.options.levels:
+        assert "background" not in case.pipeline.stages
+        return
+    color, depth, dynamic = case.now.color, case.now.depth, case.read("history", "dynamic_mask")
+    level0, links = twins.collect_shown(color, depth, dynamic, True), case.read("connectivity", "links")
+    expected = twins.collect_levels(case.before.levels, level0, depth, dynamic, links, case.from_previous)
+    found = read_levels(case.pipeline, case.now)
+    for level, (got, wanted) in enumerate(zip(found, expected, strict=True)):
+        assert np.array_equal(got["state"], wanted["state"]), level
+        kept = wanted["state"] > 0
+        for name in ("color", "depth", "px"):
+            assert_close(got[name][kept], wanted[name][kept])
+    assert (expected[0]["state"] == REMEMBERED).any()
+    assert (expected[0]["state"] == BOTH).any() == (case.options.levels == 1)
+
+    past, unmixed = case.past, twins.unmixed(case.past.depth, case.before.dynamic)
+    before = (past.color, past.depth, unmixed, reprojection(case.to, past.camera))
+    warped = case.after("hidden_parts")
+    warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source, before)
+    left = case.after("background")
+    assert np.array_equal(left["filled_by"], warped["filled_by"])
+    assert np.isin(warped["filled_by"], range(1, case.options.levels + 1)).any()
+    for name in ("color", "depth", "motion"):
+        assert_close(left[name], warped[name])
 
 
 @pytest.mark.parametrize("levels", [1, 2])

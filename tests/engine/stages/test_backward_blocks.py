@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import twins
 from synthetic import Rect, Rects, camera
-from test_twins import SCENE, frames
+from twin_cases import SCENE, frames
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.options import Options

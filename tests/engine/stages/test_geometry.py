@@ -1,31 +1,12 @@
 """What the geometry promises, on exact synthetic frames."""
 
-from dataclasses import replace
-
 import numpy as np
 import pyopencl as cl
 import pytest
+from moving_scene import MOVING, WALL, H, W, dolly, half, submit
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Pipeline, RenderedFrame
-from gffe_cl.captures.sequence.encoding import Encoding
-
-W, H = 96, 64
-WALL = Rect((0, 0, 10), frequency=0.35)
-
-
-def half(image):
-    return image.astype(np.float16)
-
-
-def submit(pipeline, scene, cameras, times, width=W, height=H, reset_first=True, samples=1):
-    previous = None
-    for k, (cam, time) in enumerate(zip(cameras, times, strict=True)):
-        frame = scene.frame(cam, time, width, height, previous, reset=reset_first and k == 0, samples=samples)
-        pipeline.submit(frame)
-        previous = (cam, time)
-    return frame
-
 
 # ---- identity and resampling ---------------------------------------------------------------------------
 
@@ -69,19 +50,6 @@ def test_subpixel_pan_is_no_worse_than_bilinear(device, pan):
     ) * fv
     inner = truth[4 : H - 4, 4 : W - 4]
     assert psnr(got[4 : H - 4, 4 : W - 4], inner) >= psnr(bilinear, inner)
-
-
-MOVING = Rects(
-    [
-        Rect((0, 0, 14), frequency=0.3),
-        Rect((-0.5, 0.3, 6), (1, 1), velocity=(6, 1, 0), frequency=1.3, tint=(0.6, 0.3, 0.1)),
-    ]
-)
-
-
-def dolly(k, offset=(0, 0, 0)):
-    position = np.array([0.06 * k, 0.01 * k, 0.1 * k]) + offset
-    return camera(W, H, tuple(position), 0.01 * k, 0.003 * k, 0.004 * k)
 
 
 def test_far_from_the_origin_gives_the_same_picture(device):
@@ -159,48 +127,6 @@ def test_thin_bar_stays_unbroken(device, magnification):
 
 
 # ---- motion --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("camera_fixed", [True, False])
-def test_what_is_fixed_to_the_camera_stays(device, camera_fixed):
-    """A dashboard before a camera that drives on and shakes: it stays where it is in the image, to the bit."""
-    wall = Rects([Rect((0, 0, 14), frequency=0.3)])
-    cameras = [camera(W, H, position) for position in ((0, 0, 0), (0.02, -0.01, 0.4), (-0.03, 0.02, 0.8))]
-    board = np.s_[3 * H // 4 :, :]
-    pattern = half(np.random.default_rng(0).uniform(0.1, 0.9, (H, W, 3)))
-    pipeline = Pipeline(device, W, H, options=Options(camera_fixed=camera_fixed))
-    for k, now in enumerate(cameras):
-        before = (cameras[max(k - 1, 0)], max(k - 1, 0) / 30)
-        shown = wall.frame(now, k / 30, W, H, before)
-        color, depth, motion = (np.array(a) for a in (shown.color, shown.depth, shown.motion))
-        color[board], depth[board], motion[board] = pattern[board], 0.8, 0
-        pipeline.submit(RenderedFrame(color, depth, motion, now, k / 30, reset=k == 0))
-    labels, met = (pipeline.stages["history"].read(name)[board] for name in ("dynamic_mask", "met_depth"))
-    out = pipeline.extrapolate(camera(W, H, (0.05, 0.03, 1.0)), 2.5 / 30)
-    color, depth, motion, dynamic = (out.numpy(name)[board][1:] for name in ("color", "depth", "motion", "dynamic"))
-    same = (color[..., :3] == pattern[board][1:]).all(-1) & (depth == np.float32(0.8))  # but for its soft upper edge
-    if camera_fixed:
-        assert (labels == 2).all() and (met == np.float32(0.8)).all()
-        assert same.all() and (dynamic == 1).all() and not motion.any()
-    else:
-        assert (labels == 1).mean() > 0.9 and same.mean() < 0.5
-
-
-def test_what_travels_with_the_camera_is_found_again(device):
-    """A near panel that is carried along, and shakes a little before the camera: its last position is known."""
-    wall = Rects([Rect((0, 0, 14), frequency=0.3)])
-    panel = np.s_[H // 2 :, W // 4 : W // 2]
-    met = {}
-    for camera_fixed in (True, False):
-        pipeline = Pipeline(device, W, H, options=Options(camera_fixed=camera_fixed))
-        for k in range(3):
-            now, before = camera(W, H, (0, 0, 0.4 * k)), camera(W, H, (0, 0, 0.4 * max(k - 1, 0)))
-            shown = wall.frame(now, k / 30, W, H, (before, max(k - 1, 0) / 30))
-            depth, motion = np.array(shown.depth), np.array(shown.motion)
-            depth[panel], motion[panel] = 0.8, (0.5, 0)
-            pipeline.submit(RenderedFrame(shown.color, depth, motion, now, k / 30, reset=k == 0))
-        met[camera_fixed] = pipeline.stages["history"].read("met_depth")[panel][4:-4, 4:-4]
-    assert (met[True] == np.float32(0.8)).all() and not met[False].all()
 
 
 def test_linear_motion_is_exact(device):
@@ -294,111 +220,6 @@ def test_polynomial_of_the_highest_order(device):
     assert errors[0] < 0.02 and errors[1] > 3 * errors[0], errors
 
 
-@pytest.mark.parametrize("pace", [1.0, 0.15])
-def test_threshold_follows_quantized_motion(device, pace):
-    """Motion rounded to 1.5 px must not make the static world dynamic, be it that the camera is slow and most vectors
-    are equal; a mover stays dynamic."""
-    fractions = []
-    for step in (None, 1.5):
-        pipeline = Pipeline(device, W, H)
-        previous = None
-        scene = Rects([WALL, Rect((0, 0, 6), (0.8, 0.8), velocity=(12, 0, 0))])
-        for k in range(3):
-            cam = camera(W, H, (0.11 * k * pace, 0.02 * k * pace, 0.2 * k * pace), 0.02 * k * pace)
-            frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
-            if step:
-                frame.motion = (np.round(frame.motion / step) * step).astype(np.float32)
-            pipeline.submit(frame)
-            previous = (cam, k / 30)
-        dynamic = pipeline.stages["history"].read("dynamic_mask") > 0
-        mover = frame.depth < 7
-        fractions.append((dynamic[mover].mean(), dynamic[~mover].mean()))
-    for moving, static in fractions:
-        assert moving > 0.95 and static < 0.02, fractions
-
-
-@pytest.mark.parametrize("kind", ["looked up twice", "camera off"])
-def test_threshold_follows_other_errors(device, kind):
-    """Vectors over two intervals are the sum of two lookups, so their errors add up; a camera that is a fit is off by
-    the same everywhere. Neither makes the static world dynamic; a mover stays dynamic."""
-    pipeline, previous = Pipeline(device, W, H), None
-    scene = Rects([WALL, Rect((0, 0, 6), (0.8, 0.8), velocity=(12, 0, 0))])
-    for k in range(3):
-        cam, half_ago = (camera(W, H, (0.25 * t, 0, 0)) for t in (k, k - 0.5))
-        frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
-        if kind == "looked up twice" and previous:
-            first = scene.frame(cam, k / 30, W, H, (half_ago, (k - 0.5) / 30)).motion
-            second = scene.frame(half_ago, (k - 0.5) / 30, W, H, previous).motion
-            frame.motion = Encoding.parse("half-uv").looked_up([first, second])
-        elif kind == "camera off":
-            frame.camera = replace(cam, cx=cam.cx + (0.4, -0.3, 0.2)[k], cy=cam.cy - (0.2, 0.3, -0.2)[k])
-        pipeline.submit(frame)
-        previous = (cam, k / 30)
-    dynamic, mover = pipeline.stages["history"].read("dynamic_mask") > 0, frame.depth < 7
-    assert dynamic[mover].mean() > 0.9 and dynamic[~mover].mean() < 0.04, (
-        dynamic[mover].mean(),
-        dynamic[~mover].mean(),
-    )
-
-
-@pytest.mark.parametrize("speed", [1.0, 2.0, 3.9])
-def test_a_mover_that_fills_the_frame_is_no_noise(device, speed):
-    """Nothing but sky and one mover: its residual is large everywhere, but it is motion all the same."""
-    cam = camera(W, H)
-    pipeline = Pipeline(device, W, H)
-    y, x = np.mgrid[:H, :W]
-    for k in range(3):
-        mover = (np.abs(x - 30 - speed * k) < 20) & (np.abs(y - H / 2) < 24)
-        depth = np.where(mover, 6.0, np.inf).astype(np.float32)
-        motion = np.zeros((H, W, 2), np.float32)
-        motion[mover] = (-speed, 0)
-        color = half(np.where(mover[..., None], (0.8, 0.2, 0.1), (0.3, 0.4, 0.9)))
-        pipeline.submit(RenderedFrame(color, depth, motion, cam, k / 30, reset=k == 0))
-    assert pipeline.stages["history"].read("dynamic_mask")[mover].all()
-    shown = np.flatnonzero(pipeline.extrapolate(cam, 3 / 30).numpy("color")[H // 2, :, 0] > 0.6)
-    assert abs(shown.min() - (30 + speed * 3 - 19.5)) <= 1 and abs(shown.max() - (30 + speed * 3 + 19.5)) <= 1
-
-
-@pytest.mark.parametrize("approach", [0.04, 0.06, 0.1])
-def test_an_object_coming_straight_at_the_camera(device, approach):
-    """Depth shrinks by up to 10% per frame with hardly any sideways motion: its history is known, it grows."""
-    cam = camera(W, H)
-    pipeline = Pipeline(device, W, H)
-
-    def scene(k):
-        return Rects([Rect((0, 0, 30), frequency=0.1), Rect((0, 0, 8 * (1 - approach) ** k), (1.5, 1.0))])
-
-    for k in range(4):
-        frame = scene(k).frame(cam, k / 30, W, H, reset=k == 0)
-        y, x = np.nonzero(frame.depth < 20)
-        away = np.stack([x + 0.5 - W / 2, y + 0.5 - H / 2], -1)
-        frame.motion[y, x] = away * (1 - approach) - away
-        pipeline.submit(frame)
-    dynamic = pipeline.stages["history"].read("dynamic_mask") == 1
-    known = pipeline.stages["history"].read("met_depth") > 0
-    assert dynamic.sum() > 150 and known[dynamic].mean() > 0.9
-    out = pipeline.extrapolate(cam, 3.5 / 30)
-    expected = 8 * ((1 - approach) ** 3 + 0.5 * ((1 - approach) ** 3 - (1 - approach) ** 2))
-    assert out.numpy("depth")[H // 2, W // 2 + 11] == pytest.approx(expected, rel=0.01)
-
-
-def test_motion_onto_another_surface_means_no_motion(device):
-    """Where the motion vector meets no plausible surface, the fragment is dynamic and stays where it is."""
-    cam = camera(W, H)
-    pipeline = Pipeline(device, W, H, Options(static_threshold=0.5))
-    depth = np.full((H, W), 20, np.float32)
-    color = half(np.full((H, W, 3), 0.3))
-    still = np.zeros((H, W, 2), np.float32)
-    pipeline.submit(RenderedFrame(color, depth, still, cam, 0.0, reset=True))
-    depth2, motion2 = depth.copy(), still.copy()
-    depth2[20:30, 40:50] = 3.0  # appears from nowhere, claiming to come from 12 px to the left
-    motion2[20:30, 40:50] = (-12, 0)
-    pipeline.submit(RenderedFrame(color, depth2, motion2, cam, 1 / 30))
-    assert (pipeline.stages["history"].read("dynamic_mask")[20:30, 40:50] == 1).all()
-    out = pipeline.extrapolate(cam, 1.5 / 30)
-    assert np.array_equal(out.numpy("depth"), depth2)
-
-
 def test_sky_turns_but_does_not_move(device):
     """Sky ignores V and the camera's translation; it is static and the farthest."""
     cam, turned = camera(W, H), camera(W, H, (5, 1, 3), yaw=0.1)
@@ -418,20 +239,6 @@ def test_sky_turns_but_does_not_move(device):
     assert np.abs(out.numpy("motion") - (source - px))[inside].max() < 0.01
 
 
-def test_reset_forgets(device):
-    """After a reset everything is predicted as static, whatever the motion vectors say."""
-    pipeline = Pipeline(device, W, H)
-    cams = [camera(W, H)] * 3
-    submit(pipeline, MOVING, cams, [0, 1 / 30, 2 / 30])
-    assert pipeline.stages["history"].read("dynamic_mask").any()
-    frame = MOVING.frame(cams[0], 10.0, W, H, (cams[0], 10 - 1 / 30), reset=True)
-    pipeline.submit(frame)
-    assert not pipeline.stages["history"].read("dynamic_mask").any()
-    out = pipeline.extrapolate(cams[0], 10 + 0.5 / 30)
-    assert out.alpha == pytest.approx(0.5)
-    assert out.numpy("color").tobytes() == frame.color.tobytes()
-
-
 def test_no_motion_option_and_literal_splat(device):
     for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling="none", levels=0)):
         pipeline = Pipeline(device, W, H, options)
@@ -444,51 +251,6 @@ def test_no_motion_option_and_literal_splat(device):
         if options.hole_filling == "none":
             holes = out.numpy("disoccluded") == 1
             assert holes.any() and np.isinf(out.numpy("depth")[holes]).all()
-
-
-# ---- holes ---------------------------------------------------------------------------------------------
-
-
-def test_holes_are_filled_with_surroundings(device):
-    """Everything is finite, filled pixels are tagged, and carry the motion of a static point at their depth."""
-    pipeline = Pipeline(device, W, H)
-    submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
-    end = camera(W, H, (1.5, 0, 0.3), 0.2)
-    out = pipeline.extrapolate(end, 2.5 / 30)
-    holes = out.numpy("disoccluded") == 1
-    assert holes.any() and (out.numpy("filled_by") == 255)[holes].all()
-    assert np.isfinite(out.numpy("color")).all() and (out.numpy("depth") > 0).all()
-    assert (out.numpy("color")[holes] > 0.05).all() and (out.numpy("depth")[holes] < 20).all()
-    y, x = np.mgrid[:H, :W] + 0.5
-    px = np.stack([x, y], -1)
-    source = dolly(2).project(end.unproject(px, out.numpy("depth")))[0]
-    assert np.abs(out.numpy("motion") - (source - px))[holes].max() < 1e-2
-
-
-def test_holes_below_the_horizon_are_not_sky(device):
-    """A mover leaves a place that is half ground, half sky: each pixel shows the one that it is closer to."""
-    ground = Rect((0, 10, 8), (99, 10), frequency=0.2, tint=(0.9, 0.2, 0.1))  # y down: below the middle row
-    mover = Rect((0.6, 0, 3), (0.4, 0.6), velocity=(-24, 0, 0), tint=(0.1, 0.1, 0.9))
-    still, pipeline = camera(W, H), Pipeline(device, W, H, Options(levels=0))
-    submit(pipeline, Rects([ground, mover]), [still] * 2, [0, 1 / 30])
-    out = pipeline.extrapolate(still, 1.5 / 30)
-    hole, depth = out.numpy("filled_by") == 255, out.numpy("depth")
-    truth = Rects([ground]).frame(still, 0, W, H).depth
-    near = hole & np.isfinite(truth)
-    assert near.sum() > 10 and (hole & ~near).sum() > 10
-    assert (np.isfinite(depth) == np.isfinite(truth))[hole].mean() > 0.9
-    np.testing.assert_allclose(depth[near & np.isfinite(depth)], 8, rtol=1e-3)
-
-
-def test_turning_away_fills_everything(device):
-    """Nothing of the rendered frame is in view: the frame is filled all the same, without NaN."""
-    pipeline = Pipeline(device, W, H)
-    submit(pipeline, MOVING, [dolly(0), dolly(1)], [0, 1 / 30])
-    out = pipeline.extrapolate(camera(W, H, yaw=np.pi), 1.5 / 30)
-    assert (out.numpy("disoccluded") == 1).all()
-    color = out.numpy("color")
-    assert np.isfinite(color).all() and (color > 0.01).all()
-    assert np.isfinite(out.numpy("motion")).all()
 
 
 # ---- bad pixels ----------------------------------------------------------------------------------------
@@ -613,18 +375,6 @@ def test_mover_behind_the_rendered_camera_is_drawn_where_the_new_one_sees_it(dev
     y, x = np.nonzero(shown)
     assert shown.sum() >= 4 and np.abs(np.stack([x, y], -1) + 0.5 - px).max() < 4
     np.testing.assert_allclose(out.numpy("depth")[shown], depth, rtol=0.02)
-
-
-def test_labels_tell_holes_that_are_filled_from_those_that_are_not(device):
-    """255 is hole filling; 253 is nothing, where holes stay."""
-    turned = camera(W, H, yaw=0.5)
-    for filling, label in (("far-side", 255), ("push-pull", 255), ("downsample", 255), ("none", 253)):
-        pipeline = Pipeline(device, W, H, Options(hole_filling=filling))
-        submit(pipeline, Rects([WALL]), [camera(W, H)] * 2, [0, 1 / 30])
-        out = pipeline.extrapolate(turned, 1.5 / 30)
-        holes = out.numpy("disoccluded") == 1
-        assert holes.sum() > 500 and set(np.unique(out.numpy("filled_by")[holes])) == {label}
-        assert (out.numpy("color")[holes].max() == 0) == (filling == "none")
 
 
 def test_input_mask_is_zero_where_pixels_are_disoccluded(device):

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+import twins
 from synthetic import Rect, Rects, camera
+from twin_cases import assert_close
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
@@ -24,6 +26,17 @@ def last_frame(device, rects, options=None, target=(W, H), count=8):
         previous = (still, k / 30)
     time, to = (count - 0.5) / 30, camera(*target)
     return pipeline.extrapolate(to, time), scene.frame(to, time, *target), frame
+
+
+def test_kernel_equals_its_twin(case):
+    """Which pixels are filled, exactly; colors, depth and motion to a rounding of a division."""
+    warped, reach = case.after("warp"), case.pipeline.stages["hidden_parts"].reach
+    warped |= twins.fill_hidden_parts(warped, case.now.depth, case.zoom, case.to_source, reach)
+    left = case.after("hidden_parts")
+    assert np.array_equal(left["filled_by"], warped["filled_by"])
+    assert (warped["filled_by"] == BY_HIDDEN_PART).any()
+    for name in ("color", "depth", "motion"):
+        assert_close(left[name], warped[name])
 
 
 @pytest.mark.parametrize("target", [(W, H), (W * 3 // 2, H * 3 // 2)], ids=["same size", "larger"])

@@ -7,7 +7,7 @@ import pytest
 import twins
 from device_arrays import copy_to
 from synthetic import Rect, Rects, camera, psnr
-from test_twins import assert_close
+from twin_cases import assert_close
 
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.engine.frame.rendered_frame import HostArrays, require_one_pose

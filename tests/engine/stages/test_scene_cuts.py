@@ -7,7 +7,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from synthetic import Rect, Rects, camera
-from test_twins import frames
+from twin_cases import frames
 from twins import scene_cuts as twins_cuts
 
 from gffe_cl.captures.offline.run import run_sequence

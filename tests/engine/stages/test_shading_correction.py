@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 import pytest
-import twins
 from device_arrays import copy_to
 from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
 from synthetic import Rect, Rects, camera
-from test_twins import run
+from twin_cases import run
 
 from gffe_cl import GffeError, Options, Pipeline
 from gffe_cl.engine.frame.rendered_frame import HostArrays
@@ -19,108 +18,13 @@ from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.engine.inference.network import load_network
 from gffe_cl.engine.opencl.device import quiet_builds
-from gffe_cl.engine.stages.base import Board, Step
-from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.network_input import NetworkInput
-from gffe_cl.engine.stages.shading import ShadingInputs
-from gffe_cl.engine.stages.shading_flow import ShadingFlow
-from gffe_cl.engine.stages.shading_trend import ShadingTrend
-
-SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1), (33, 66)]
 
 
 @pytest.fixture
 def model(tmp_path):
     return lambda *args, **values: constant_model(tmp_path / "model.onnx", *args, **values)
-
-
-def put(stage, **arrays):
-    for name, array in arrays.items():
-        cl.enqueue_copy(stage.device.queue, stage.buffer[name], np.ascontiguousarray(array))
-
-
-def images(size, rng):
-    """What a frame may hold: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
-    with each call."""
-    height, width = size[1], size[0]
-    color = rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16)
-    for value in (0, -3, 60000, -0.0, 6e-8):
-        color[rng.integers(height), rng.integers(width), rng.integers(3)] = value
-    patches = np.random.default_rng(0).lognormal(1, 2, (height // 9 + 1, width // 21 + 1)).astype(np.float32)
-    patches[rng.random(patches.shape) < 0.2] = np.inf
-    depth = patches.repeat(9, 0).repeat(21, 1)[:height, :width]
-    return color, np.ascontiguousarray(depth * rng.uniform(0.99, 1.01, depth.shape).astype(np.float32))
-
-
-def made_stages(device, size, exposure=1.0, seed=1):
-    """A board with the extrapolated frame and the stages around the network, and what they are to work on."""
-    board, rng = Board(device, Sizes(size, size), Options()), np.random.default_rng(seed)
-    now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
-    color, depth = images(size, rng)
-    motion = rng.uniform(-2, 2, (*depth.shape, 2)).astype(np.float32)
-    color[rng.random(depth.shape) < 0.01] = np.nan
-    motion[rng.random(depth.shape) < 0.1] = np.inf
-    board.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
-    copy_to(device, board.previous, HostArrays(color, depth, motion))
-    board.rendered = board.previous
-    frame, some = board.frame, rng.random((2, *depth.shape)) < 0.1
-    color, depth = images(size, rng)
-    put(frame, color=color, depth=depth, motion=motion[::-1])
-    put(frame, dynamic=some[0].astype(np.uint8), disoccluded=some[1].astype(np.uint8))
-    step = Step(board.rendered, board.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
-    for stage in (ShadingInputs, ShadingTrend, NetworkInput, ShadingFlow):
-        stage(board)
-    correction = ShadingCorrection(board, load=False)
-    trends = board.stages["shading_trend"]
-    put(trends, trends=rng.normal(0, 0.05, trends.spec("trends").shape(board.sizes)).astype(np.float32))
-    put(correction, head=rng.normal(0, 0.3, HEAD_WEIGHTS).astype(np.float32))
-    return board, correction, step
-
-
-# ---- kernels -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("exposure", [1.0, 0.05])
-def test_network_input_equals_its_twin(device, size, exposure):
-    """To the bit, but for the device's division; from the same colors of t−1 as are shown to those who look."""
-    board, _, step = made_stages(device, size, exposure)
-    frame, shading, seen = board.frame, board.stages["shading"], board.stages["network_input"]
-    for _ in range(2):  # nothing is left over
-        seen.extrapolated(step)
-    shading.extrapolated(step)
-    color, depth = frame.read("color"), frame.read("depth")
-    previous, mask = shading.read("warped_previous"), shading.read("input_mask")
-    if min(size) > 30:
-        assert 0.3 < previous[..., 3].mean() < 0.9 and set(np.unique(mask)) == {0, 0.5, 1}
-    assert seen.read("median_depth") == twins.depth_median(depth)
-    got = seen.read("frames")
-    assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
-    expected = twins.network_input(color, previous, depth, mask, exposure, seen.sizes.of("network"))
-    np.testing.assert_allclose(got[6], expected[6], rtol=1e-6)
-    assert np.array_equal(np.delete(got, 6, 0), np.delete(expected, 6, 0))
-
-
-@pytest.mark.parametrize(
-    ("depth", "expected"),
-    [
-        (np.full((40, 50), np.inf), 1.0),
-        (np.full((40, 50), 2.0), 2.0),
-        (np.r_[np.full(1000, 3.0), np.full(999, 90.0), np.inf].reshape(40, 50), 3.0),
-        (np.r_[np.full(999, 3.0), np.full(1000, 90.0), np.inf].reshape(40, 50), 90.0),
-        (np.r_[np.full(1999, np.nan), 1e30].reshape(40, 50), 1e30),
-        (np.r_[np.full(1998, -1.0), 1e-30, 1e-39].reshape(40, 50), 1e-39),
-    ],
-)
-def test_median_depth(device, depth, expected):
-    board, _, step = made_stages(device, (50, 320))
-    stage = board.stages["network_input"]
-    depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
-    put(board.frame, depth=depth.astype(np.float32))
-    stage.extrapolated(step)
-    assert stage.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
-    assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))
 
 
 def test_a_still_frame_needs_no_network(device, model):
@@ -230,7 +134,8 @@ def test_separate_memories_give_the_same_bits(device, model, monkeypatch, beside
     names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
     for shares in (True, False):
         monkeypatch.setitem(device.__dict__, "shares_memory", shares)
-        pipeline, *_, made = run(device, 61, 37, Options(scn_model=path))
+        case = run(device, 61, 37, Options(scn_model=path))
+        pipeline, made = case.pipeline, case.made
         correction = pipeline.stages["correction"]
         stored = (pipeline.stages[stage].read(buffer) for stage, buffer in (name.split(".") for name in names))
         results.append([bits(made.numpy("color")), *map(bits, stored)])
@@ -259,117 +164,12 @@ def test_light_that_flickers_is_left_alone(device, model):
     assert pipeline.take_timings()["network"] > 0
 
 
-@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
-@pytest.mark.parametrize("alpha", [0.5, 1.0])
-def test_flow_and_candidates_equal_their_twin(device, size, alpha):
-    """Where the brightness moves smoothly, and where it is noise."""
-    board, _, step = made_stages(device, size)
-    step.alpha = alpha
-    stage, rng = board.stages["shading_flow"], np.random.default_rng(7)
-    frames = moving_frames(board.sizes.of("network"), rng)
-    board.stages["network_input"].upload("frames", frames)
-    stage.extrapolated(step)
-    flow, differences, candidates = twins.find_candidates(frames, board.stages["shading_trend"].read("trends"), alpha)
-    assert np.isfinite(candidates).all() and np.abs(flow).max() > 0.01
-    assert stage.read("flow2").tobytes() == flow.tobytes()
-    assert stage.read("differences").tobytes() == differences.tobytes()
-    assert stage.read("candidates").tobytes() == candidates.tobytes()
-
-
-def moving_frames(size, rng):
-    """(8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise below."""
-    (width, height), shift = size, (3.0, -1.6)
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    frames = rng.random((8, height, width)).astype(np.float32)
-    for k, (dx, dy) in ((0, (0, 0)), (3, shift)):
-        for c in range(3):
-            frames[k + c] = 0.5 + 0.1 * (np.sin((x - dx) / 5) + np.cos((y - dy) / 6) + np.sin((x - dx + y - dy) / 8))
-    frames[:6, height // 2 :] += rng.normal(0, 0.02, (6, height - height // 2, width)).astype(np.float32)
-    return frames
-
-
-def test_the_flow_of_a_moved_pattern_is_found(device):
-    """In pixels of a quarter of the resolution."""
-    board, _, step = made_stages(device, (256, 192))
-    frames = moving_frames(board.sizes.of("network"), np.random.default_rng(0))
-    board.stages["network_input"].upload("frames", frames)
-    board.stages["shading_flow"].extrapolated(step)
-    flow = board.stages["shading_flow"].read("flow2")[:, 3:9, 4:-4]  # of the half without noise
-    assert np.abs(flow - np.array([1.5, -0.8], np.float32)[:, None, None]).mean() < 0.1
-
-
-@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
-def test_judgement_makes_the_correction_of_its_twin(device, size):
-    board, correction, step = made_stages(device, size)
-    rng = np.random.default_rng(3)
-    frames = moving_frames(board.sizes.of("network"), rng)
-    judgement = rng.normal(0, 0.7, correction.spec("judgement").shape(board.sizes)).astype(np.float32)
-    for value in (np.nan, np.inf, -np.inf, 1e38):
-        at = rng.integers(20), rng.integers(judgement.shape[1]), rng.integers(judgement.shape[2])
-        judgement[at] = value
-    board.stages["network_input"].upload("frames", frames)
-    board.stages["shading_flow"].extrapolated(step)
-    board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
-    correction.upload("judgement", judgement)
-    correction.launch("choose_flow", step)
-    correction.launch("judge", step)
-    candidates, differences = (board.stages["shading_flow"].read(name) for name in ("candidates", "differences"))
-    trends = board.stages["shading_trend"].read("trends")
-    with np.errstate(all="ignore"):
-        chosen = twins.choose_flow(judgement, candidates, differences, step.alpha)
-        assert np.array_equal(correction.read("chosen"), chosen, equal_nan=True)
-        expected = twins.judge(frames, trends, judgement, chosen, correction.read("head").ravel())
-    got = correction.read("correction")
-    sound = np.isfinite(expected).all(0)
-    assert np.array_equal(sound, np.isfinite(got).all(0)) and np.array_equal(got[:, sound], expected[:, sound])
-    assert sound.mean() > 0.3 or min(size) < 30
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize(("within_mask", "with_refined"), [(True, True), (True, False), (False, False)])
-@pytest.mark.parametrize("exposure", [1.0, 0.05])
-def test_correct_equals_its_twin(device, size, within_mask, with_refined, exposure):
-    rng = np.random.default_rng(3)
-    board, correction, step = made_stages(device, size, exposure, seed=2)
-    board.stages["network_input"].extrapolated(step)
-    color, frames = board.frame.read("color"), board.stages["network_input"].read("frames")
-    said = rng.normal(0, 0.3, correction.spec("correction").shape(correction.sizes)).astype(np.float32)
-    said[3] = rng.uniform(-0.5, 1.5, said[3].shape)
-    said[4] = np.where(rng.random(said[4].shape) < 0.6, 0, rng.uniform(-0.1, 2, said[4].shape))
-    for value in (np.nan, np.inf, -np.inf, 1e38):
-        said[rng.integers(5), rng.integers(said.shape[1]), rng.integers(said.shape[2])] = value
-    put(correction, correction=said)
-    correction.with_refined = with_refined
-    correction.compose(step, within_mask)
-    refined, focus, final = twins.correct(color, frames, said, exposure, within_mask)
-    assert correction.read("focus_mask").tobytes() == focus.tobytes()
-    assert not with_refined or correction.read("refined").tobytes() == refined.tobytes()
-    got = correction.read("color")
-    assert got.tobytes() == final.tobytes()
-    if within_mask:
-        assert got[focus == 0].tobytes() == color[focus == 0].tobytes()
-        assert np.isfinite(got).all()
-    if min(size) > 30:
-        assert 0.1 < (focus == 0).mean() < 0.9 and (focus == 1).any()
-
-
-def test_encoding_is_the_mu_law_and_decoding_its_inverse():
-    """Of the twins, and so of the kernels: against float64."""
-    color = np.r_[0, np.logspace(-6, np.log10(65504), 5000)].astype(np.float32)
-    for exposure in (1.0, 0.01, 30.0):
-        exact = np.log1p(5000 * exposure / 8 * color.astype(np.float64)) / np.log1p(5000)
-        np.testing.assert_allclose(twins.encode(color, exposure), exact, rtol=3e-7, atol=2e-8)
-        code = exact.astype(np.float32)
-        np.testing.assert_allclose(twins.decode(code, exposure), color, rtol=3e-6, atol=1e-12)
-    assert twins.decode(np.array([-1, 0, 1, 50], np.float32), 1.0) == pytest.approx([0, 0, 8, 65504])
-
-
 # ---- the pipeline --------------------------------------------------------------------------------------
 
 
 def corrected(device, model, size=(61, 37), **options):
-    pipeline, *_, made = run(device, *size, Options(scn_model=model, **options))
-    return pipeline, made
+    case = run(device, *size, Options(scn_model=model, **options))
+    return case.pipeline, case.made
 
 
 def bits(array):

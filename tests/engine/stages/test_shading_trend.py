@@ -7,7 +7,7 @@ import pytest
 import twins
 from scn_models import FOR_GOOD, IN_PLACE, constant_model
 from synthetic import Rect, Rects, camera
-from test_twins import frames
+from twin_cases import frames
 from twins.shading_flow import doubled
 
 from gffe_cl import Options, Pipeline

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from synthetic import Rect, Rects
-from test_upscaling import MOVING, STILL, H, W, color_of, frames, path, pipeline_for
 from twins import upscaling as twin
+from upscaling_frames import MOVING, STILL, H, W, color_of, frames, path, pipeline_for
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options

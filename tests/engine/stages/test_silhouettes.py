@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from synthetic import Rect, Rects, camera
+from twins import silhouettes as twins_silhouettes
 
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -29,6 +30,35 @@ def extrapolated(device, options):
         pipeline.submit(antialiased(k, (k - 1) / 30 if k else None))
     pipeline.extrapolate(camera(W, H), 3.5 / 30)
     return pipeline
+
+
+def test_kernels_equal_their_twins(case):
+    """Layers and marked blocks exactly; coverage and colors to a step of what they are stored in."""
+    if not case.options.soft_silhouettes:
+        return
+    positions, links = case.read("prediction", "target_position"), case.read("connectivity", "links")
+    color = case.now.color
+    layer, behind = twins_silhouettes.find_layers(color, case.now.depth, links, positions, case.zoom)
+    share = case.read("silhouettes", "share").astype(np.float32) / np.float32(255)
+    kept = case.read("silhouettes", "behind")[..., :3].astype(np.float32)
+    got = case.read("silhouettes", "layer"), np.concatenate([kept, share[..., None]], -1)
+    assert np.array_equal(got[0], layer)
+    assert {twins_silhouettes.FAR, twins_silhouettes.NEAR} <= set(np.unique(layer))
+    assert_within_a_step(got[1][layer > 0][:, :3], behind[layer > 0][:, :3])
+    np.testing.assert_allclose(got[1][layer > 0][:, 3], behind[layer > 0][:, 3], atol=0.51 / 255 + 1e-3)
+    marked = twins_silhouettes.mark_blocks(layer, positions, case.pipeline.sizes.target)
+    assert np.array_equal(case.read("silhouettes", "marked"), marked)
+    softening = twins_silhouettes.Softening(case.after("holes"), color, positions, got, case.zoom)
+    coverage, softened = softening.run(marked)
+    difference = np.abs(case.read("silhouettes", "coverage").astype(int) - coverage)
+    assert (difference <= 1).all() and 0.02 < (coverage > 0).mean() < 0.6
+    assert_within_a_step(case.after(None)["color"][..., :3], softened)
+
+
+def assert_within_a_step(got, expected):
+    """Colors that were stored in mantissas of 9 bits which share an exponent: that of the largest."""
+    got, expected = got.astype(np.float32), expected.astype(np.float32)
+    assert (np.abs(got - expected) <= 2e-3 + np.abs(expected).max(-1, keepdims=True) / 256).all()
 
 
 def test_edges_are_the_truths(device):

@@ -187,12 +187,19 @@ def mix_far_side(warped):
     return color
 
 
-def asked_texels(warped, reach, to_source, *source):
-    """(h, w) bool: 32×32 blocks between whose centers a hole lies without valid pixels near; `source`: color, depth."""
+def continued_surfaces(warped, reach, to_source, source_color, source_depth):
+    """{(y, x): `continued_surface`} of all holes."""
+    holes = map(tuple, np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING))
+    return {at: continued_surface(warped, *at, reach, to_source, source_color, source_depth) for at in holes}
+
+
+def asked_texels(warped, surfaces):
+    """(h, w) bool: 32×32 blocks between whose centers a hole lies without valid pixels near; `surfaces`: those of
+    `continued_surfaces`."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
-    for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
-        if continued_surface(warped, y, x, reach, to_source, *source) is None:
+    for (y, x), found in surfaces.items():
+        if found is None:
             y0, x0 = ((c + 0.5) / HOLES.DOWNSAMPLING - 0.5 for c in (y, x))
             for tap in range(4):
                 ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
@@ -200,8 +207,8 @@ def asked_texels(warped, reach, to_source, *source):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, source_depth):
-    """Color, depth, motion of the warped frame with its holes filled: from surfaces within `reach` px,
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces=None):
+    """Color, depth, motion of the warped frame with its holes filled: from `continued_surfaces` within `reach` px,
     else from the block sums; by push-pull if these are None."""
     if color_sum is None:
         filled = push_pull(warped)
@@ -221,9 +228,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, s
     with np.errstate(all="ignore"):
         mean = np.where(total[..., 3:] > 0, total[..., :3] / total[..., 3:], 0)
         mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
-    holes = warped["filled_by"] == COMMON.BY_NOTHING
-    for y, x in np.argwhere(holes):
-        found = continued_surface(warped, y, x, reach, to_source, source_color, source_depth)
+    for (y, x), found in surfaces.items():
         if found is not None:
             mean[y, x], mean_inverse[y, x] = found[:3], found[3]
         elif reach > 0:

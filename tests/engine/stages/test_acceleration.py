@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import twins
+from twin_cases import read_movers
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.scenes.parts.motions import Bounce, Carry, Motion, Place, Spin, Swing, rotation, translation
@@ -49,6 +50,27 @@ CASES = {
     "swinging legs": ([leg(-0.2, 0, 0.0), leg(0.3, 0.2, 0.5)], 0.0, 0.03),
     "a ball behind bars": (ball(FLIGHT) + BARS, -0.03, 0.0),
 }
+
+
+def test_kernel_equals_its_twin(case):
+    """Velocities and their changes to ten bits of the mantissa, and which cells have them exactly."""
+    found = read_movers(case.pipeline)
+    assert bool(found) == (case.options.acceleration and case.options.order == 1)
+    if not found:
+        return
+    motion = case.now.motion
+    turned = case.to_previous, case.from_previous
+    mask, met = case.read("history", "dynamic_mask"), case.read("history", "met_depth")
+    expected = twins.track_acceleration(
+        case.now.depth, motion, mask, met, *np.delete(case.before.movers, 2, 0), np.float32(1), *turned
+    )
+    assert np.array_equal(found[0][..., 3] > 0, expected[0][..., 3] > 0)
+    assert np.array_equal(found[1][..., 3] < 0, expected[1][..., 3] < 0)
+    assert (found[1][..., 3] > 0).mean() > 0.01
+    for got, wanted in zip(found, expected, strict=True):
+        np.testing.assert_allclose(got[..., :3], wanted[..., :3], atol=2e-5, rtol=2e-3)  # ten bits
+    np.testing.assert_allclose(found[1][..., 3], expected[1][..., 3], atol=0.02)  # of small accelerations
+    assert np.array_equal(found[3][..., 3], expected[3][..., 3])
 
 
 @pytest.mark.parametrize("name", CASES)

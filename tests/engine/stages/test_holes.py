@@ -1,0 +1,133 @@
+"""Filling of holes: the kernels against their twins, and what fills which hole."""
+
+import numpy as np
+import pytest
+import twins
+from moving_scene import MOVING, WALL, H, W, dolly, submit
+from synthetic import Rect, Rects, camera
+from twin_cases import assert_close, frames
+
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Output
+from gffe_cl.engine.stages.frame_block import reprojection
+
+
+def test_kernels_equal_their_twins(case):
+    """Mixed fills of the background, block sums, and filled pixels, whose sums are float32 on the device and float64 in
+    the twin."""
+    warped = case.after("background" if case.options.levels else "hidden_parts")
+    color, depth = case.now.color, case.now.depth
+    source = twins.load_color(color), depth
+    holes = warped["filled_by"] == twins.COMMON.BY_NOTHING
+    assert np.array_equal(case.made.numpy("filled_by") == twins.COMMON.BY_HOLE_FILLING, holes)
+    if case.options.levels and case.options.hole_filling == "far-side":
+        mixed = twins.mix_far_side(warped)
+        changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
+        assert changed > 5e-4 or case.options.levels == 1
+        warped |= {"color": mixed}
+    sums, surfaces, reach = (None, None), None, case.pipeline.stages["holes"].reach
+    if case.options.hole_filling != "push-pull":
+        surfaces = twins.continued_surfaces(warped, reach, case.to_source, *source)
+        asked = twins.asked_texels(warped, surfaces)
+        sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
+        np.testing.assert_allclose(case.read("holes", "downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(case.read("holes", "downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
+    filled = twins.fill_holes(warped, *sums, case.to_source, reach, source[0], surfaces)
+    left = case.after("holes")
+    for name in ("color", "depth", "motion"):
+        assert_close(left[name][~holes], filled[name][~holes])
+        np.testing.assert_allclose(
+            left[name][holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
+        )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("filling", ["far-side", "downsample"])
+def test_block_means_reach_over_work_groups(device, filling):
+    """A large hole on an image larger than what one work-group fills: labels stay, sums and fills are the twin's."""
+    width, height = 301, 70
+    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False))
+    for frame in frames(width, height, count=2, spoil=False):
+        pipeline.submit(frame)
+    names = ("color", "depth", "motion", "filled_by")
+    pipeline.keep(f"background.{name}" for name in names)
+    to = camera(width, height, (0, 0, 0), 0.6)
+    pipeline.extrapolate(to, 0.05)
+    kept = next(owner for owner, _ in pipeline.named_buffers() if isinstance(owner, Output))
+    left = {name: kept.read(name) for name in names}
+    holes = left["filled_by"] == twins.COMMON.BY_HOLE_FILLING
+    unfilled = np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])
+    before = left | {"filled_by": unfilled, "dynamic": pipeline.board.frame.read("dynamic")}
+    if filling == "far-side":
+        before |= {"color": twins.mix_far_side(before | {"disoccluded": pipeline.board.frame.read("disoccluded")})}
+    stage = pipeline.stages["holes"]
+    to_source = reprojection(to, frame.camera)
+    source = (twins.load_color(frame.color), frame.depth)
+    surfaces = twins.continued_surfaces(before, stage.reach, to_source, *source)
+    asked = twins.asked_texels(before, surfaces)
+    assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
+    sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
+    np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
+    filled = twins.fill_holes(before, *sums, to_source, stage.reach, source[0], surfaces)
+    for name in ("color", "depth", "motion"):
+        got = pipeline.board.frame.read(name)
+        assert got[~holes].tobytes() == left[name][~holes].tobytes() or (name == "color" and filling == "far-side")
+        assert_close(got[~holes], filled[name][~holes])
+        np.testing.assert_allclose(
+            got[holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
+        )
+
+
+def test_holes_are_filled_with_surroundings(device):
+    """Everything is finite, filled pixels are tagged, and carry the motion of a static point at their depth."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    end = camera(W, H, (1.5, 0, 0.3), 0.2)
+    out = pipeline.extrapolate(end, 2.5 / 30)
+    holes = out.numpy("disoccluded") == 1
+    assert holes.any() and (out.numpy("filled_by") == 255)[holes].all()
+    assert np.isfinite(out.numpy("color")).all() and (out.numpy("depth") > 0).all()
+    assert (out.numpy("color")[holes] > 0.05).all() and (out.numpy("depth")[holes] < 20).all()
+    y, x = np.mgrid[:H, :W] + 0.5
+    px = np.stack([x, y], -1)
+    source = dolly(2).project(end.unproject(px, out.numpy("depth")))[0]
+    assert np.abs(out.numpy("motion") - (source - px))[holes].max() < 1e-2
+
+
+def test_holes_below_the_horizon_are_not_sky(device):
+    """A mover leaves a place that is half ground, half sky: each pixel shows the one that it is closer to."""
+    ground = Rect((0, 10, 8), (99, 10), frequency=0.2, tint=(0.9, 0.2, 0.1))  # y down: below the middle row
+    mover = Rect((0.6, 0, 3), (0.4, 0.6), velocity=(-24, 0, 0), tint=(0.1, 0.1, 0.9))
+    still, pipeline = camera(W, H), Pipeline(device, W, H, Options(levels=0))
+    submit(pipeline, Rects([ground, mover]), [still] * 2, [0, 1 / 30])
+    out = pipeline.extrapolate(still, 1.5 / 30)
+    hole, depth = out.numpy("filled_by") == 255, out.numpy("depth")
+    truth = Rects([ground]).frame(still, 0, W, H).depth
+    near = hole & np.isfinite(truth)
+    assert near.sum() > 10 and (hole & ~near).sum() > 10
+    assert (np.isfinite(depth) == np.isfinite(truth))[hole].mean() > 0.9
+    np.testing.assert_allclose(depth[near & np.isfinite(depth)], 8, rtol=1e-3)
+
+
+def test_turning_away_fills_everything(device):
+    """Nothing of the rendered frame is in view: the frame is filled all the same, without NaN."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(0), dolly(1)], [0, 1 / 30])
+    out = pipeline.extrapolate(camera(W, H, yaw=np.pi), 1.5 / 30)
+    assert (out.numpy("disoccluded") == 1).all()
+    color = out.numpy("color")
+    assert np.isfinite(color).all() and (color > 0.01).all()
+    assert np.isfinite(out.numpy("motion")).all()
+
+
+def test_labels_tell_holes_that_are_filled_from_those_that_are_not(device):
+    """255 is hole filling; 253 is nothing, where holes stay."""
+    turned = camera(W, H, yaw=0.5)
+    for filling, label in (("far-side", 255), ("push-pull", 255), ("downsample", 255), ("none", 253)):
+        pipeline = Pipeline(device, W, H, Options(hole_filling=filling))
+        submit(pipeline, Rects([WALL]), [camera(W, H)] * 2, [0, 1 / 30])
+        out = pipeline.extrapolate(turned, 1.5 / 30)
+        holes = out.numpy("disoccluded") == 1
+        assert holes.sum() > 500 and set(np.unique(out.numpy("filled_by")[holes])) == {label}
+        assert (out.numpy("color")[holes].max() == 0) == (filling == "none")

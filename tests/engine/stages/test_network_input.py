@@ -1,0 +1,48 @@
+"""Input of the shading correction network: the kernels against their twins."""
+
+import numpy as np
+import pytest
+import twins
+from network_stages import SIZES, made_stages, put
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("exposure", [1.0, 0.05])
+def test_network_input_equals_its_twin(device, size, exposure):
+    """To the bit, but for the device's division; from the same colors of t−1 as are shown to those who look."""
+    board, _, step = made_stages(device, size, exposure)
+    frame, shading, seen = board.frame, board.stages["shading"], board.stages["network_input"]
+    for _ in range(2):  # nothing is left over
+        seen.extrapolated(step)
+    shading.extrapolated(step)
+    color, depth = frame.read("color"), frame.read("depth")
+    previous, mask = shading.read("warped_previous"), shading.read("input_mask")
+    if min(size) > 30:
+        assert 0.3 < previous[..., 3].mean() < 0.9 and set(np.unique(mask)) == {0, 0.5, 1}
+    assert seen.read("median_depth") == twins.depth_median(depth)
+    got = seen.read("frames")
+    assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
+    expected = twins.network_input(color, previous, depth, mask, exposure, seen.sizes.of("network"))
+    np.testing.assert_allclose(got[6], expected[6], rtol=1e-6)
+    assert np.array_equal(np.delete(got, 6, 0), np.delete(expected, 6, 0))
+
+
+@pytest.mark.parametrize(
+    ("depth", "expected"),
+    [
+        (np.full((40, 50), np.inf), 1.0),
+        (np.full((40, 50), 2.0), 2.0),
+        (np.r_[np.full(1000, 3.0), np.full(999, 90.0), np.inf].reshape(40, 50), 3.0),
+        (np.r_[np.full(999, 3.0), np.full(1000, 90.0), np.inf].reshape(40, 50), 90.0),
+        (np.r_[np.full(1999, np.nan), 1e30].reshape(40, 50), 1e30),
+        (np.r_[np.full(1998, -1.0), 1e-30, 1e-39].reshape(40, 50), 1e-39),
+    ],
+)
+def test_median_depth(device, depth, expected):
+    board, _, step = made_stages(device, (50, 320))
+    stage = board.stages["network_input"]
+    depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
+    put(board.frame, depth=depth.astype(np.float32))
+    stage.extrapolated(step)
+    assert stage.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
+    assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))

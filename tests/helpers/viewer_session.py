@@ -1,0 +1,53 @@
+"""The viewer's model with its engine, without a window."""
+
+import time
+from contextlib import contextmanager
+
+from gffe_cl.viewer.state.model import Model
+from gffe_cl.viewer.state.settings import Settings
+
+PATIENCE = 60.0
+
+
+class Canvas:
+    """What the model has put on the screen."""
+
+    def __init__(self):
+        self.frame, self.layers = None, {}
+
+    def upload(self, name, image, spec):
+        self.layers[name] = image
+
+    def forget(self, names):
+        for name in list(names):
+            self.layers.pop(name, None)
+
+
+class Session:
+    """A model, and frames of an interface."""
+
+    def __init__(self, target):
+        self.model, self.canvas = Model(Settings(), save_settings=False), Canvas()
+        self.model.open(str(target))
+        self.until(lambda: self.model.contents.result is not None)
+        self.settle()
+
+    def frame(self):
+        self.model.update(time.perf_counter(), self.canvas)
+
+    def until(self, happens):
+        end = time.monotonic() + PATIENCE
+        while not happens():
+            assert time.monotonic() < end, "nothing happened"
+            self.frame()
+            time.sleep(0.002)
+
+    def settle(self):
+        self.frame()
+        self.until(lambda: self.model.settled)
+
+    @contextmanager
+    def engine_waiting(self):
+        """Meanwhile the engine takes nothing up."""
+        with self.model.engine._news:
+            yield
