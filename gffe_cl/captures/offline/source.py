@@ -1,14 +1,15 @@
-"""Source of a run: a sequence on disk, or a built-in scene that is rendered meanwhile."""
+"""Sources of rendered frames: a sequence on disk, or a built-in scene that is rendered meanwhile."""
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
-from gffe_cl.captures.scenes.sequences import require_frames, smaller_renderer
+from gffe_cl.captures.scenes.sequences import require_frames
 from gffe_cl.captures.sequence import (
     FrameEntry,
     Sequence,
@@ -18,90 +19,132 @@ from gffe_cl.captures.sequence import (
     require_clean,
 )
 from gffe_cl.captures.sequence.description import rendered_entry
-from gffe_cl.captures.sequence.read_ahead import usable_cores
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.captures.sequence.read_ahead import read_ahead, usable_cores
+from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.jitter import Jitter, without_jitter
+from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, display_camera_of, host_arrays
 from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.presentation import present
 
-JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
-
 
 class Source(Protocol):
-    """Rendered frames in order of time.
+    """Rendered frames by number, and what is known of the times between them.
 
     `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
-    `attributes`: of EXR headers, which new frames get.
+    `resets`: numbers of those that are known to be one, in order; `attributes`: of EXR headers, which new frames get.
     """
 
+    name: str
     width: int
     height: int
     render_size: tuple[int, int]
     fps: float
     exposure: float
     count: int
+    resets: tuple[int, ...] = (0,)
     attributes: dict[str, Any]
 
+    def rendered(self, k: int) -> RenderedFrame:
+        """Return frame `k`. If it is rendered for the caller, it follows frame `k` − 1 if that was asked for last; else
+        it is a reset. Raises GffeError."""
+        ...
+
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
-        """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
+        """Return all frames in order. `alphas` are the times that will be extrapolated after each, in intervals. With
         `strict` GffeError for bad pixels."""
+        for k in range(self.count):
+            frame = self.rendered(k)
+            entry = rendered_entry(k, frame, (self.width, self.height))
+            if strict:
+                require_clean(entry.file, host_arrays(frame).bad)
+            yield entry, frame
+
+    def reset_before(self, k: int) -> int:
+        """Return the number of the last reset frame up to `k`."""
+        return self.resets[bisect_right(self.resets, k) - 1]
+
+    def _time_of(self, k: int) -> float:
+        """Return the time of frame `k` (seconds)."""
+        ...
+
+    def interval(self, k: int) -> float:
+        """Return the seconds from the frame before to frame `k`; of a reset 1 / fps."""
+        return 1.0 / self.fps if self.reset_before(k) == k else self._time_of(k) - self._time_of(k - 1)
+
+    def time(self, k: int, alpha: float = 0.0) -> float:
+        """Return the time `alpha` intervals after frame `k` (seconds)."""
+        return self._time_of(k) + alpha * self.interval(k)
+
+    def cameras_at(self, times: list[float]) -> list[Camera] | None:
+        """Return the display cameras of the new frames of one interval, at `times` (seconds). None unless each of them
+        is known: predicted and known cameras do not mix within an interval."""
         ...
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Put a rendered frame into an output."""
-
-    def cameras_at(self, times: list[float]) -> list[Camera] | None:
-        """The display cameras of the new frames of one interval, at `times` (seconds); None unless each of them is
-        known: predicted and known cameras do not mix within an interval."""
-        ...
+        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def number_of(self, entry: FrameEntry) -> str:
         """Return the identity of the rendered frame's file."""
-        ...
+        return Path(entry.file).stem.removeprefix("frame_")
 
     def refuse(self, output: Path) -> None:
-        """GffeError if `output` must not be written to."""
+        """Raise GffeError if `output` must not be written to."""
 
     def warnings(self) -> list[str]:
-        """Legal but suspicious things met so far."""
-        ...
+        """Return legal but suspicious things met so far."""
+        return []
 
 
-class Recorded:
+class Recorded(Source):
     """A sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts as rendered
     through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is the factor
     from rendered to displayed size. Without a display camera, a principal point within a pixel of the center is then
-    taken for jitter.
+    taken for jitter. `windowed`: whether frames are rendered through a window, or of another size than the display's.
 
     Raises GffeError for other windows than that, and for a sequence without rendered frames.
     """
 
+    _cut = False  # whether only display parts are used
+
     def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
+        self.name, self._device, self._upscale = printable(sequence.path.resolve().name), device, upscale
+        self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
+        self.exposure, self.attributes = sequence.exposure, sequence.attributes
+        self._window = window
+        self._take(sequence)
+        if upscale:
+            self._enlarge(self.render_size, upscale)
+
+    def _take(self, sequence: Sequence) -> None:
+        """Use the frames of `sequence`, which may be longer than before."""
+        self.sequence, self.entries = sequence, sequence.rendered
+        if not self.entries:
+            raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
+        self.count, self._stored = len(self.entries), sequence.size_of(self.entries[0])
+        self.resets = tuple(k for k, entry in enumerate(self.entries) if entry.reset or k == 0)
+        whole = all(entry.display_camera == entry.render_camera for entry in self.entries)
+        self.windowed = not whole or self._stored != (sequence.width, sequence.height)
+        self._numbers = dict(zip((e.file for e in self.entries), _numbers(self.entries), strict=True))
+        self._missed = ""  # the first truth that a new frame missed by little
+        self.choose(self._window)
+
+    def choose(self, window: str | None) -> bool:
+        """Use another window from now on. Returns whether the frames change by that."""
         if window not in (None, "off"):
             raise GffeError(
-                f"--window {window}: only built-in scenes are rendered through a chosen window, {sequence.path} is a"
-                " recorded sequence (expected off, or no --window)"
+                f"--window {window}: only built-in scenes are rendered through a chosen window, {self.sequence.path} is"
+                " a recorded sequence (expected off, or no --window)"
             )
-        self.sequence, self._device = sequence, device
-        self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
-        self.exposure, self.count = sequence.exposure, len(sequence.rendered)
-        self.attributes = sequence.attributes
-        stored = _render_size(sequence)
-        size = (self.width, self.height)
-        whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
-        self._cut = window == "off" and not whole
-        self._upscale = upscale
-        if upscale:
-            self._enlarge(stored, upscale)
-        self.render_size = size if self._cut else stored
-        self._numbers = dict(zip((e.file for e in sequence.rendered), _numbers(sequence.rendered), strict=True))
-        self._missed = ""  # the first truth that a new frame missed by little
+        before, self._window, self._cut = self._cut, window, window == "off" and self.windowed
+        self.render_size = (self.width, self.height) if self._cut else self._stored
+        return self._cut != before
 
     def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
-        """The display, where it has the size of the rendered frames; else it must be as many times larger."""
+        """Give the display, where it has the size of the rendered frames, that of upscaling. Otherwise it must have
+        it."""
         sequence, recorded = self.sequence, (self.sequence.width, self.sequence.height)
         if self._cut:
             raise GffeError(f"--upscale {upscale:g} and --window off exclude each other for {sequence.path}")
@@ -125,34 +168,44 @@ class Recorded:
             told = without_jitter(told, size)
         return replace(frame, display_camera=self._shown(told))
 
+    def _read(self, k: int) -> RenderedFrame:
+        """Return frame `k` as it was rendered."""
+        frame = self.sequence.read(self.entries[k])
+        return self._upscaled(frame) if self._upscale else frame
+
+    def _display_part(self, k: int, frame: RenderedFrame) -> RenderedFrame:
+        """Return what frame `k` shows; bad pixels are those of the whole."""
+        last = self.entries[max(k - 1, 0)]
+        before = replace(frame, camera=last.render_camera, display_camera=last.display_camera)
+        return present(frame, before if k else None, size=self.render_size, device=self._device)
+
+    def rendered(self, k):
+        return self._display_part(k, self._read(k)) if self._cut else self._read(k)
+
     def frames(self, alphas, strict):
-        def read(entry: FrameEntry):
-            frame = self.sequence.read(entry)
-            if self._upscale:
-                frame = self._upscaled(frame)
+        def read(k: int) -> RenderedFrame:
+            frame = self._read(k)
             if strict:
-                require_clean(entry.file, host_arrays(frame).bad)
+                require_clean(self.entries[k].file, host_arrays(frame).bad)
             return frame
 
-        return self._cut_frames(
-            self.sequence.prefetch(self.sequence.rendered, read=read, ahead=2 + usable_cores() // 4)
-        )
+        return self._in_order(read_ahead(range(self.count), read, 2 + usable_cores() // 4))
 
-    def _cut_frames(self, whole):
-        before = None
-        for entry, frame in whole:
-            if not self._cut:
-                yield entry, frame
-                continue
-            shown = present(frame, before, size=self.render_size, device=self._device)
-            before = frame
-            cut = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
-            yield cut, shown
+    def _in_order(self, read):
+        for k, frame in read:
+            entry = self.entries[k]
+            if self._cut:
+                frame = self._display_part(k, frame)
+                entry = replace(entry, render_size=None, render_camera=frame.camera, display_camera=None)
+            yield entry, frame
+
+    def _time_of(self, k):
+        return self.entries[k].time
 
     def store(self, writer, entry, frame):
         own = None if self._cut else self.sequence.exr_file(entry)
         if own is None:
-            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+            super().store(writer, entry, frame)
         else:
             writer.link(entry, own)
 
@@ -176,71 +229,64 @@ class Recorded:
         refuse_same_folder(output, self.sequence.path)
 
 
-class Live:
+class Live(Source):
     """`count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
 
     With `upscale` the frames are so many times smaller than the display, and jittered.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        width: int,
-        height: int,
-        count: int,
-        fps: float,
-        window="off",
+        self, scene: Scene, device: Device, width: int, height: int, count: int, fps: float, window: str = "off",
         upscale: float = 0.0,
-    ):
+    ):  # fmt: skip
         require_frames(count, fps)
-        self.scene, self.width, self.height, self.count, self.fps = scene, width, height, count, fps
-        self.exposure, self._window = scene.exposure, window
-        self.attributes: dict[str, Any] = {}
-        WindowChooser(window, (width, height), [])
-        self._renderer, self._jitter = jittered_renderer(device, scene, (width, height), upscale)
-        self.render_size = self._renderer.width, self._renderer.height
+        self.scene, self.name, self.exposure, self._device = scene, scene.name, scene.exposure, device
+        self.width, self.height, self.count, self.fps = width, height, count, fps
+        self.attributes = {}
+        self._way: Any = None  # the arguments of `choose` that frames depend on, a tuple
+        self.choose(window, [], upscale)
+
+    def choose(self, window: str, alphas: list[float], upscale: float = 0.0) -> bool:
+        """Render through `window`, for new frames at `alphas`, and for upscaling by `upscale` from now on. Returns
+        whether the frames change by that."""
+        way = (window, upscale, *(alphas if window == "adaptive" else ()))
+        if way == self._way:
+            return False
+        WindowChooser(window, (self.width, self.height), alphas)
+        if self._way is None or upscale != self._way[1]:
+            self._frames = self._frames_for(upscale)
+            self.render_size = self._frames.render_size
+        self._way, self._alphas = way, alphas
+        self.restart()
+        return True
+
+    def _frames_for(self, upscale: float) -> SceneFrames:
+        size = self.width, self.height
+        if upscale:
+            return SceneFrames.for_upscaling(self._device, self.scene, size, upscale)
+        return SceneFrames(SceneRenderer(self._device, self.scene, *size))
+
+    def restart(self) -> None:
+        """The next frame has none before it."""
+        self._frames.windows = WindowChooser(self._way[0], (self.width, self.height), self._alphas)
+        self._last = -1, None
+
+    def rendered(self, k):
+        number, before = self._last
+        frame = self._frames.rendered(self.time(k), before if number == k - 1 else None, k)
+        self._last = k, frame
+        return frame
 
     def frames(self, alphas, strict):
-        size = self.width, self.height
-        made = SceneFrames(self._renderer, WindowChooser(self._window, size, alphas), size, self._jitter)
-        for k, frame in enumerate(made.sequence(self.count, self.fps)):
-            entry = rendered_entry(k, frame, size)
-            if strict:
-                require_clean(entry.file, host_arrays(frame).bad)
-            yield entry, frame
+        self.choose(self._way[0], alphas, self._way[1])
+        self.restart()
+        return super().frames(alphas, strict)
 
-    def store(self, writer, entry, frame):
-        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+    def _time_of(self, k):
+        return k * (1.0 / self.fps)
 
     def cameras_at(self, times):
         return [self.scene.camera(time, self.width, self.height) for time in times]
-
-    def number_of(self, entry):
-        return Path(entry.file).stem.removeprefix("frame_")
-
-    def refuse(self, output):
-        return
-
-    def warnings(self):
-        return []
-
-
-def jittered_renderer(
-    device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int | None = None
-) -> tuple[SceneRenderer, Jitter]:
-    """Return a renderer of `scene` for upscaling to a display of `size`: small frames with one sample per pixel, with
-    textures as fine as the display, and jitter. With `upscale` 0 frames of the display's size, without."""
-    if not upscale:
-        return SceneRenderer(device, scene, *size, samples or 8), Jitter()
-    return smaller_renderer(device, scene, size, upscale, samples or 1), Jitter(JITTER_LENGTH)
-
-
-def _render_size(sequence: Sequence) -> tuple[int, int]:
-    """Return the size of the rendered frames, which have one."""
-    if not sequence.rendered:
-        raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
-    return sequence.size_of(sequence.rendered[0])
 
 
 def _numbers(entries: list[FrameEntry]) -> list[str]:

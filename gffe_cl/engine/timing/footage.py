@@ -33,7 +33,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Footage:
+class FrameLoop:
     """Input of a benchmark. `name`: the scene; `width`, `height`: of the display; `cameras`: of the extrapolated
     frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
 
@@ -62,7 +62,7 @@ class Footage:
         """Of `turns`."""
         return sum(1 for _ in self.turns(counted))
 
-    def part(self, width: int, height: int, center: tuple[float, float]) -> Footage:
+    def part(self, width: int, height: int, center: tuple[float, float]) -> FrameLoop:
         """A part of the images, of at most that size, around `center` (shares of width and height); host arrays."""
         width, height = min(width, self.width), min(height, self.height)
         x = min(max(int(self.width * center[0] - width / 2), 0), self.width - width)
@@ -81,7 +81,7 @@ class Footage:
         cameras = tuple(camera and moved(camera) for camera in self.cameras)
         return replace(self, width=width, height=height, frames=frames, cameras=cameras)
 
-    def shown_larger(self, width: int, height: int) -> Footage:
+    def shown_larger(self, width: int, height: int) -> FrameLoop:
         """The same frames for a larger display, as upscaling takes them."""
         factors = width / self.width, height / self.height
         frames = tuple(replace(f, display_camera=f.camera.scaled(*factors)) for f in self.frames)
@@ -89,7 +89,7 @@ class Footage:
         size = self.width, self.height
         return replace(self, width=width, height=height, frames=frames, cameras=cameras, render_size=size)
 
-    def on(self, device: Device) -> Footage:
+    def on(self, device: Device) -> FrameLoop:
         """The same in buffers of `device`."""
         return replace(self, frames=tuple(uploaded(device, frame) for frame in self.frames))
 
