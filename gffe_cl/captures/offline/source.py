@@ -66,8 +66,8 @@ class Source(Protocol):
         return self.resets[bisect_right(self.resets, k) - 1]
 
     def _time_of(self, k: int) -> float:
-        """Return the time of frame `k` (seconds)."""
-        ...
+        """Return the time of frame `k` (seconds): by default they are 1 / `fps` apart."""
+        return k * (1.0 / self.fps)
 
     def interval(self, k: int) -> float:
         """Return the seconds from the frame before to frame `k`; of a reset 1 / fps."""
@@ -80,7 +80,6 @@ class Source(Protocol):
     def cameras_at(self, times: list[float]) -> list[Camera] | None:
         """Return the display cameras of the new frames of one interval, at `times` (seconds). None unless each of them
         is known: predicted and known cameras do not mix within an interval."""
-        ...
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Put a rendered frame into an output."""
@@ -281,9 +280,6 @@ class Live(Source):
         self.choose(self._way[0], alphas, self._way[1])
         self.restart()
         return super().frames(alphas, strict)
-
-    def _time_of(self, k):
-        return k * (1.0 / self.fps)
 
     def cameras_at(self, times):
         return [self.scene.camera(time, self.width, self.height) for time in times]

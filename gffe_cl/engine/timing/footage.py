@@ -1,4 +1,4 @@
-"""Timed footage: rendered frames in a loop in which each one follows the frame that its motion refers to."""
+"""Frames that are timed, in a loop in which each one follows the frame that its motion refers to."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SETTLED = 2  # frames after a reset that do not count: movers, and surfaces behi
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn of the loop: submit `frame` (number `index` of the footage), then extrapolate to half an interval later,
+    """One turn of the loop: submit `frame` (number `index` of the loop's), then extrapolate to half an interval later,
     seen by `camera` (None: the predicted one). `before`: the frame submitted before it, None after a reset."""
 
     index: int
@@ -34,8 +34,8 @@ class Turn:
 
 @dataclass(frozen=True)
 class FrameLoop:
-    """Input of a benchmark. `name`: the scene; `width`, `height`: of the display; `cameras`: of the extrapolated
-    frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
+    """Rendered frames of a benchmark, again and again. `name`: the scene; `width`, `height`: of the display; `cameras`:
+    of the extrapolated frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
 
     name: str
     width: int
@@ -68,8 +68,8 @@ class FrameLoop:
         x = min(max(int(self.width * center[0] - width / 2), 0), self.width - width)
         y = min(max(int(self.height * center[1] - height / 2), 0), self.height - height)
 
-        def cut(array: np.ndarray) -> np.ndarray:
-            return np.ascontiguousarray(array[y : y + height, x : x + width])
+        def cut(array: np.ndarray | None) -> np.ndarray | None:  # a reset may lack motion
+            return None if array is None else np.ascontiguousarray(array[y : y + height, x : x + width])
 
         def moved(camera: Camera) -> Camera:
             return replace(camera, cx=camera.cx - x, cy=camera.cy - y)

@@ -71,7 +71,7 @@ def sequence_loop(source: Recorded, size: tuple[int, int] | None = None, number:
     frames = tuple(enlarged(source.rendered(k), width, height) for k in range(first, last))
     known = [source.cameras_at([source.time(k) + interval / 2]) for k in range(first, last)]
     factors = width / source.width, height / source.height
-    cameras = tuple(found and found[0].scaled(*factors) for found in known)
+    cameras = tuple(found[0].scaled(*factors) if found else None for found in known)
     return FrameLoop(source.name, width, height, source.exposure, interval, frames, cameras, forward=True)
 
 
