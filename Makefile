@@ -1,6 +1,8 @@
 # make demo       install into .venv, then render, extrapolate and measure a scene into out/demo
 # make test       install what the tests need too, then run all of them but the long ones
 # make test-all   those, and then the long ones
+# make recorded   what is recorded of kernels, anew, after a change of them: 10 minutes or so; PICTURES=1: after one that
+#                 changes pictures, also what each part is worth and the pictures of the documentation: hours
 # make docs       the documentation as a site, into out/docs
 # PYTHON=…        another interpreter than python3
 
@@ -11,7 +13,7 @@ PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constrai
 # What pip says is shown only if it fails.
 QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }
 
-.PHONY: demo test test-all docs clean
+.PHONY: demo test test-all recorded docs clean
 
 demo: $(VENV)/.installed
 	@echo "demo: about a minute"
@@ -22,6 +24,20 @@ test: $(VENV)/.installed-for-tests
 
 test-all: test $(VENV)/.installed-for-examples
 	$(VENV)/bin/python -m pytest -m long
+
+# Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
+recorded: $(VENV)/.installed-for-tests
+	$(VENV)/bin/python docs/tools/record_selftest.py
+	$(VENV)/bin/gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json
+	test -z "$(GFFE_GPU_COMPILERS)" || $(VENV)/bin/python docs/tools/gpu_compilers.py
+ifdef PICTURES
+	$(VENV)/bin/python docs/tools/measure_deviations.py --write
+	$(VENV)/bin/python docs/tools/measure_encodings.py --seeds 2 --write
+	$(VENV)/bin/python docs/tools/make_pictures.py
+	$(VENV)/bin/python docs/tools/make_stage_pictures.py
+endif
+	$(VENV)/bin/python docs/tools/make_performance.py
+	$(VENV)/bin/python docs/tools/make_tables.py
 
 # Every warning is an error, links inside the site and names in signatures included; nothing is fetched.
 docs: $(VENV)/.installed-for-docs

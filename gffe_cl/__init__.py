@@ -36,7 +36,6 @@ _HOME = {
     "BadPixels": "engine.frame.rendered_frame",
     "Overlays": "engine.frame.rendered_frame",
     "RenderedFrame": "engine.frame.rendered_frame",
-    "pack_frame": "engine.frame.rendered_frame",
     "ExtrapolatedFrame": "engine.pipeline.made_frame",
     "Options": "engine.options",
     "OPTIONS": "engine.options",

@@ -20,7 +20,6 @@ from gffe_cl.engine.frame.jitter import Jitter as Jitter
 from gffe_cl.engine.frame.rendered_frame import BadPixels as BadPixels
 from gffe_cl.engine.frame.rendered_frame import Overlays as Overlays
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame as RenderedFrame
-from gffe_cl.engine.frame.rendered_frame import pack_frame as pack_frame
 from gffe_cl.engine.frame.transfer_function import to_display as to_display
 from gffe_cl.engine.frame.window import Window as Window
 from gffe_cl.engine.frame.window import adaptive_window as adaptive_window

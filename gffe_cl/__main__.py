@@ -1,4 +1,4 @@
-"""`python -m gffe_cl` is `gffe`."""
+"""Entry point of `python -m gffe_cl`, which is the command `gffe`."""
 
 from gffe_cl.cli import main
 

@@ -1,22 +1,26 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
-   The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's motion points
-   to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop: only
-   as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on, too. Cells without
-   a mover are skipped.
-   Some movers are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
-   before than that in the world, velocity and acceleration go on in view space. */
+   The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
+   motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
+   only as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on,
+   too. Cells without a mover are skipped. Some movers are carried by the camera, as wipers and hands are: where
+   velocity in view space has changed less since the frame before than that in the world, velocity and acceleration
+   go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
 
-#define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
+#define BEND_MOST                                                                                                      \
+    0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
-#define IN_VIEW 0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of
-                            that in the world ... */
+#define IN_VIEW                                                                                                        \
+    0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of       \
+                that in the world ... */
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
-#define SHAKEN 0.004f    /* a mover begins to be carried only where its velocity in the world has changed by more than this share
-                            of its distance: without a shake both spaces fit */
-#define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
+#define SHAKEN                                                                                                         \
+    0.004f    /* a mover begins to be carried only where its velocity in the world has changed by more than this share \
+                 of its distance: without a shake both spaces fit */
+#define TURN_MOST                                                                                                      \
+    0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* Mean values of a cell's fragments of one mover. */
 typedef struct {
@@ -34,12 +38,15 @@ typedef struct {
     __global const float *met_depth;
 } Tracked;
 
-INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f; }
+INLINE bool is_known(const Tracked f, const int src) {
+    return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f;
+}
 
 /* The nearest mover of a cell; depth 0 without one. */
 INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame *frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
-    const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);
+    const int end_x = min((cell_x + 1) * MOVER_CELL, source_width),
+              end_y = min((cell_y + 1) * MOVER_CELL, source_height);
     Mover mover = {(float3)(0.0f), (float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
     if (end_x - cell_x * MOVER_CELL == MOVER_CELL && end_y - cell_y * MOVER_CELL == MOVER_CELL) {
         __global const uchar *row = f.dynamic_mask + cell_y * MOVER_CELL * source_width + cell_x * MOVER_CELL;
@@ -83,7 +90,8 @@ INLINE float squared_length(const float3 v) {
     return squares.x + squares.y + squares.z;
 }
 
-/* Weight of an acceleration, 0 to 1: its share that existed an interval before, and less where it bends the path sharply. */
+/* Weight of an acceleration, 0 to 1: its share that existed an interval before, and less where it bends the path
+   sharply. */
 INLINE float trust(const float3 velocity, const float3 acceleration, const float3 before) {
     const float3 va = velocity * velocity, aa = acceleration * acceleration, ab = acceleration * before;
     const float size = aa.x + aa.y + aa.z, speed = BEND_MOST * BEND_MOST * (va.x + va.y + va.z);
@@ -100,15 +108,17 @@ INLINE float3 carried_on(const float3 acceleration, const float3 before) {
 }
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
-   where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it has added
-   alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are
-   of view space there. `ratio`: of the last two intervals. */
-SPARSE __kernel void track_acceleration(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
-                                        __global const uchar *dynamic_mask, __global const float *met_depth,
-                                        __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
+   where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
+   has added alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover:
+   acceleration and bend are of view space there. `ratio`: of the last two intervals. */
+SPARSE __kernel void track_acceleration(__constant Frame *frame, __global const float *depth,
+                                        __global const float2 *motion, __global const uchar *dynamic_mask,
+                                        __global const float *met_depth, __global const float4 *velocity_prev,
+                                        __global const uint2 *acceleration_prev,
                                         __global const uint2 *view_velocity_prev, __global float4 *velocity,
-                                        __global uint2 *acceleration, __global uint2 *bend, __global uint2 *view_velocity) {
-    const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
+                                        __global uint2 *acceleration, __global uint2 *bend,
+                                        __global uint2 *view_velocity) {
+    const Tracked fragments = {.depth = depth, .motion = motion, .dynamic_mask = dynamic_mask, .met_depth = met_depth};
     const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame->interval_ratio;
@@ -152,8 +162,8 @@ SPARSE __kernel void track_acceleration(__constant Frame *frame, __global const 
         const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
         const float change = squared_length(mover.view_velocity - seen), in_world = squared_length(now - was);
         const float shaken = SHAKEN * mover.depth;
-        carried = was_carried ? change < STILL_IN_VIEW * in_world
-                              : change < IN_VIEW * in_world && in_world > shaken * shaken;
+        carried =
+            was_carried ? change < STILL_IN_VIEW * in_world : change < IN_VIEW * in_world && in_world > shaken * shaken;
         if (carried) {
             now = mover.view_velocity;
             was = seen;

@@ -1,11 +1,11 @@
-/* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection').
-   Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
-   depth and its pixel position (not the texel's center) in the camera of the frame for which the level was collected. What is
-   SHOWN is not stored: it is that frame's own pixel. So texels of level 0 have room for a second fragment: with a single level
-   they hold, at full resolution, what a static surface hides there, too. With more, as in the paper, the next level holds that.
-   Stored positions are two 16-bit offsets from the texel's center, x in the lower half, in PX_UNITS of the texel's side: that
-   holds what TOUCHES it. Stored colors are RGB9E5.
-   Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
+/* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection'). Level l has
+   ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
+   depth and its pixel position (not the texel's center) in the camera of the frame for which the level was
+   collected. What is SHOWN is not stored: it is that frame's own pixel. So texels of level 0 have room for a second
+   fragment: with a single level they hold, at full resolution, what a static surface hides there, too. With more, as
+   in the paper, the next level holds that. Stored positions are two 16-bit offsets from the texel's center, x in the
+   lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5. Fragments of
+   B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
 
 #include "frame.h"
@@ -46,7 +46,7 @@ typedef struct {
     int level, width;  /* of that level, or of the one that is read now */
 } Texels;
 
-/* Of the SHOWN fragment of a texel, or of the REMEMBERED one. */
+/* The depth of the SHOWN fragment of a texel, or of the REMEMBERED one. */
 INLINE float depth_of(const Texels t, const int texel, const bool shown) {
     return shown ? t.frame_depth[texel] : t.depth[texel];
 }
@@ -79,8 +79,8 @@ INLINE float slope_at(const int src, const int source_width, __global const floa
     return most;
 }
 
-/* Whether the current frame allows a static fragment of depth z at pixel `src`: not in front of the visible surface (it would be
-   seen, so it is gone), behind it where that is dynamic. *behind: hidden by it. */
+/* Whether the current frame allows a static fragment of depth z at pixel `src`: not in front of the visible surface
+   (it would be seen, so it is gone), behind it where that is dynamic. *behind: hidden by it. */
 INLINE bool may_be_at(const int src, const float z, const int source_width, __global const float *depth,
                       __global const uchar *dynamic_mask, __global const uchar *links, float *margin, bool *behind) {
     const float z_shown = depth[src];
@@ -111,11 +111,11 @@ INLINE bool lands(const float3 now, const int width, const int height) {
     return now.z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height;
 }
 
-/* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or to the next
-   level if it lies behind the fragment in B_level (case 2: push_keys); of a single level its texel has room for that itself. And to
-   the texels with room that it touches, where every fragment of their own goes before: without that, fragments that move by less
-   than half a pixel per frame would never get past the border of the visible area of the current frame, and fragments that met in one
-   texel would leave a gap beside it. */
+/* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or
+   to the next level if it lies behind the fragment in B_level (case 2: push_keys); of a single level its texel has
+   room for that itself. And to the texels with room that it touches, where every fragment of their own goes before:
+   without that, fragments that move by less than half a pixel per frame would never get past the border of the
+   visible area of the current frame, and fragments that met in one texel would leave a gap beside it. */
 INLINE void offer_fragment(const float3 now, const uint texel, const Collection to) {
     if (!lands(now, to.width, to.height)) return;
     const int level = to.level, level_width = level_side(to.width, level);
@@ -147,38 +147,44 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
         const int cell = (corner_y >> level) * level_width + (corner_x >> level);
         const uint bits = as_uint(z) | GIVES_WAY;
         if (cell == filled || (level == 0 && cell == own) || (to.taken[cell] != EMPTY && !single)
-            || !may_win(to.pass, to.fill_keys, cell, bits)) continue;
-        if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
+            || !may_win(to.pass, to.fill_keys, cell, bits))
+            continue;
+        if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin,
+                      &behind)
             && (behind || (level == 0 && to.taken[cell] == EMPTY)))
             offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);
     }
 }
 
 #if LANES > 1
-/* Whether nothing can be offered of LANES fragments, which lie roughly here now: they land in one row, almost side by side, and
-   three rows of texels, which hold all that they touch, are taken, by what is not nearer than their own surface. */
+/* Whether nothing can be offered of LANES fragments, which lie roughly here now: they land in one row, almost side
+   by side, and three rows of texels, which hold all that they touch, are taken, by what is not nearer than their own
+   surface. */
 INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
     const int row = level_side(to.width, to.level), size = row * level_side(to.height, to.level), edge = RUN / 4;
     const float scale = 1.0f / (float)(1 << to.level), error = ROUGHLY * (float)max(to.width, to.height);
     const Ints in = (now.z > 0.0f) & (now.x > 1.0f) & (now.y > 1.0f) & (now.x < (float)(to.width - 1))
-        & (now.y < (float)(to.height - 1));
+                    & (now.y < (float)(to.height - 1));
     if (!ALL(in)) return false;
     const Floats x = now.x * scale, y = now.y * scale;
     const Ints cell_x = to_ints(x), cell_y = to_ints(y);
     const Ints sure = fmax(fabs(x - to_floats(cell_x) - 0.5f), fabs(y - to_floats(cell_y) - 0.5f)) < 0.5f - error;
     const int first_x = cell_x.s0, first = cell_y.s0 * row + first_x;
     if (first < row + edge || first + row + RUN > size
-        || !ALL(sure & (cell_y == cell_y.s0) & (cell_x > first_x - edge) & (cell_x < first_x + RUN - edge - 1))) return false;
+        || !ALL(sure & (cell_y == cell_y.s0) & (cell_x > first_x - edge) & (cell_x < first_x + RUN - edge - 1)))
+        return false;
     __global const uchar *here = to.taken + first - edge;
     if (run_has(here, EMPTY) || run_has(here - row, EMPTY) || run_has(here + row, EMPTY)) return false;
     const bool is_run = ALL(cell_x == first_x + LANE_NUMBERS);
-    const Floats z = is_run ? load_floats(0, to.level_depth + first)
-                            : gather_floats(to.level_depth, cell_x + (first - first_x));
+    const Floats z =
+        is_run ? load_floats(0, to.level_depth + first) : gather_floats(to.level_depth, cell_x + (first - first_x));
     return !ANY(now.z * BEHIND > z);
 }
 
-/* The least state of the texels that LANES fragments touch, which land in one row from texel `first` on, side by side. */
-INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left, const Ints up, __global const uchar *taken) {
+/* The least state of the texels that LANES fragments touch, which land in one row from texel `first` on, side by
+   side. */
+INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left, const Ints up,
+                                __global const uchar *taken) {
     __global const uchar *p = taken + first, *above = p - row, *below = p + row;
     const char8 is_left = convert_char8(left), is_up = convert_char8(up);
     const Bytes beside = is_left ? load_bytes(0, p - 1) : load_bytes(0, p + 1);
@@ -189,12 +195,12 @@ INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left,
 }
 #endif
 
-/* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own surface. Those
-   are its own and, at most, three on the nearer sides of it. */
+/* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own
+   surface. Those are its own and, at most, three on the nearer sides of it. */
 INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
     const int level = to.level, row = level_side(to.width, level), rows = level_side(to.height, level);
-    const Ints in = (now.z > 0.0f) & (now.x >= 0.0f) & (now.y >= 0.0f) & (now.x < (float)to.width)
-        & (now.y < (float)to.height);
+    const Ints in =
+        (now.z > 0.0f) & (now.x >= 0.0f) & (now.y >= 0.0f) & (now.x < (float)to.width) & (now.y < (float)to.height);
     const Floats scale = (Floats)(1.0f / (float)(1 << level));
     const Floats x = in ? now.x * scale : (Floats)(0.0f), y = in ? now.y * scale : (Floats)(0.0f);
     const Ints cell_x = to_ints(x), cell_y = to_ints(y);
@@ -202,12 +208,15 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
     const Floats most = now.z * BEHIND;
 #if LANES > 1
     const int first = cell_y.s0 * row + cell_x.s0;
-    if (first > row && first + row + RUN <= row * rows && ALL((cell_y == cell_y.s0) & (cell_x == cell_x.s0 + LANE_NUMBERS)))
-        return in & ((to_ints(least_taken_of_run(first, row, left, up, to.taken)) == EMPTY)
-                     | (most > load_floats(0, to.level_depth + first)));
+    if (first > row && first + row + RUN <= row * rows
+        && ALL((cell_y == cell_y.s0) & (cell_x == cell_x.s0 + LANE_NUMBERS)))
+        return in
+               & ((to_ints(least_taken_of_run(first, row, left, up, to.taken)) == EMPTY)
+                  | (most > load_floats(0, to.level_depth + first)));
 #endif
     const Ints beside = clamp(cell_x + (left ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(row - 1));
-    const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row, own = cell_y * row;
+    const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row,
+               own = cell_y * row;
     const Bytes least_taken = min(min(gather_bytes(to.taken, own + cell_x), gather_bytes(to.taken, own + beside)),
                                   min(gather_bytes(to.taken, next + cell_x), gather_bytes(to.taken, next + beside)));
     return in & ((to_ints(least_taken) == EMPTY) | (most > gather_floats(to.level_depth, own + cell_x)));
@@ -217,9 +226,10 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
 WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const int pass, __global const float *depth,
                                  __global const uchar *dynamic_mask, __global const uchar *links,
                                  __global const float *frame_depth, __global const float *old_depth,
-                                 __global const int *old_px, __global const uchar *old_state, __global const uchar *taken,
-                                 __global const float *level_depth, __global Key *fill_keys, __global uint *fill_winners,
-                                 __global Key *push_keys, __global uint *push_winners) {
+                                 __global const int *old_px, __global const uchar *old_state,
+                                 __global const uchar *taken, __global const float *level_depth,
+                                 __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
+                                 __global uint *push_winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int last_level = frame->levels - 1;
     const Reprojection to_current = frame->from_previous;
@@ -227,11 +237,30 @@ WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const
     const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const int texel = texel_y * level_width + texel_x;
-    const Collection to = {source_width, source_height, level, last_level, pass, depth, dynamic_mask, links, taken,
-                           level_depth, fill_keys, push_keys, fill_winners, push_winners};
+    const Collection to = {.width = source_width,
+                           .height = source_height,
+                           .level = level,
+                           .last_level = last_level,
+                           .pass = pass,
+                           .depth = depth,
+                           .dynamic_mask = dynamic_mask,
+                           .links = links,
+                           .taken = taken,
+                           .level_depth = level_depth,
+                           .fill_keys = fill_keys,
+                           .push_keys = push_keys,
+                           .fill_winners = fill_winners,
+                           .push_winners = push_winners};
+
+    /* The last texels of a row, one by one. */
     const int count = min(LANES, level_width - texel_x);
     if (count < LANES) {
-        const Texels old = {0, 0, old_depth, frame_depth, old_px, old_state, level, level_width};
+        const Texels old = {.depth = old_depth,
+                            .frame_depth = frame_depth,
+                            .px = old_px,
+                            .state = old_state,
+                            .level = level,
+                            .width = level_width};
         for (int k = 0; k < 2 * count; ++k) {
             const int x = texel_x + k / 2, i = texel + k / 2;
             const bool shown = !(k & 1);
@@ -241,6 +270,8 @@ WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const
         }
         return;
     }
+
+    /* LANES texels at once: first what the frame before shows there, then what they remember. */
     const Ints state = to_ints(load_bytes(0, old_state + texel));
     const float side = (float)(1 << level);
     const Floats frame_z = load_floats(0, frame_depth + texel);
@@ -254,12 +285,16 @@ WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const
             px_y += unpack_y(packed, level);
             z = held ? load_floats(0, old_depth + texel) : frame_z;
         }
+
+        /* Most only meet the surface that they are of; a rough position tells. */
 #if LANES > 1
         if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) continue;
 #endif
         const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
         const Ints wanted = held & may_be_offered(now, to);
         if (!ANY(wanted)) continue;
+
+        /* The few that may be offered, one by one. */
         float now_x[LANES], now_y[LANES], now_z[LANES];
         int is_wanted[LANES];
         store_floats(now.x, 0, now_x);
@@ -300,8 +335,8 @@ INLINE bool nobody_came(__global const Key *keys, __global const uint *winners, 
 #endif
 }
 
-/* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and empties their
-   keys. Of a level that is `begun` what leaves no room stays; of others nothing. */
+/* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and
+   empties their keys. Of a level that is `begun` what leaves no room stays; of others nothing. */
 INLINE void settle(const int first_x, const int texel_y, const int count, const bool begun, __global Key *keys,
                    __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
     const int first = texel_y * level.width + first_x;
@@ -310,6 +345,8 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
         if (!begun) store_bytes((Bytes)(EMPTY), 0, level.state + first);
         return;
     }
+
+    /* Each texel's winner, and what is stored of it: a REMEMBERED fragment, or a pixel that was SHOWN. */
     uint winner[LANES];
     int packed[LANES], color[LANES], is_won[LANES], is_shown[LANES], any_shown = 0;
     float z[LANES], r[LANES], g[LANES], b[LANES];
@@ -334,6 +371,8 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
             packed[k] = old.px[winner[k]];
         }
     }
+
+    /* Where the winners lie now, relative to their texels. */
     Ints old_x, old_y;
     wide_column_and_row(to_ints(load_uints(0, winner)), old.width, &old_x, &old_y);
     const float old_side = (float)(1 << old.level), side = (float)(1 << level.level);
@@ -341,12 +380,17 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     const Floats px_x = (to_floats(old_x) + 0.5f) * old_side + unpack_x(offset, old.level);
     const Floats px_y = (to_floats(old_y) + 0.5f) * old_side + unpack_y(offset, old.level);
     const Wide3 now = wide_reproject(px_x, px_y, load_floats(0, z), to_current);
-    store_ints(pack_px(now.x - row_centers(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0, packed);
+    store_ints(pack_px(now.x - row_centers(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0,
+               packed);
     store_floats(now.z, 0, z);
+
+    /* Colors that were shown are not packed yet. */
     if (any_shown) {
         const Ints shown = pack_colors(load_floats(0, r), load_floats(0, g), load_floats(0, b));
         store_ints(load_ints(0, is_shown) != 0 ? shown : load_ints(0, color), 0, color);
     }
+
+    /* Store those that won, and empty all keys. */
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
         const int before = begun ? level.state[texel] : EMPTY;
@@ -369,40 +413,74 @@ INLINE void settle_run(const int x, const int y, const int collect, __global Key
 }
 
 /* Completes a level. */
-SCAN __kernel void settle_level(__constant Frame *frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
-                                __global const half *frame_color, __global const float *frame_depth,
-                                __global const uint *old_color, __global const float *old_depth, __global const int *old_px,
-                                __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
-                                __global int *level_px, __global uchar *level_state) {
-    const int level_width = level_side(frame->source_width, level), level_height = level_side(frame->source_height, level);
+SCAN __kernel void settle_level(__constant Frame *frame, const int level, __global Key *fill_keys,
+                                __global uint *fill_winners, __global const half *frame_color,
+                                __global const float *frame_depth, __global const uint *old_color,
+                                __global const float *old_depth, __global const int *old_px,
+                                __global const uchar *old_state, __global uint *level_color,
+                                __global float *level_depth, __global int *level_px, __global uchar *level_state) {
+    const int level_width = level_side(frame->source_width, level),
+              level_height = level_side(frame->source_height, level);
     const int collect = frame->has_previous;
     const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
-    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
-    const Level own = {level_color, level_depth, level_px, level_state, level, level_width, frame->levels == 1};
+    const Texels old = {.color = old_color,
+                        .frame_color = frame_color,
+                        .depth = old_depth,
+                        .frame_depth = frame_depth,
+                        .px = old_px,
+                        .state = old_state,
+                        .level = level,
+                        .width = level_width};
+    const Level own = {.color = level_color,
+                       .depth = level_depth,
+                       .px = level_px,
+                       .state = level_state,
+                       .level = level,
+                       .width = level_width,
+                       .single = frame->levels == 1};
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
 /* The same, and begins the next level with the fragments pushed down. */
-SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
-                                   __global Key *push_keys, __global uint *push_winners, __global const half *frame_color,
-                                   __global const float *frame_depth, __global const uint *old_color,
-                                   __global const float *old_depth, __global const int *old_px,
-                                   __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
-                                   __global int *level_px, __global uchar *level_state, __global uint *next_color,
-                                   __global float *next_depth, __global int *next_px, __global uchar *next_state) {
-    const int level_width = level_side(frame->source_width, level), level_height = level_side(frame->source_height, level);
+SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __global Key *fill_keys,
+                                   __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
+                                   __global const half *frame_color, __global const float *frame_depth,
+                                   __global const uint *old_color, __global const float *old_depth,
+                                   __global const int *old_px, __global const uchar *old_state,
+                                   __global uint *level_color, __global float *level_depth, __global int *level_px,
+                                   __global uchar *level_state, __global uint *next_color, __global float *next_depth,
+                                   __global int *next_px, __global uchar *next_state) {
+    const int level_width = level_side(frame->source_width, level),
+              level_height = level_side(frame->source_height, level);
     const int collect = frame->has_previous;
     const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
-    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
-    const Level own = {level_color, level_depth, level_px, level_state, level, level_width, 0};
+    const Texels old = {.color = old_color,
+                        .frame_color = frame_color,
+                        .depth = old_depth,
+                        .frame_depth = frame_depth,
+                        .px = old_px,
+                        .state = old_state,
+                        .level = level,
+                        .width = level_width};
+    const Level own = {.color = level_color,
+                       .depth = level_depth,
+                       .px = level_px,
+                       .state = level_state,
+                       .level = level,
+                       .width = level_width};
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
     if ((texel_x | texel_y) & 1) return;
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
-    const Level next = {next_color, next_depth, next_px, next_state, level + 1, next_width, 0};
+    const Level next = {.color = next_color,
+                        .depth = next_depth,
+                        .px = next_px,
+                        .state = next_state,
+                        .level = level + 1,
+                        .width = next_width};
     settle(next_x, texel_y / 2, min(LANES, next_width - next_x), false, push_keys, push_winners, old, to_current, next);
 }
 
@@ -410,7 +488,8 @@ SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __g
 
 #define ENOUGH_WEIGHT 0.5f
 #define REACH 16.0f              /* px: the most that a texel covers to each side */
-#define FOOTPRINT_HALF 1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
+#define FOOTPRINT_HALF                                                                                                 \
+    1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 
 /* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
 INLINE int level_of(const int texel, const int4 starts) {
@@ -430,13 +509,14 @@ typedef struct {
     __global uint *winners;
 } Uncovered;
 
-/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
-   color is a makeshift: their fragment's color was mixed with that of a silhouette. */
+/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface
+   whose own color is a makeshift: their fragment's color was mixed with that of a silhouette. */
 INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
                             const Uncovered to) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
         const int first = dst_y * to.width + x0, last = dst_y * to.width + x1;
-        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first) && run_is_zero(to.mixed + first))
+        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first)
+            && run_is_zero(to.mixed + first))
             continue;
         for (int dst = first; dst <= last; ++dst) {
             const bool alike = to.mixed[dst] && is_same_surface(z, to.depth[dst], SAME_SURFACE * to.depth[dst]);
@@ -454,7 +534,14 @@ SCAN __kernel void project_levels(__constant Frame *frame, const int pass, __glo
     const int texels = frame->level_starts.w;
     const int4 starts = frame->level_starts;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Uncovered to = {target_width, target_width * target_height, pass, disoccluded, mixed, depth, keys, winners};
+    const Uncovered to = {.width = target_width,
+                          .pixels = target_width * target_height,
+                          .pass = pass,
+                          .disoccluded = disoccluded,
+                          .mixed = mixed,
+                          .depth = depth,
+                          .keys = keys,
+                          .winners = winners};
     const float2 zoom = frame->zoom;
     const Reprojection to_target = frame->to_target;
     const int first = get_global_id(0) * RUN;
@@ -472,7 +559,7 @@ SCAN __kernel void project_levels(__constant Frame *frame, const int pass, __glo
         const Floats z_source = load_floats(0, levels_depth + texel);
         const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
         const Ints may_reach = remembered & (there.z > 0.0f) & (there.x > -REACH) & (there.y > -REACH)
-            & (there.x < (float)target_width + REACH) & (there.y < (float)target_height + REACH);
+                               & (there.x < (float)target_width + REACH) & (there.y < (float)target_height + REACH);
         if (!ANY(may_reach)) continue;
         const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z);
         const Floats side = FOOTPRINT_HALF * texel_size * nearer;
@@ -490,10 +577,12 @@ SCAN __kernel void project_levels(__constant Frame *frame, const int pass, __glo
     }
 }
 
-/* Code of the color of the texels around a winner, weighted by their distance in the target image from `center`, of the winner's surface
-   only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
-INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height, const float z_winner,
-                           const float2 side, const float2 center, __constant Frame *frame, const Texels texels) {
+/* Code of the color of the texels around a winner, weighted by their distance in the target image from `center`, of
+   the winner's surface only: within one texel's side; within two where that catches too little, as in the gaps
+   between irregular fragments. */
+INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height,
+                           const float z_winner, const float2 side, const float2 center, __constant Frame *frame,
+                           const Texels texels) {
     const int level_width = texels.width;
     float3 sum;
     float weight_sum;
@@ -525,7 +614,8 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
             }
             const Floats z_taps = load_floats(0, z);
             const Wide3 there = wide_reproject(load_floats(0, x), load_floats(0, y), z_taps, frame->to_target);
-            const Floats wx = 1.0f - fabs(there.x - center.x) * inverse_x, wy = 1.0f - fabs(there.y - center.y) * inverse_y;
+            const Floats wx = 1.0f - fabs(there.x - center.x) * inverse_x,
+                         wy = 1.0f - fabs(there.y - center.y) * inverse_y;
             const Ints counts = (z_taps > 0.0f) & (there.z > 0.0f) & (wx > 0.0f) & (wy > 0.0f);
             store_floats(counts ? wx * wy : (Floats)(0.0f), 0, weight);
             for (int k = 0; k < LANES; ++k) {
@@ -547,12 +637,14 @@ typedef struct {
 } Before;
 
 /* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before, float3 *code) {
+INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before,
+                         float3 *code) {
     const int width = frame->source_width, height = frame->source_height;
     const float3 px_prev = reproject(center, z, frame->target_to_previous);
     if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)width - 0.5f
           && px_prev.y < (float)height - 0.5f)
-        || !(before.state[(int)px_prev.y * width + (int)px_prev.x] & SHOWN)) return false;
+        || !(before.state[(int)px_prev.y * width + (int)px_prev.x] & SHOWN))
+        return false;
     const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
     const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
     float3 sum = (float3)(0.0f);
@@ -565,24 +657,25 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
     return true;
 }
 
-/* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame before still
-   showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
-   one surface, the mean is shown. */
-SCAN __kernel void fill_from_levels(__constant Frame *frame, __global const half *color_prev, __global const float *depth_prev,
-                                    __global const uchar *state_prev, __global const half *frame_color,
-                                    __global const float *frame_depth, __global const uint *levels_color,
-                                    __global const float *levels_depth, __global const int *levels_px,
-                                    __global const uchar *levels_state, __global const uchar *block_class,
-                                    __global const uchar *disoccluded, __global const uchar *mixed, __global const Key *keys,
-                                    __global const uint *winners, __global half *color, __global float *depth,
-                                    __global float2 *motion, __global uchar *filled_by) {
+/* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame
+   before still showed the surface its color comes from there, at full resolution. Of a makeshift and what is
+   remembered, two estimates of one surface, the mean is shown. */
+SCAN __kernel void fill_from_levels(__constant Frame *frame, __global const half *color_prev,
+                                    __global const float *depth_prev, __global const uchar *state_prev,
+                                    __global const half *frame_color, __global const float *frame_depth,
+                                    __global const uint *levels_color, __global const float *levels_depth,
+                                    __global const int *levels_px, __global const uchar *levels_state,
+                                    __global const uchar *block_class, __global const uchar *disoccluded,
+                                    __global const uchar *mixed, __global const Key *keys, __global const uint *winners,
+                                    __global half *color, __global float *depth, __global float2 *motion,
+                                    __global uchar *filled_by) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
-    const Before before = {color_prev, depth_prev, state_prev};
+    const Before before = {.color = color_prev, .depth = depth_prev, .state = state_prev};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
@@ -590,20 +683,30 @@ SCAN __kernel void fill_from_levels(__constant Frame *frame, __global const half
         if (winner == NOBODY) continue;
         if (disoccluded[dst] && filled_by[dst] == BY_HIDDEN_PART) continue;
         const int4 starts = frame->level_starts;
-        const int level = level_of(winner, starts), start = start_of(level, starts), width = level_side(frame->source_width, level);
+        const int level = level_of(winner, starts), start = start_of(level, starts),
+                  width = level_side(frame->source_width, level);
         const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
-        const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, level, width};
+        const Texels texels = {.color = levels_color,
+                               .frame_color = frame_color,
+                               .depth = levels_depth,
+                               .frame_depth = frame_depth,
+                               .px = levels_px,
+                               .state = levels_state,
+                               .level = level,
+                               .width = width};
         const float z_winner = levels_depth[winner];
         const float2 center = pixel_center(dst_x, dst_y);
         const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, frame->to_target).z;
         const float3 px_source = reproject(center, nearest_z, frame->to_source);
-        if (!lands(px_source, frame->source_width, frame->source_height)) continue;  /* out of screen: only the footprint reaches there */
+        if (!lands(px_source, frame->source_width, frame->source_height))
+            continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
-        const float2 side = (float2)((float)(1 << level) * nearer * frame->zoom.x, (float)(1 << level) * nearer * frame->zoom.y);
+        const float2 side =
+            (float2)((float)(1 << level) * nearer * frame->zoom.x, (float)(1 << level) * nearer * frame->zoom.y);
         float3 remembered;
         if (!frame->has_previous || !shown_before(center, nearest_z, frame, before, &remembered))
-            remembered = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner, side, center,
-                                      frame, texels);
+            remembered = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner, side,
+                                      center, frame, texels);
         if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
         store_code(remembered, color, dst, frame->code_offset);
         filled_by[dst] = (uchar)(1 + level);

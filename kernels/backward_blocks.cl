@@ -1,8 +1,8 @@
 /* Blocks: which parts of the new frame need no splatting (for 'Warping').
 
-   A source block is smooth if predicted positions change linearly over it: all of one surface, nothing that folds. Every
-   source block marks the target blocks that its fragments' footprints reach. A target block is warped backward if all that
-   reach it lie side by side and are smooth: then one surface covers it, and nothing can be before it. */
+   A source block is smooth if predicted positions change linearly over it: all of one surface, nothing that folds.
+   Every source block marks the target blocks that its fragments' footprints reach. A target block is warped backward
+   if all that reach it lie side by side and are smooth: then one surface covers it, and nothing can be before it. */
 
 #include "frame.h"
 #include "simd.h"
@@ -17,15 +17,20 @@
 #define SHEAR_MOST 0.25f          /* of a smooth block, per source pixel and zoom ... */
 #define STRETCH_LOW 0.5f          /* ... and how it is stretched */
 #define STRETCH_HIGH 2.0f
-#define AFFINE_MOST 0.0009765625f /* 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
+#define AFFINE_MOST                                                                                                    \
+    0.0009765625f /* 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
 #define ALL_LINKS 15
 
 /* Box of target pixels. */
-typedef struct { float x0, y0, x1, y1; } Box;
+typedef struct {
+    float x0, y0, x1, y1;
+} Box;
 #define NOWHERE {INFINITY, INFINITY, -INFINITY, -INFINITY}
 
 /* The blocks that LANES fragments reach together. */
-typedef struct { Floats x0, y0, x1, y1; } Boxes;
+typedef struct {
+    Floats x0, y0, x1, y1;
+} Boxes;
 
 INLINE Box box_of(const Boxes boxes) {
     float lanes[4][LANES];
@@ -62,7 +67,7 @@ INLINE Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
     return box;
 }
 
-/* The same of a block one pixel within the image. */
+/* The reach of a block that lies one pixel within the image. */
 INLINE Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
@@ -127,11 +132,13 @@ INLINE bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
             const Floats xx = 0.5f * (right_x - left_x), xy = 0.5f * (right_y - left_y);
             const Floats yx = 0.5f * (down_x - up_x), yy = 0.5f * (down_y - up_y);
             linear &= (xx >= STRETCH_LOW * zoom.x) & (xx <= STRETCH_HIGH * zoom.x) & (fabs(yx) <= SHEAR_MOST * zoom.x)
-                      & (yy >= STRETCH_LOW * zoom.y) & (yy <= STRETCH_HIGH * zoom.y) & (fabs(xy) <= SHEAR_MOST * zoom.y);
+                      & (yy >= STRETCH_LOW * zoom.y) & (yy <= STRETCH_HIGH * zoom.y)
+                      & (fabs(xy) <= SHEAR_MOST * zoom.y);
             if (k > 0) linear &= (fabs(xx - before_x) <= BEND_MOST) & (fabs(xy - before_y) <= BEND_MOST);
             before_x = xx;
             before_y = xy;
-            const Floats half_x = FOOTPRINT_HALF * (fabs(xx) + fabs(yx)), half_y = FOOTPRINT_HALF * (fabs(xy) + fabs(yy));
+            const Floats half_x = FOOTPRINT_HALF * (fabs(xx) + fabs(yx)),
+                         half_y = FOOTPRINT_HALF * (fabs(xy) + fabs(yy));
             boxes.x0 = wide_lesser(here_x - half_x, boxes.x0);
             boxes.y0 = wide_lesser(here_y - half_y, boxes.y0);
             boxes.x1 = wide_greater(boxes.x1, here_x + half_x);
@@ -143,23 +150,31 @@ INLINE bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
     return true;
 }
 
-/* One work-item per source block. smooth: whether it is. reach: the target blocks x0, y0, x1, y1 that it reaches, x1 < x0 if
-   none. reached_by: for each target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x,
-   FAR_OFF - y, x + 1, y + 1; of blocks that are not smooth, everything. */
+/* One work-item per source block. smooth: whether it is. reach: the target blocks x0, y0, x1, y1 that it reaches, x1
+   < x0 if none. reached_by: for each target block the extent of the source blocks that reach it, as the largest of
+   FAR_OFF - x, FAR_OFF - y, x + 1, y + 1; of blocks that are not smooth, everything. */
 WIDE __kernel void find_reach(__constant Frame *frame, __global const float *depth, __global const uchar *links,
                               __global const float *target_position, __global uchar *smooth, __global short4 *reach,
                               __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments fragments = {depth, target_position, links, source_width, source_height, source_width * source_height,
-                                 target_width, target_height, frame->zoom};
+    const Fragments fragments = {.depth = depth,
+                                 .target_position = target_position,
+                                 .links = links,
+                                 .width = source_width,
+                                 .height = source_height,
+                                 .plane = source_width * source_height,
+                                 .target_width = target_width,
+                                 .target_height = target_height,
+                                 .zoom = frame->zoom};
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
     if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
     const bool is_smooth = is_one_surface(fragments, x0, y0) && is_linear(fragments, x0, y0, &box);
-    const bool within = x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= source_width && y0 + BLOCK_HEIGHT + 1 <= source_height;
+    const bool within =
+        x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= source_width && y0 + BLOCK_HEIGHT + 1 <= source_height;
     if (!is_smooth) box = within ? reach_of_lanes(fragments, x0, y0) : reach_of_pixels(fragments, x0, y0);
     smooth[by * source_blocks + bx] = is_smooth;
     const int target_blocks = block_columns(target_width);
@@ -176,11 +191,13 @@ WIDE __kernel void find_reach(__constant Frame *frame, __global const float *dep
             for (int k = 0; k < 4; ++k) atomic_max(reached_by + 4 * (y * target_blocks + x) + k, extent[k]);
 }
 
-/* Where the center of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
-   (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads elsewhere. */
+/* Finds where the center of a target block comes from, by Newton's method from the middle of the source blocks that
+   reach it: (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads
+   elsewhere. */
 INLINE bool find_source(const float2 center, const int4 extent, const int source_width, const int plane,
                         __global const float *target_position, float8 *source) {
-    const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1, y1 = (extent.w + 1) * BLOCK_HEIGHT - 1;
+    const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1,
+              y1 = (extent.w + 1) * BLOCK_HEIGHT - 1;
     float2 px = 0.5f * (float2)((float)(x0 + x1 + 1), (float)(y0 + y1 + 1));
     for (int k = 0; k < 4; ++k) {
         const int src_x = clamp((int)floor(px.x), x0, x1), src_y = clamp((int)floor(px.y), y0, y1);
@@ -199,15 +216,16 @@ INLINE bool find_source(const float2 center, const int4 extent, const int source
     return false;
 }
 
-/* 1 if fragments go to the positions by the inverse of the flow around the block's center: tested at its upper corners, from
-   which the opposite ones hardly differ; else 0. */
+/* 1 if fragments go to the positions by the inverse of the flow around the block's center: tested at its upper
+   corners, from which the opposite ones hardly differ; else 0. */
 INLINE float is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
-                      __global const float *target_position) {
+                       __global const float *target_position) {
     bool affine = true;
     for (int k = 0; k < 2; ++k) {
         const float x = (k ? 0.5f : -0.5f) * (float)(BLOCK_WIDTH - 1), y = -0.5f * (float)(BLOCK_HEIGHT - 1);
         const float px_x = source.s0 + source.s2 * x + source.s3 * y, px_y = source.s1 + source.s4 * x + source.s5 * y;
-        const int src_x = clamp((int)floor(px_x), 0, source_width - 1), src_y = clamp((int)floor(px_y), 0, source_height - 1);
+        const int src_x = clamp((int)floor(px_x), 0, source_width - 1),
+                  src_y = clamp((int)floor(px_y), 0, source_height - 1);
         const float dx = ((float)src_x + 0.5f - px_x) * source.s6, dy = ((float)src_y + 0.5f - px_y) * source.s6;
         __global const float *p = target_position + src_y * source_width + src_x, *q = p + source_width * source_height;
         affine = affine && fabs(*p - (center.x + x + source.s5 * dx - source.s3 * dy)) <= AFFINE_MOST
@@ -216,11 +234,13 @@ INLINE float is_affine(const float2 center, const float8 source, const int sourc
     return affine ? 1.0f : 0.0f;
 }
 
-/* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the block's reach
-   for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens` any. */
-SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const float *target_position, __global const uchar *smooth,
-                                     __global int *reached_by, __global uchar *block_class, __global float8 *block_source,
-                                     __global uchar *marked, __global Key *keys, __global uint *winners) {
+/* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the
+   block's reach for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens`
+   any. */
+SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const float *target_position,
+                                     __global const uchar *smooth, __global int *reached_by,
+                                     __global uchar *block_class, __global float8 *block_source, __global uchar *marked,
+                                     __global Key *keys, __global uint *winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int softens = frame->softens;
@@ -232,13 +252,14 @@ SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const flo
                                reached_by[4 * block + 2] - 1, reached_by[4 * block + 3] - 1);
     vstore4((int4)(0), block, reached_by);
     if (softens) marked[block] = 0;
-    bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < COLUMNS_MOST
-                    && extent.w - extent.y < ROWS_MOST;
+    bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && extent.x <= extent.z && extent.y <= extent.w
+                    && extent.z - extent.x < COLUMNS_MOST && extent.w - extent.y < ROWS_MOST;
     for (int y = extent.y; backward && y <= extent.w; ++y)
         for (int x = extent.x; x <= extent.z; ++x) backward = backward && smooth[y * source_blocks + x];
     if (backward) {
         float8 source;
-        const float2 center = (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
+        const float2 center =
+            (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
         backward = find_source(center, extent, source_width, source_width * source_height, target_position, &source);
         if (backward) {
             source.s7 = is_affine(center, source, source_width, source_height, target_position);

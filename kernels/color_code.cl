@@ -12,10 +12,12 @@ INLINE Texels encode_texels(const Texels c, const float offset) {
 
 /* NaN counts as 0, infinities are clamped. */
 WIDE __kernel void encode_colors(__constant Frame *frame, __global const half *color, __global half *codes) {
-    const int width = frame->source_width, src_x = get_global_id(0) * LANES, src_y = get_global_id(1), count = width - src_x;
+    const int width = frame->source_width, src_x = get_global_id(0) * LANES, src_y = get_global_id(1),
+              count = width - src_x;
     if (src_x >= width || src_y >= frame->source_height) return;
     const int src = src_y * width + src_x;
     Strip s = load_strip(count, color + 4 * src);
-    for (int part = 0; part < PARTS; ++part) s.part[part] = encode_texels(finite_texels(s.part[part]), frame->code_offset);
+    for (int part = 0; part < PARTS; ++part)
+        s.part[part] = encode_texels(finite_texels(s.part[part]), frame->code_offset);
     store_strip(s, count, codes + 4 * src);
 }

@@ -1,6 +1,7 @@
-/* Colors as they are mixed: in linear light, interpolation rings and smears beside highlights. The code of c is (c + 2 o sqrt(c)) / 2
-   with c's sign: like a square root where it is dark, linear where it is bright. The frame block has `code_offset` o, which is half the root of
-   the color that is displayed as 1; 0 stands for linear light, where a color is its own code. */
+/* Colors as they are mixed: in linear light, interpolation rings and smears beside highlights. The code of c is (c +
+   2 o sqrt(c)) / 2 with c's sign: like a square root where it is dark, linear where it is bright. The frame block
+   has `code_offset` o, which is half the root of the color that is displayed as 1; 0 stands for linear light, where
+   a color is its own code. */
 
 INLINE float3 encode_color(const float3 c, const float offset) {
     const float3 size = fabs(c);
@@ -12,7 +13,7 @@ INLINE float3 decode_color(const float3 code, const float offset) {
     return offset > 0.0f ? copysign(root * root, code) : code;
 }
 
-/* Of a pixel of an image in linear light. */
+/* The code of a pixel of an image in linear light. */
 INLINE float3 load_code(__global const half *color, const int i, const float offset) {
     return encode_color(load_color(color, i), offset);
 }

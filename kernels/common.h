@@ -3,13 +3,13 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
-/* Before a kernel in which few work-items do anything: it stays scalar on CPUs, whose vectorizers else make all lanes walk
-   the rare path. */
+/* Before a kernel in which few work-items do anything: it stays scalar on CPUs, whose vectorizers else make all
+   lanes walk the rare path. */
 #define SPARSE __attribute__((vec_type_hint(float4)))
 
-/* Before every helper function. Without `static`, C99 has no definition for calls that a compiler leaves, and the linkers of AMD
-   and NVIDIA refuse the program. Calls that are left break the vectorizer of Intel's CPU runtime. Oclgrind does not know an
-   intrinsic that is left where structs are returned by functions that are always inlined. */
+/* Before every helper function. Without `static`, C99 has no definition for calls that a compiler leaves, and the
+   linkers of AMD and NVIDIA refuse the program. Calls that are left break the vectorizer of Intel's CPU runtime.
+   Oclgrind does not know an intrinsic that is left where structs are returned by functions that are always inlined. */
 #ifdef OCLGRIND
 #define INLINE static __attribute__((noinline))
 #else
@@ -25,7 +25,8 @@
 #define LINK_LEFT 4
 #define LINK_UP 8
 
-/* Values of `filled_by`, the source of a pixel of an extrapolated frame; 1 + l is level l of the background; 252 is free. */
+/* Values of `filled_by`, the source of a pixel of an extrapolated frame; 1 + l is level l of the background; 252 is
+   free. */
 #define BY_WARP 0
 #define BY_HIDDEN_PART 250
 #define BY_FIXED 251
@@ -77,8 +78,7 @@ INLINE float3 unproject(const float2 px, const float z, const Pinhole inverse) {
 }
 
 INLINE float3 rotate_to_target(const float3 v, const Reprojection r) {
-    return (float3)(r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z,
-                    r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z,
+    return (float3)(r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z, r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z,
                     r.row2.x * v.x + r.row2.y * v.y + r.row2.z * v.z);
 }
 

@@ -1,12 +1,10 @@
-/* What lies over the picture and is not warped with it: pixels that stay in place, effects without depth, the user
-   interface. Layers are linear RGB, premultiplied: layer + (1 - A) * picture. A mapping is (scale x, scale y, offset x,
-   offset y) from pixels of the display to pixels of the rendered image.
+/* Composition of what lies over the picture and is not warped with it: pixels that stay in place, effects without
+   depth, the user interface. Layers are linear RGB, premultiplied: layer + (1 - A) * picture. A mapping is (scale x,
+   scale y, offset x, offset y) from pixels of the display to pixels of the rendered image.
 
-   in   fixed_mask, effects, effects_motion   rendered image
-        ui                                    display
-        color                                 display   the picture without any of them
-   out  out_color                             display
-        depth, motion, dynamic, disoccluded, filled_by of pixels that stay in place                                    */
+   in   fixed_mask, effects, effects_motion   rendered image ui                                    display color
+   display   the picture without any of them out  out_color                             display depth, motion,
+   dynamic, disoccluded, filled_by of pixels that stay in place */
 
 #include "frame.h"
 

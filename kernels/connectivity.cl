@@ -6,20 +6,20 @@
 #include "simd.h"
 #include "nearest.h"
 
-#define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbors of one surface ... */
+#define SURFACE_STEP 0.02f /* relative step of inverse depth between neighbors of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
-#define SMALL_STEP 0.0199f       /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */
-#define LARGE_STEP 0.032f        /* ... and a depth step above this and, next to a small one, above SURFACE_CURVATURE */
+#define SMALL_STEP 0.0199f /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */
+#define LARGE_STEP 0.032f /* ... and a depth step above this and, next to a small one, above SURFACE_CURVATURE */
 
-#define GROW 2                   /* px around dynamic or nearer fragments where colors may be mixed with theirs */
+#define GROW 2 /* px around dynamic or nearer fragments where colors may be mixed with theirs */
 #define NEARER 0.9f
 
-#define REACH 2                  /* px around a pixel that are looked at: GROW, and 2 for links */
-#define GROUP 128                /* work-items of a work-group */
+#define REACH 2 /* px around a pixel that are looked at: GROW, and 2 for links */
+#define GROUP 128 /* work-items of a work-group */
 
 #if LANES == 8
 
-#define MORE 4                   /* px that are loaded before and after those of a row */
+#define MORE 4 /* px that are loaded before and after those of a row */
 
 /* A rendered frame and a place in it: pixels from (x, y) on. `inner`: all that is looked at lies inside. */
 typedef struct {
@@ -57,7 +57,7 @@ INLINE Ints nothing_moves(const Place p) {
 
 /* The least depth within GROW of each. Gives whether nothing near any of them is dynamic. */
 INLINE bool look_around(const Place p, Floats *nearest) {
-    if (p.inner) {  /* 4 pixels more to each side: columns first, which pixels share */
+    if (p.inner) { /* 4 pixels more to each side: columns first, which pixels share */
         const int first = (p.y - GROW) * p.width + p.x - MORE;
         float16 column = INFINITY;
         uchar16 moving = 0;
@@ -87,7 +87,7 @@ INLINE bool look_around(const Place p, Floats *nearest) {
 
 #define ROWS (2 * REACH + 1)
 #define COLUMNS (GROUP + 2 * REACH)
-#define MASK_BITS 2              /* of a value of dynamic_mask */
+#define MASK_BITS 2 /* of a value of dynamic_mask */
 
 /* The neighborhood of a work-group's pixels, which its work-items load together: columns of ROWS pixels. */
 typedef struct {
@@ -101,8 +101,8 @@ typedef struct {
     __local const Tile *tile;
 } Place;
 
-INLINE void load_column(const int column, const int x, const int y, const int width, const int height, __global const float *depth,
-                        __global const uchar *dynamic_mask, __local Tile *tile) {
+INLINE void load_column(const int column, const int x, const int y, const int width, const int height,
+                        __global const float *depth, __global const uchar *dynamic_mask, __local Tile *tile) {
     float nearest = INFINITY;
     int dynamic = 0;
     for (int row = 0; row < ROWS; ++row) {
@@ -185,7 +185,8 @@ INLINE Ints links_by_depth(const Place p, Ints *clear) {
         const Floats ahead = depth_beside(p, dx, dy), behind = depth_beside(p, -dx, -dy);
         const Ints to_ahead = small_step(z, ahead), to_behind = small_step(z, behind);
         *clear &= to_ahead | (large_step(z, ahead) & to_behind & small_step(ahead, depth_beside(p, 2 * dx, 2 * dy)));
-        *clear &= to_behind | (large_step(z, behind) & to_ahead & small_step(behind, depth_beside(p, -2 * dx, -2 * dy)));
+        *clear &=
+            to_behind | (large_step(z, behind) & to_ahead & small_step(behind, depth_beside(p, -2 * dx, -2 * dy)));
         links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
         links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
     }
@@ -201,8 +202,8 @@ INLINE Ints links_by_motion(const Place p) {
            | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
 
-/* The background's state before collection: the state of level 0, the receivers of fragments that may fill it, and those of
-   fragments pushed to level 1. */
+/* The background's state before collection: the state of level 0, the receivers of fragments that may fill it, and
+   those of fragments pushed to level 1. */
 typedef struct {
     __global uchar *state;
     __global Key *fill_keys;
@@ -211,9 +212,9 @@ typedef struct {
     __global uint *push_winners;
 } Collecting;
 
-/* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`: texels are
-   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and no fragment is offered to them,
-   nor to level 1; of a `single` level to none. */
+/* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`:
+   texels are SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and no
+   fragment is offered to them, nor to level 1; of a `single` level to none. */
 INLINE void find(const Place p, const int collect, const bool single, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest;
@@ -235,17 +236,22 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     for (int k = 0; k < count; ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask, __global uchar *links,
-                __global uchar *state, __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
-                __global uint *push_winners) {
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
+           __global uchar *links, __global uchar *state, __global Key *fill_keys, __global uint *fill_winners,
+           __global Key *push_keys, __global uint *push_winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int collect = frame->collects && frame->has_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
-    const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
+    const Collecting to = {.state = state,
+                           .fill_keys = fill_keys,
+                           .fill_winners = fill_winners,
+                           .push_keys = push_keys,
+                           .push_winners = push_winners};
 #if LANES == 8
     if (src_x >= source_width || src_y >= source_height) return;
-    const bool inner = src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
+    const bool inner =
+        src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
     if (inner) {
         p.inner = true;

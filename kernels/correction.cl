@@ -1,5 +1,5 @@
-/* Application of the shading correction network's judgement to the extrapolated frame (paper: 'Shading Correction Network'): the
-   correction at half resolution, and the final image. */
+/* Application of the shading correction network's judgement to the extrapolated frame (paper: 'Shading Correction
+   Network'): the correction at half resolution, and the final image. */
 
 #include "frame.h"
 #include "candidates.h"
@@ -11,16 +11,20 @@
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 #define FLOW_UNIT 4.0f       /* pixels of a quarter of the resolution, of the network's own flow */
 #define DETAIL 4             /* channels at half resolution, of which the network gives four pixels each */
-#define JUDGED 4             /* channels before them: own flow (2), how far the found one is followed, how long trends last */
-#define SEEN 16              /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
-#define HIDDEN 16            /* channels of its hidden layer */
-#define SAID 6               /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
-#define SLOPE 0.1f           /* of leaky rectifiers */
-#define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
-#define MARGIN 2.0f          /* largest continued change of light, times its last change */
-#define TRUSTED 3.0f         /* of the focus mask: all while the last change differs by half of its square from the one before, ... */
-#define DISTRUST 4.0f        /* ... nothing from three quarters on */
-#define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
+#define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
+#define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
+#define HIDDEN 16 /* channels of its hidden layer */
+#define SAID                                                                                                           \
+    6 /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend           \
+       */
+#define SLOPE 0.1f /* of leaky rectifiers */
+#define DISOCCLUDED_BELOW                                                                                              \
+    0.4f /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
+#define MARGIN 2.0f /* largest continued change of light, times its last change */
+#define TRUSTED                                                                                                        \
+    3.0f /* of the focus mask: all while the last change differs by half of its square from the one before, ... */
+#define DISTRUST 4.0f /* ... nothing from three quarters on */
+#define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 
 INLINE Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
 
@@ -31,8 +35,8 @@ INLINE Floats sigmoid(const Floats x) {
     return x == x ? value : x;
 }
 
-/* Trust in the focus mask. It is low where light flickers, so that the last interval's change of brightness differs from that of
-   the interval before, both in place and along the flow. */
+/* Trust in the focus mask. It is low where light flickers, so that the last interval's change of brightness differs
+   from that of the interval before, both in place and along the flow. */
 INLINE Floats trust(__global const float *differences, const int plane, const Taps *taps) {
     const Floats changed = interpolate(differences, taps), again = interpolate(differences + 2 * plane, taps);
     const Floats again_along = interpolate(differences + 3 * plane, taps);
@@ -40,10 +44,11 @@ INLINE Floats trust(__global const float *differences, const int plane, const Ta
     return clamp(TRUSTED - DISTRUST * ratio, (Floats)(0.0f), (Floats)(1.0f));
 }
 
-/* At a quarter of the resolution: the flow to follow (2), in pixels of half the resolution, how far the trend lasts, and how far
-   the focus mask is trusted. */
-WIDE __kernel void choose_flow(__constant Frame *frame, __global const float *judgement, __global const float *candidates,
-                               __global const float *differences, __global float *chosen) {
+/* Chooses, at a quarter of the resolution, the flow to follow (2), in pixels of half the resolution, how far the trend
+   lasts, and how far the focus mask is trusted. */
+WIDE __kernel void choose_flow(__constant Frame *frame, __global const float *judgement,
+                               __global const float *candidates, __global const float *differences,
+                               __global float *chosen) {
     const int width = frame->network_width / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
@@ -75,8 +80,8 @@ INLINE void head_of(__global const float *head, const Floats *seen, Floats *said
     }
 }
 
-/* How `now`, moved from a place along the flow, differs from the color here, within MARGIN times the change from the previous frame
-   to it here and there: texture is in both frames, so none of it moves along where light stays. */
+/* How `now`, moved from a place along the flow, differs from the color here, within MARGIN times the change from the
+   previous frame to it here and there: texture is in both frames, so none of it moves along where light stays. */
 INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
                           const Floats before, const Sample *along) {
     const Floats there = sampled(frame_now, along), moved = there - now;
@@ -86,8 +91,8 @@ INLINE Floats moved_light(__global const float *frame_now, __global const float 
     return wide_lesser(wide_greater(moved, least), most);
 }
 
-/* At half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in disocclusions, where a
-   change of light is indistinguishable from another surface. */
+/* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in
+   disocclusions, where a change of light is indistinguishable from another surface. */
 WIDE __kernel void judge(__constant Frame *frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
                          __global const int *changed, __global float *correction) {
@@ -105,25 +110,29 @@ WIDE __kernel void judge(__constant Frame *frame, __global const float *frames, 
     Floats seen[SEEN], said[SAID];
     for (int c = 0; c < DETAIL; ++c) seen[c] = leaky(gather_floats(detail + 4 * c * quarter, detail_at));
     for (int c = 0; c < 3; ++c) {
-        const Floats now = load_floats(0, frames + c * plane + at), before = load_floats(0, frames + (3 + c) * plane + at);
+        const Floats now = load_floats(0, frames + c * plane + at),
+                     before = load_floats(0, frames + (3 + c) * plane + at);
         seen[DETAIL + c] = moved_light(frames + c * plane, frames + (3 + c) * plane, now, before, &along);
         seen[DETAIL + 3 + c] = interpolate(trends + c * quarter, &taps) * lasts;
         seen[DETAIL + 6 + c] = now;
         seen[DETAIL + 9 + c] = before;
     }
     head_of(head, seen, said);
-    const Floats number = (flow_x - flow_x) + (flow_y - flow_y);  /* 0; NaN for an invalid flow */
+    const Floats number = (flow_x - flow_x) + (flow_y - flow_y); /* 0; NaN for an invalid flow */
     for (int c = 0; c < 3; ++c)
-        store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0, correction + c * plane + at);
+        store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0,
+                     correction + c * plane + at);
     store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
     const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
     const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
     const Floats trusted = interpolate(chosen + 3 * quarter, &taps);
-    store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask, 0, correction + 4 * plane + at);
+    store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask, 0,
+                 correction + 4 * plane + at);
 }
 
 /* Stores the lanes of a mixture that hold, and of the others the extrapolated color's own bits. */
-INLINE void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color, __global half *out) {
+INLINE void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color,
+                        __global half *out) {
     if (count >= LANES && ALL(holds)) {
         store_rgb_run(c, out);
         return;
@@ -151,9 +160,9 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
 #define WITHIN_MASK 1
 #define WITH_REFINED 2
 
-/* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that within the focus
-   mask, the extrapolated color's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is only
-   stored on request; otherwise a run of pixels without mask is a copy. */
+/* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that
+   within the focus mask, the extrapolated color's own bits where the mask is 0. Output that is not finite counts as
+   no mask. `refined` is only stored on request; otherwise a run of pixels without mask is a copy. */
 WIDE __kernel void correct(__constant Frame *frame, const int asked, __global const half *color,
                            __global const float *frames, __global const float *correction, __global half *refined,
                            __global half *focus_mask, __global half *out_color) {
@@ -187,7 +196,8 @@ WIDE __kernel void correct(__constant Frame *frame, const int asked, __global co
     store_some_halfs(mask, count, focus_mask + i);
     const WideRgb made = {decode(e_r, law), decode(e_g, law), decode(e_b, law)};
     if (with_refined) store_where(usable, made, count, color + 4 * i, refined + 4 * i);
-    const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole, rest = 1.0f - share;
+    const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole,
+                 rest = 1.0f - share;
     const WideRgb mixed = {c.r * rest + made.r * share, c.g * rest + made.g * share, c.b * rest + made.b * share};
     store_where(share > 0.0f, mixed, count, color + 4 * i, out_color + 4 * i);
 }

@@ -10,7 +10,7 @@ INLINE float4 cubic_weights(const float t) {
                     0.5f * t3 - 0.5f * t2);
 }
 
-/* The same of LANES numbers, by tap. */
+/* The cubic weights of LANES numbers, by tap. */
 INLINE void wide_cubic_weights(const Floats t, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
     weights[0] = -0.5f * t + t2 - 0.5f * t3;
@@ -49,7 +49,8 @@ INLINE void load_taps(__global const half *p, float16 *taps) {
 }
 
 /* cubic of four pixels in a row whose taps lie in a row, from index `first` on. */
-INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *image) {
+INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
+                            __global const half *image) {
     __global const half *p = image + 4 * first;
     float16 total, low, high, a[4], b[4], c[4], d[4];
     load_taps(p, a);
@@ -58,7 +59,8 @@ INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy,
     load_taps(p + 12 * width, d);
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
-        const float16 column = SPREAD(wy[0]) * a[tx] + SPREAD(wy[1]) * b[tx] + SPREAD(wy[2]) * c[tx] + SPREAD(wy[3]) * d[tx];
+        const float16 column =
+            SPREAD(wy[0]) * a[tx] + SPREAD(wy[1]) * b[tx] + SPREAD(wy[2]) * c[tx] + SPREAD(wy[3]) * d[tx];
         total = tx == 0 ? SPREAD(wx[0]) * column : total + SPREAD(wx[tx]) * column;
         if (tx == 0 || tx == 3) continue;
         const float16 lower = b[tx] < c[tx] ? b[tx] : c[tx], higher = b[tx] < c[tx] ? c[tx] : b[tx];

@@ -3,7 +3,7 @@
 #include "simd.h"
 
 #define DIRECTIONS 8             /* direction k + 4 is opposite to k */
-#define AT_ONCE 4                /* pixels that are read at once: a march waits for memory a quarter of `reach` times at most */
+#define AT_ONCE 4 /* pixels that are read at once: a march waits for memory a quarter of `reach` times at most */
 
 INLINE int2 direction(const int k) {
     const int quarter = k & 3, sign = k < 4 ? 1 : -1;
@@ -25,7 +25,8 @@ INLINE int steps_within(const int reach, const int2 d, const int x, const int y,
     return steps;
 }
 
-/* A value for each direction. On GPUs, which index no registers, it is a vector: AT and SET select among its components. */
+/* A value for each direction. On GPUs, which index no registers, it is a vector: AT and SET select among its
+   components. */
 #if LANES == 8
 typedef int DirectionInts[DIRECTIONS];
 typedef float DirectionFloats[DIRECTIONS];

@@ -1,11 +1,12 @@
-/* Between an image and one of half its size, LANES pixels at once: bilinear interpolation up, means over 2x2 pixels down. Pixel
-   centers of both lie on one plane; borders are repeated. */
+/* Between an image and one of half its size, LANES pixels at once: bilinear interpolation up, means over 2x2 pixels
+   down. Pixel centers of both lie on one plane; borders are repeated. */
 
 #include "common.h"
 #include "simd.h"
 
-/* The four taps, in an image of `width` by `height` pixels, of pixels from (x, y) on of one of twice the size; x is a multiple
-   of LANES. `inner`: those to the left and to the right are in 8 pixels from `first` on, else `left` and `right`. */
+/* The four taps, in an image of `width` by `height` pixels, of pixels from (x, y) on of one of twice the size; x is
+   a multiple of LANES. `inner`: those to the left and to the right are in 8 pixels from `first` on, else `left` and
+   `right`. */
 typedef struct {
     int top, bottom, first;
     Ints left, right;
@@ -50,8 +51,8 @@ INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
 }
 
-/* Means over 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image of half the
-   size has `count`. */
+/* Means over 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image
+   of half the size has `count`. */
 INLINE Floats halved(__global const float *plane, const int width, const int x, const int y, const int count) {
     __global const float *top = plane + 2 * y * width + 2 * x, *bottom = top + width;
 #if LANES == 8
@@ -61,5 +62,7 @@ INLINE Floats halved(__global const float *plane, const int width, const int x, 
     }
 #endif
     const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    return 0.25f * ((gather_floats(top, i) + gather_floats(top, i + 1)) + (gather_floats(bottom, i) + gather_floats(bottom, i + 1)));
+    return 0.25f
+           * ((gather_floats(top, i) + gather_floats(top, i + 1))
+              + (gather_floats(bottom, i) + gather_floats(bottom, i + 1)));
 }

@@ -1,8 +1,9 @@
-/* Where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), one by one and LANES at once. */
+/* Flow, which is where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), one by one
+   and LANES at once. */
 
-#define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
-#define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
-#define STRETCH_MOST 4.0f        /* a footprint stretched by more than this over the one by depth is not trusted */
+#define FOOTPRINT_HALF 0.65f /* half a source pixel and a margin for second-order terms */
+#define FOOTPRINT_REACH 8 /* px: the most that a fragment covers to each side */
+#define STRETCH_MOST 4.0f /* a footprint stretched by more than this over the one by depth is not trusted */
 
 /* Predicted position of fragment `src`: (px in the target image, view depth there). */
 INLINE float3 position_of(__global const float *target_position, const int src, const int plane) {
@@ -13,37 +14,43 @@ INLINE float3 position_of(__global const float *target_position, const int src, 
 typedef struct {
     __global const float *depth, *target_position;
     __global const uchar *links;
-    int width, height, plane;  /* of the rendered frame; plane: its pixels */
+    int width, height, plane; /* of the rendered frame; plane: its pixels */
     int target_width, target_height;
     float2 zoom;
 } Fragments;
 
 /* Target position as a linear function of the source position around one source pixel. */
 typedef struct {
-    float3 ddx, ddy;         /* change of (px, py, z) per source pixel to the right, down */
-    float det;               /* of the 2x2 part: target px^2 per source px^2 */
+    float3 ddx, ddy; /* change of (px, py, z) per source pixel to the right, down */
+    float det; /* of the 2x2 part: target px^2 per source px^2 */
 } Flow;
 
 /* Change of position from `here` to the linked neighbors `ahead` and `behind`, `step` apart. */
-INLINE float3 slope(const Fragments f, const int src, const float3 here, const int step, const bool ahead, const bool behind,
-                    bool *linked) {
+INLINE float3 slope(const Fragments f, const int src, const float3 here, const int step, const bool ahead,
+                    const bool behind, bool *linked) {
     float3 sum = (float3)(0.0f);
     float count = 0.0f;
     if (ahead) {
         const float3 there = position_of(f.target_position, src + step, f.plane);
-        if (there.z > 0.0f) { sum += there - here; count += 1.0f; }
+        if (there.z > 0.0f) {
+            sum += there - here;
+            count += 1.0f;
+        }
     }
     if (behind) {
         const float3 there = position_of(f.target_position, src - step, f.plane);
-        if (there.z > 0.0f) { sum += here - there; count += 1.0f; }
+        if (there.z > 0.0f) {
+            sum += here - there;
+            count += 1.0f;
+        }
     }
     *linked = count > 0.0f;
     if (isinf(here.z)) sum.z = 0.0f;
     return count == 2.0f ? sum * 0.5f : sum;
 }
 
-/* From the linked neighbors; along a direction without any, from depth alone. Returned by pointer: Oclgrind fails on returned
-   structs after inlining. */
+/* The flow at a fragment, from its linked neighbors; along a direction without any, from depth alone. Returned by
+   pointer: Oclgrind fails on returned structs after inlining. */
 INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *flow) {
     const int bits = f.links[src];
     bool linked_x, linked_y;
@@ -55,7 +62,8 @@ INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *f
     if (!linked_x || fabs(flow->ddx.x) > most || fabs(flow->ddx.y) > most) flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
     if (!linked_y || fabs(flow->ddy.x) > most || fabs(flow->ddy.y) > most) flow->ddy = (float3)(0.0f, scale_y, 0.0f);
     flow->det = flow->ddx.x * flow->ddy.y - flow->ddy.x * flow->ddx.y;
-    if (!(flow->det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbors do not determine the footprint */
+    if (!(flow->det
+          > 0.02f * scale_x * scale_y)) { /* folded or edge-on: the neighbors do not determine the footprint */
         flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
         flow->ddy = (float3)(0.0f, scale_y, 0.0f);
         flow->det = scale_x * scale_y;
@@ -97,7 +105,8 @@ INLINE void find_places(const Ints at, const int margin, const int pixels, Place
     const Ints of_first = at == p->first + LANE_NUMBERS;
     p->of_last = at == p->last + LANE_NUMBERS;
     p->one = ALL(of_first);
-    p->two = ALL(of_first | p->of_last) && min(p->first, p->last) >= margin && max(p->first, p->last) + margin + LANES <= pixels;
+    p->two = ALL(of_first | p->of_last) && min(p->first, p->last) >= margin
+             && max(p->first, p->last) + margin + LANES <= pixels;
 }
 
 INLINE Floats floats_at(__global const float *plane, const Places p) {
@@ -111,7 +120,9 @@ INLINE Bytes bytes_at(__global const uchar *plane, const Places p) {
 }
 
 /* The values of one plane at LANES fragments and at their neighbors. */
-typedef struct { Floats here, left, right, up, down; } Cross;
+typedef struct {
+    Floats here, left, right, up, down;
+} Cross;
 
 INLINE void load_cross_of_run(__global const float *p, const int source_width, Cross *a) {
     a->here = load_floats(0, p);
@@ -143,7 +154,9 @@ INLINE void load_cross(__global const float *plane, const int source_width, cons
 }
 
 /* Predicted positions of LANES fragments and of their neighbors. */
-typedef struct { Cross x, y, z; } Positions;
+typedef struct {
+    Cross x, y, z;
+} Positions;
 
 INLINE void load_positions_of_run(const Fragments f, const int src, Positions *p) {
     load_cross_of_run(f.target_position + src, f.width, &p->x);
@@ -158,18 +171,22 @@ INLINE void load_positions(const Fragments f, const Places src, Positions *p) {
 }
 
 /* Flow of LANES fragments. */
-typedef struct { Floats xx, xy, xz, yx, yy, yz, det; } WideFlow;
+typedef struct {
+    Floats xx, xy, xz, yx, yy, yz, det;
+} WideFlow;
 
-/* slope, of one component. */
-INLINE Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before, const Ints use_after) {
+/* `slope` of LANES fragments, one component of it. */
+INLINE Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before,
+                         const Ints use_after) {
     const Floats sum = (use_after ? after - here : (Floats)(0.0f)) + (use_before ? here - before : (Floats)(0.0f));
     return (use_before & use_after) ? sum * 0.5f : sum;
 }
 
-/* flow_at. `bits`: links. */
+/* `flow_at` of LANES fragments. `bits`: links. */
 INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source, const float2 zoom, WideFlow *flow) {
     const Cross x = at.x, y = at.y, z = at.z;
-    const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
+    const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f),
+               right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
     const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);
     const Ints sky = isinf(z.here);
     const Floats none = (Floats)(0.0f);

@@ -1,7 +1,7 @@
-/* The frame block: the arguments of kernels for a frame, besides its buffers. gffe_cl/engine/stages/frame_block.py reads this struct and
-   fills it for each rendered and each extrapolated frame; `gffe export` makes the same struct in C. The widest types
-   come first: nothing is padded. Where there is no frame before, "previous" is the rendered frame itself; what is about the
-   target is 0 while stages work on a rendered frame. */
+/* The frame block: the arguments of kernels for a frame, besides its buffers. gffe_cl/engine/stages/frame_block.py
+   reads this struct and fills it for each rendered and each extrapolated frame; `gffe export` makes the same struct
+   in C. The widest types come first: nothing is padded. Where there is no frame before, "previous" is the rendered
+   frame itself; what is about the target is 0 while stages work on a rendered frame. */
 
 #include "common.h"
 
@@ -9,41 +9,42 @@
 #define MAX_LEVELS 4  /* of the background */
 
 typedef struct {
-    float8 polynomial[MAX_ORDER];     /* [order - 1], component i - 1: factor of P_i - P_0 in the polynomial of that order */
-    Reprojection to_previous;         /* source -> previous */
-    Reprojection from_previous;       /* previous -> source */
-    Reprojection to_target;           /* source -> target */
-    Reprojection to_source;           /* target -> source */
+    float8
+        polynomial[MAX_ORDER]; /* [order - 1], component i - 1: factor of P_i - P_0 in the polynomial of that order */
+    Reprojection to_previous; /* source -> previous */
+    Reprojection from_previous; /* previous -> source */
+    Reprojection to_target; /* source -> target */
+    Reprojection to_source; /* target -> source */
     Reprojection target_to_previous;
-    float4 color_law;                 /* mu_law.h, at this frame's exposure */
-    float4 to_render;                 /* display -> source: scale x, y, offset x, y in pixels */
-    float4 to_display;                /* source -> display */
-    float4 to_previous_display;       /* previous -> its display */
-    int4 level_starts;                /* first texels of background levels 1, 2 and 3, and the end of all levels */
-    float2 zoom;                      /* target pixels per source pixel of points equally far from both cameras */
-    float2 pixel_size;                /* of the source, display pixels */
+    float4 color_law; /* mu_law.h, at this frame's exposure */
+    float4 to_render; /* display -> source: scale x, y, offset x, y in pixels */
+    float4 to_display; /* source -> display */
+    float4 to_previous_display; /* previous -> its display */
+    int4 level_starts; /* first texels of background levels 1, 2 and 3, and the end of all levels */
+    float2 zoom; /* target pixels per source pixel of points equally far from both cameras */
+    float2 pixel_size; /* of the source, display pixels */
     int source_width, source_height;
     int target_width, target_height;
     int network_width, network_height;
-    int cells_width, cells_height;    /* of the grid on which shading trends are measured */
+    int cells_width, cells_height; /* of the grid on which shading trends are measured */
     int has_previous;
-    int order;                        /* of prediction: the option, or less if there are too few frames */
+    int order; /* of prediction: the option, or less if there are too few frames */
     float alpha;
-    float interval_ratio;             /* the last interval between rendered frames, in that before it */
-    float exposure;                   /* factor on color before display */
-    float code_offset;                /* color_code.h, at this frame's exposure */
-    float camera_step;                /* world units that the camera moved since the frame before */
-    int has_overlays;                 /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
+    float interval_ratio; /* the last interval between rendered frames, in that before it */
+    float exposure; /* factor on color before display */
+    float code_offset; /* color_code.h, at this frame's exposure */
+    float camera_step; /* world units that the camera moved since the frame before */
+    int has_overlays; /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
-    int motion;                       /* whether motion is estimated */
-    int camera_fixed;                 /* whether fragments fixed to the camera are distinguished from movers */
-    int positions;                    /* of history, that are kept */
-    int levels;                       /* of the background */
-    int blocks;                       /* whether smooth surfaces are warped backward in blocks */
+    int motion; /* whether motion is estimated */
+    int camera_fixed; /* whether fragments fixed to the camera are distinguished from movers */
+    int positions; /* of history, that are kept */
+    int levels; /* of the background */
+    int blocks; /* whether smooth surfaces are warped backward in blocks */
     int crack_closing;
-    int softens;                      /* whether silhouettes are made soft */
-    int bends;                        /* whether movers' acceleration continues */
-    int collects;                     /* whether there is a background */
+    int softens; /* whether silhouettes are made soft */
+    int bends; /* whether movers' acceleration continues */
+    int collects; /* whether there is a background */
     float upscale_sharpening;
 } Frame;
 
@@ -53,10 +54,10 @@ INLINE int level_side(const int side, const int level) { return (side + (1 << le
 /* Values of `dynamic_mask`; all but STATIC are dynamic. */
 #define STATIC 0
 #define DYNAMIC 1
-#define FIXED_TO_CAMERA 2  /* constant in view space, as dashboards and weapons are */
+#define FIXED_TO_CAMERA 2 /* constant in view space, as dashboards and weapons are */
 
 /* States of the texels of background levels. */
 #define EMPTY 0
-#define SHOWN 1        /* of level 0: a static fragment of the frame itself: the warp projects it */
-#define REMEMBERED 2   /* of an earlier frame */
-#define BOTH 3         /* of a single level: SHOWN, and the surface hidden by it is REMEMBERED */
+#define SHOWN 1 /* of level 0: a static fragment of the frame itself: the warp projects it */
+#define REMEMBERED 2 /* of an earlier frame */
+#define BOTH 3 /* of a single level: SHOWN, and the surface hidden by it is REMEMBERED */

@@ -1,8 +1,8 @@
-/* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background. A mover's part in a
-   disocclusion moves like the dynamic fragments next to it, so its place in the rendered frame is known. The warp brought nothing
-   from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface there that is not nearer, the
-   mover has no part there, and the hole is left to the background. RUN pixels without a hole are skipped at once, and so are RUN
-   x LANES without a dynamic pixel within reach. */
+/* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background. A mover's part
+   in a disocclusion moves like the dynamic fragments next to it, so its place in the rendered frame is known. The
+   warp brought nothing from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface
+   there that is not nearer, the mover has no part there, and the hole is left to the background. RUN pixels without
+   a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
 
 #include "frame.h"
 #include "simd.h"
@@ -12,7 +12,8 @@
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
-#define STANDS_BEFORE 0.97f  /* times the depth of a mover: its parts are looked for behind static pixels nearer than that */
+#define STANDS_BEFORE                                                                                                  \
+    0.97f  /* times the depth of a mover: its parts are looked for behind static pixels nearer than that */
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 
 #define LEAST_REACH 8     /* px, in which movers are looked for ... */
@@ -30,7 +31,7 @@ typedef struct {
 
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
-/* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
+/* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
 INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
@@ -49,11 +50,13 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
     return 0;
 }
 
-/* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here; 0: none. */
+/* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
+   0: none. */
 INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
-    const int t = first_dynamic(dst, offset, steps_within(reach_of(frame), d, dst_x, dst_y, width, height), f.is_dynamic);
+    const int t =
+        first_dynamic(dst, offset, steps_within(reach_of(frame), d, dst_x, dst_y, width, height), f.is_dynamic);
     if (t == 0) return 0;
     const float z = f.depth[dst + t * offset];
     for (int k = 1; k < t; ++k) {
@@ -63,13 +66,14 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, -t * d, frame, f);
     if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
-          && px_source.y < (float)frame->source_height)) return 0;
+          && px_source.y < (float)frame->source_height))
+        return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_center(x, y), z, frame->to_source).z ? t : 0;
 }
 
-/* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the
-   nearest that is on both sides; -1: none. */
+/* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by,
+   or else the nearest that is on both sides; -1: none. */
 INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach) {
     int nearest = -1, between = -1;
     float least = INFINITY, least_between = INFINITY;
@@ -78,7 +82,10 @@ INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach
         const float step = step_length(direction(k)), distance = (float)AT(t, k) * step;
         const int other = (k + 4) & 7;
         if (AT(t, k) == 0) continue;
-        if (distance < least) { least = distance; nearest = k; }
+        if (distance < least) {
+            least = distance;
+            nearest = k;
+        }
         if (AT(t, other) && (float)(AT(t, k) + AT(t, other)) * step <= (float)reach && distance < least_between
             && fabs(AT(z, k) - AT(z, other)) <= ONE_OBJECT * fmin(AT(z, k), AT(z, other))) {
             least_between = distance;
@@ -125,9 +132,9 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame 
 }
 
 /* Whether nothing within `reach` of RUN pixels in the rows from first_y to last_y is dynamic. */
-INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width, const int height,
-                          __global const uchar *is_dynamic) {
-    if (RUN == 1 || width < RUN) return false;  /* pixel by pixel that takes longer than to look in eight directions */
+INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width,
+                          const int height, __global const uchar *is_dynamic) {
+    if (RUN == 1 || width < RUN) return false; /* pixel by pixel that takes longer than to look in eight directions */
     const int x0 = max(first_x - reach, 0), x1 = min(first_x + RUN + reach, width);
     for (int y = max(first_y - reach, 0); y <= min(last_y + reach, height - 1); ++y)
         for (int x = x0; x < x1; x += RUN)
@@ -136,11 +143,17 @@ INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y
 }
 
 /* RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const float *source_depth, __global const uchar *block_class,
-                                     __global const uchar *disoccluded, __global const uchar *is_dynamic,
-                                     __global half *color, __global float *depth, __global float2 *motion,
-                                     __global uchar *filled_by) {
-    const Images images = {source_depth, disoccluded, is_dynamic, color, depth, motion, filled_by};
+SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const float *source_depth,
+                                     __global const uchar *block_class, __global const uchar *disoccluded,
+                                     __global const uchar *is_dynamic, __global half *color, __global float *depth,
+                                     __global float2 *motion, __global uchar *filled_by) {
+    const Images images = {.source_depth = source_depth,
+                           .disoccluded = disoccluded,
+                           .is_dynamic = is_dynamic,
+                           .color = color,
+                           .depth = depth,
+                           .motion = motion,
+                           .filled_by = filled_by};
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
     if (first_x >= target_width || (int)get_global_id(1) * LANES >= target_height) return;
@@ -149,10 +162,11 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const flo
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         const int first = dst_y * target_width + first_x;
         if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;
-        if (!looked && nothing_moves(first_x, dst_y, end_y - 1, reach_of(frame), target_width, target_height, is_dynamic)) return;
+        if (!looked
+            && nothing_moves(first_x, dst_y, end_y - 1, reach_of(frame), target_width, target_height, is_dynamic))
+            return;
         looked = true;
         for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
-            if (disoccluded[dst_y * target_width + dst_x])
-                fill_hidden_part(dst_x, dst_y, frame, images);
+            if (disoccluded[dst_y * target_width + dst_x]) fill_hidden_part(dst_x, dst_y, frame, images);
     }
 }

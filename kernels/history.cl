@@ -1,6 +1,6 @@
-/* History tracking (paper: 'Motion estimation', appendix Algorithm 1).
-   Positions are in the view space of the current rendered camera: P_0 follows from depth. P_1 of a dynamic fragment is where its
-   motion points to, at the depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
+/* History tracking (paper: 'Motion estimation', appendix Algorithm 1). Positions are in the view space of the
+   current rendered camera: P_0 follows from depth. P_1 of a dynamic fragment is where its motion points to, at the
+   depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
 #include "frame.h"
 #include "simd.h"
@@ -15,19 +15,22 @@
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 #define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
-#define STEP_CLASSES 4           /* steps of motion in x where it is not negative, in x where it is, and the same for y */
-#define STEP_FIRST 0x3e8         /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
-#define STEP_NONE 0.0009765625f  /* px: less is no step at all, but rounding */
-#define STEP_SAMPLES 32          /* fewest pairs of vectors to determine a step */
-#define QUANTIZED_LOW 0.125f     /* px: the least threshold in addition to errors of quantization; CAMERA_ERROR is the greatest */
-#define LOOKUPS 2                /* at most so many quantized vectors are added to one */
+#define STEP_CLASSES 4 /* steps of motion in x where it is not negative, in x where it is, and the same for y */
+#define STEP_FIRST 0x3e8 /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
+#define STEP_NONE 0.0009765625f /* px: less is no step at all, but rounding */
+#define STEP_SAMPLES 32 /* fewest pairs of vectors to determine a step */
+#define QUANTIZED_LOW                                                                                                  \
+    0.125f /* px: the least threshold in addition to errors of quantization; CAMERA_ERROR is the greatest */
+#define LOOKUPS 2 /* at most so many quantized vectors are added to one */
 
-#define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
-#define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
-#define DEPTH_PER_MOTION 2.0f    /* ... and the addition per unit of its sideways motion */
-#define FIXED_MOST 0.0625f       /* px by which a camera-fixed fragment may move in the image ... */
-#define FIXED_DEPTH 0.01f        /* ... and relative change of its depth */
-#define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighborhood of x' */
+#define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
+#define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
+#define DEPTH_PER_MOTION 2.0f /* ... and the addition per unit of its sideways motion */
+#define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
+#define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
+#define DEPTH_CHANGE_MOST                                                                                              \
+    0.12f /* relative change within an interval of a surface that fills the neighborhood of x'                         \
+           */
 
 INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -36,7 +39,8 @@ INLINE float squared_distance(const float2 a, const float2 b) {
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
 INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *frame, __global const float *depth,
-                            __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x, Floats *mv_y) {
+                            __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x,
+                            Floats *mv_y) {
     const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
     const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
@@ -63,13 +67,14 @@ INLINE void count_residuals(__local int *histogram, const Ints counts, const Flo
     count_bins(histogram, counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1));
 }
 
-/* Adds 1 to the bins of differences of a component of motion, mv, between two places where static points would move into one
-   direction, and the vectors do: bin 0 none, 1 less than the least step, then eight per octave; of negative motion in the next
-   histogram. */
-INLINE void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still, const Floats near_mv,
-                        const Floats near_still) {
+/* Adds 1 to the bins of differences of a component of motion, mv, between two places where static points would move
+   into one direction, and the vectors do: bin 0 none, 1 less than the least step, then eight per octave; of negative
+   motion in the next histogram. */
+INLINE void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still,
+                        const Floats near_mv, const Floats near_still) {
     const Floats step = fabs(mv - near_mv);
-    const Ints bin = clamp(((floats_as_ints(step) + (1 << 19)) >> 20) - STEP_FIRST + 2, (Ints)(1), (Ints)(RESIDUAL_BINS - 1));
+    const Ints bin =
+        clamp(((floats_as_ints(step) + (1 << 19)) >> 20) - STEP_FIRST + 2, (Ints)(1), (Ints)(RESIDUAL_BINS - 1));
     const Ints found = step < STEP_NONE ? (Ints)(0) : bin;
     const Ints positive = counts & (still >= 0.0f) & (near_still >= 0.0f) & (mv >= 0.0f) & (near_mv >= 0.0f);
     const Ints negative = counts & (still < 0.0f) & (near_still < 0.0f) & (mv <= 0.0f) & (near_mv <= 0.0f);
@@ -96,19 +101,20 @@ INLINE int quantile_bin(__local const int *histogram, const float share, int *be
 /* Squared residual at which bin b begins, px^2. */
 INLINE float bin_start(const int b) { return as_float((uint)(b + RESIDUAL_FIRST_BIN) << 22); }
 
-/* epsilon from the residual, within [low, high] px: where the errors of static pixels end. From their lowest tenth on, bins
-   belong to one population as long as the next two hold more than 1% of it: errors of rounding and of cameras are spread without a
-   gap, whatever their size. At most 8 times the lower quartile, which belongs to static pixels as long as a quarter of the
-   frame is static: moving objects are spread without a gap, too.
-   If nearly all of the frame is off by more than a camera can be, and by the same, that is a mover that fills the frame, and
-   the change of the residual is all the noise there is. */
+/* epsilon from the residual, within [low, high] px: where the errors of static pixels end. From their lowest tenth
+   on, bins belong to one population as long as the next two hold more than 1% of it: errors of rounding and of
+   cameras are spread without a gap, whatever their size. At most 8 times the lower quartile, which belongs to static
+   pixels as long as a quarter of the frame is static: moving objects are spread without a gap, too. If nearly all of
+   the frame is off by more than a camera can be, and by the same, that is a mover that fills the frame, and the
+   change of the residual is all the noise there is. */
 INLINE float noise_threshold_squared(__local const int *histogram, const float low, const float high) {
     __local const int *changes = histogram + RESIDUAL_BINS;
     int below, count;
     if (!sum_of(histogram, 0)) return low * low;
     const int first = quantile_bin(histogram, 0.1f, &below), quartile = quantile_bin(histogram, 0.25f, &count);
     int last = first;
-    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.01f * (float)below; ++last)
+    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.01f * (float)below;
+         ++last)
         below += histogram[last + 1];
     float noise = fmin(bin_start(last + 1), 64.0f * bin_start(quartile + 1));
     if (bin_start(first) > CAMERA_ERROR * CAMERA_ERROR && sum_of(changes, 0)) {
@@ -118,8 +124,8 @@ INLINE float noise_threshold_squared(__local const int *histogram, const float l
     return clamp(noise, low * low, high * high);
 }
 
-/* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbors differ by none or by whole
-   ones. 0: not quantized. -1: too few vectors, or all alike, or hardly any. */
+/* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbors differ by none
+   or by whole ones. 0: not quantized. -1: too few vectors, or all alike, or hardly any. */
 INLINE float step_of(__local const int *histogram) {
     const int pairs = sum_of(histogram, 0), steps = sum_of(histogram, 2);
     if (pairs < STEP_SAMPLES || histogram[0] == pairs) return -1.0f;
@@ -130,31 +136,34 @@ INLINE float step_of(__local const int *histogram) {
     return 0.0f;
 }
 
-/* Steps of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice
-   that of the other sign (half floats of 0.5 uv + 0.5 have twice the step above 0.5), or else twice that of the other component.
-   Nothing is quantized if the camera explains motion more exactly: layers that move past each other differ by whole steps, too. */
+/* Steps of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice that of
+   the other sign (half floats of 0.5 uv + 0.5 have twice the step above 0.5), or else twice that of the other
+   component. Nothing is quantized if the camera explains motion more exactly: layers that move past each other
+   differ by whole steps, too. */
 INLINE void find_steps(__local const int *histogram, const float threshold_squared, __global float *motion_steps) {
     float least = INFINITY, steps[STEP_CLASSES];
     for (int c = 0; c < STEP_CLASSES; ++c) {
         steps[c] = step_of(histogram + c * RESIDUAL_BINS);
         if (steps[c] > 0.0f) least = fmin(least, steps[c]);
     }
-    const int explained = threshold_squared <= fmax(THRESHOLD_LOW * THRESHOLD_LOW, 0.140625f * least * least);  /* 3/4 of a half */
+    const int explained =
+        threshold_squared <= fmax(THRESHOLD_LOW * THRESHOLD_LOW, 0.140625f * least * least); /* 3/4 of a half */
     for (int c = 0; c < STEP_CLASSES; ++c) {
         const float other = steps[c ^ 1] < 0.0f ? fmax(steps[c ^ 2], steps[c ^ 3]) : steps[c ^ 1];
         motion_steps[c] = explained ? 0.0f : fmax(steps[c] < 0.0f ? 2.0f * other : steps[c], 0.0f);
     }
 }
 
-/* By how much residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not; NaN stays. Which way
-   vectors were rounded to 0 gives the motion of static points, mv + residual. */
+/* The amount by which residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not;
+   NaN stays. Which way vectors were rounded to 0 gives the motion of static points, mv + residual. */
 INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *of_classes) {
     const Floats error = times * (mv + residual < 0.0f ? (Floats)(of_classes[1]) : (Floats)(of_classes[0]));
     const Floats excess = fabs(residual) - error;
     return excess < 0.0f ? (Floats)(0.0f) : excess;
 }
 
-/* Adds a work-group's counts to those of all groups. The next launch takes them: no group of one launch sees what others add. */
+/* Adds a work-group's counts to those of all groups. The next launch takes them: no group of one launch sees what
+   others add. */
 INLINE void add_counts(__local const int *counts, const int count, __global int *pending) {
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int b = get_local_id(0); b < count; b += GROUP)
@@ -170,11 +179,12 @@ INLINE void take_counts(__local int *counts, const int count, __global int *pend
     barrier(CLK_LOCAL_MEM_FENCE);
 }
 
-/* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a short
-   distance, and, of every fourth of these pixels, of the steps of motion over that distance. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void count_histograms(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
-                         __global int *pending) {
+/* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a
+   short distance, and, of every fourth of these pixels, of the steps of motion over that distance. */
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void count_histograms(__constant Frame *frame,
+                                                                                       __global const float *depth,
+                                                                                       __global const float2 *motion,
+                                                                                       __global int *pending) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
@@ -196,9 +206,9 @@ void count_histograms(__constant Frame *frame, __global const float *depth, __gl
 }
 
 /* The threshold from these histograms, and the steps of quantized motion. A single work-group. */
-SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void find_threshold(__global int *pending, __global int *histogram, __global float *threshold_squared,
-                    __global float *motion_steps) {
+SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+find_threshold(__global int *pending, __global int *histogram, __global float *threshold_squared,
+               __global float *motion_steps) {
     __local int counts[HISTOGRAMS * RESIDUAL_BINS];
     take_counts(counts, HISTOGRAMS * RESIDUAL_BINS, pending);
     const int item = get_local_id(0);
@@ -213,21 +223,22 @@ INLINE bool is_quantized(__global const float *motion_steps) {
     return motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] != 0.0f;
 }
 
-/* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of these errors few are
-   near the largest, so 0.5% is enough. */
+/* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of
+   these errors few are near the largest, so 0.5% is enough. */
 INLINE float excess_threshold_squared(__local const int *histogram) {
     int below, last = quantile_bin(histogram, 0.1f, &below);
     while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
     const int low = last;
-    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.005f * (float)below; ++last)
+    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.005f * (float)below;
+         ++last)
         below += histogram[last + 1];
     return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
 }
 
 /* Histograms of the squared excess of residuals over errors of quantization, of one and of two vectors. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void count_excess(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
-                  __global const float *motion_steps, __global int *pending) {
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+count_excess(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
+             __global const float *motion_steps, __global int *pending) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
@@ -245,11 +256,11 @@ void count_excess(__constant Frame *frame, __global const float *depth, __global
     add_counts(counts, LOOKUPS * RESIDUAL_BINS, pending);
 }
 
-/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that brings more
-   than a fortieth of the pixels within the errors. A single work-group. */
-SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void refine_threshold(__global int *pending, __global const float *motion_steps, __global float *threshold_squared,
-                      __global float *quantization_error) {
+/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that
+   brings more than a fortieth of the pixels within the errors. A single work-group. */
+SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+refine_threshold(__global int *pending, __global const float *motion_steps, __global float *threshold_squared,
+                 __global float *quantization_error) {
     __local int counts[LOOKUPS * RESIDUAL_BINS];
     const bool quantized = is_quantized(motion_steps);
     if (quantized) take_counts(counts, LOOKUPS * RESIDUAL_BINS, pending);
@@ -257,8 +268,11 @@ void refine_threshold(__global int *pending, __global const float *motion_steps,
     int low = 0, lookups = quantized ? 1 : 0;
     if (quantized) {
         while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
-        while (lookups < LOOKUPS && 40 * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low)
-                                          - sum_of(counts + lookups * RESIDUAL_BINS, low)) > sum_of(counts, 0))
+        while (lookups < LOOKUPS
+               && 40
+                          * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low)
+                             - sum_of(counts + lookups * RESIDUAL_BINS, low))
+                      > sum_of(counts, 0))
             ++lookups;
         *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
     }
@@ -269,7 +283,8 @@ INLINE bool plausible(const float z, const float z_expected, const float toleran
     return !INVALID_DEPTH(z) && !isinf(z) && fabs(z - z_expected) <= tolerance;
 }
 
-/* Depth of the fragment's surface at px_prev in the previous frame, or -1; *nearest is the pixel that has most of it. */
+/* Depth of the fragment's surface at px_prev in the previous frame, or -1; *nearest is the pixel that has most of
+   it. */
 INLINE float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
                        const int source_height, __global const float *depth_prev, int *nearest) {
     if (!(px_prev.x > -4.0f && px_prev.y > -4.0f && px_prev.x < (float)source_width + 4.0f
@@ -287,7 +302,10 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
         const float weight = bilinear_weight(tap, u, v);
         sum += weight * z;
         weight_sum += weight;
-        if (weight > heaviest) { heaviest = weight; *nearest = tap_y * source_width + tap_x; }
+        if (weight > heaviest) {
+            heaviest = weight;
+            *nearest = tap_y * source_width + tap_x;
+        }
     }
     if (weight_sum > 0.0f) return divide(sum, weight_sum);
 
@@ -342,18 +360,21 @@ INLINE void find_history(const int src_x, const int src_y, __constant Frame *fra
     const float z = f.depth[src];
     const float2 mv_px = f.motion[src], px_prev = pixel_center(src_x, src_y) + mv_px;
     const float3 px_static = reproject(pixel_center(src_x, src_y), z, to_previous);
-    int known = 0;  /* how many of P_1 ... are known */
+    int known = 0; /* how many of P_1 ... are known */
     f.met_depth[src] = 0.0f;
     if (isfinite(mv_px.x) && isfinite(mv_px.y)) {
         const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
                                * from_previous.source_inverse.x * px_static.z;
         const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
         int nearest = 0;
-        /* At the depth of a static or sideways moving point; else at its own, as of objects that travel with the camera. */
-        float z_prev = px_static.z > 0.0f ? depth_met(px_prev, px_static.z, tolerance, source_width, frame->source_height,
-                                                      f.depth_prev, &nearest) : -1.0f;
+        /* At the depth of a static or sideways moving point; else at its own, as of objects that travel with the
+           camera. */
+        float z_prev = px_static.z > 0.0f ? depth_met(px_prev, px_static.z, tolerance, source_width,
+                                                      frame->source_height, f.depth_prev, &nearest)
+                                          : -1.0f;
         if (frame->camera_fixed && !(z_prev > 0.0f))
-            z_prev = depth_met(px_prev, z, DEPTH_TOLERANCE * z, source_width, frame->source_height, f.depth_prev, &nearest);
+            z_prev =
+                depth_met(px_prev, z, DEPTH_TOLERANCE * z, source_width, frame->source_height, f.depth_prev, &nearest);
         if (z_prev > 0.0f) f.met_depth[src] = z_prev;
         if (z_prev > 0.0f && positions > 2) {
             const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
@@ -376,8 +397,8 @@ INLINE void find_history(const int src_x, const int src_y, __constant Frame *fra
     for (int k = known; k < positions - 1; ++k) f.history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
-/* Which of LANES fragments may be fixed to the camera: by their motion, and because static ones would have moved in the image
-   (`moves`), or changed their depth. */
+/* Which of LANES fragments may be fixed to the camera: by their motion, and because static ones would have moved in
+   the image (`moves`), or changed their depth. */
 INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x, const Floats mv_y, const Floats z,
                          const Floats z_static, const Ints moves, __constant Frame *frame) {
     const Pinhole inverse = frame->to_previous.source_inverse, before = frame->to_previous.target;
@@ -396,14 +417,20 @@ INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, 
     return fabs(f.depth_prev[y * frame->source_width + x] - f.depth[src]) <= FIXED_DEPTH * f.depth[src];
 }
 
-/* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where P_i
-   is unknown. Static fragments only take the test. */
+/* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
+   0) where P_i is unknown. Static fragments only take the test. */
 WIDE __kernel void track_history(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
                                  __global const float4 *history_prev, __global const float *threshold_squared,
                                  __global const float *quantization_error, __global uchar *dynamic_mask,
                                  __global float *met_depth, __global float4 *history) {
-    const Frames frames = {depth, motion, depth_prev, dynamic_prev, history_prev, met_depth, history};
+    const Frames frames = {.depth = depth,
+                           .motion = motion,
+                           .depth_prev = depth_prev,
+                           .dynamic_prev = dynamic_prev,
+                           .history_prev = history_prev,
+                           .met_depth = met_depth,
+                           .history = history};
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous && frame->motion;
     const Reprojection to_previous = frame->to_previous;
@@ -420,7 +447,7 @@ WIDE __kernel void track_history(__constant Frame *frame, __global const float *
         const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
         Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
-        if (ANY(moves)) {  /* else nothing exceeds errors of quantization */
+        if (ANY(moves)) { /* else nothing exceeds errors of quantization */
             dx = beyond(dx, mv_x, 1.0f, quantization_error);
             dy = beyond(dy, mv_y, 1.0f, quantization_error + 2);
             moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared);

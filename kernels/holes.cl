@@ -1,6 +1,7 @@
-/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image downsampled 32
-   times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their label. RUN pixels without
-   any are skipped at once, and the downsampled image is only computed for pixels that need it. */
+/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image
+   downsampled 32 times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their
+   label. RUN pixels without any are skipped at once, and the downsampled image is only computed for pixels that need
+   it. */
 
 #include "frame.h"
 #include "simd.h"
@@ -11,7 +12,8 @@
 #define LEAST_REACH 16       /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10       /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
-#define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame relative to valid pixels: it only counts without any of them */
+#define RENDERED_WEIGHT                                                                                                \
+    0.0009765625f  /* of the rendered frame relative to valid pixels: it only counts without any of them */
 
 /* The new frame, of which holes are filled, and the rendered one. */
 typedef struct {
@@ -33,11 +35,13 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
-#define FAR_SIDE 1.3f            /* inverse depths up to this times another are of the same surface, or of a farther one */
-#define IN_FRONT 0.98f           /* times the depth that is shown: nearer surfaces lie in front of it */
+#define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
+#define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
 
-/* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1; 0: none. */
-INLINE int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask, const uchar hole) {
+/* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1;
+   0: none. */
+INLINE int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask,
+                        const uchar hole) {
     int t = 1;
     for (; t + AT_ONCE <= steps; t += AT_ONCE) {
         bool any = false;
@@ -49,8 +53,8 @@ INLINE int first_beside(const int dst, const int offset, const int steps, __glob
     return 0;
 }
 
-/* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their inverse
-   depths. */
+/* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their
+   inverse depths. */
 typedef struct {
     int met;
     DirectionInts px;
@@ -108,13 +112,15 @@ INLINE float4 weighted_mean(const Border *a, const int directions, const bool sq
 
 /* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
 INLINE float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
-    return reproject(pixel_center(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
+    return reproject(pixel_center(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY,
+                     to_source);
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
 INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
-    const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
+    const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
+                y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
     const int x0 = (int)x, y0 = (int)y;
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
@@ -126,26 +132,28 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
 
 /* Whether `px_source` lies outside of the rendered image. */
 INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
-    return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
-             && px_source.y < (float)frame->source_height);
+    return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f
+             && px_source.x < (float)frame->source_width && px_source.y < (float)frame->source_height);
 }
 
 /* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
-INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame, __global const half *source_color) {
+INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame,
+                        __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
     const float3 border = border_code(px_source.xy, frame, source_color);
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
-/* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows there. */
+/* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows
+   there. */
 INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
     const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
 
-/* The directions that meet the surface behind a disocclusion. Candidates, `behind`, are static surfaces that, continued into the
-   disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances counts;
-   without candidates the far side. */
+/* The directions that meet the surface behind a disocclusion. Candidates, `behind`, are static surfaces that,
+   continued into the disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of
+   inverse distances counts; without candidates the far side. */
 INLINE int surface_behind(const Border *a, const int behind) {
     float most = 0.0f, inverse = 0.0f;
     for (int j = 0; j < DIRECTIONS; ++j) {
@@ -168,10 +176,10 @@ INLINE int surface_behind(const Border *a, const int behind) {
     return counts;
 }
 
-/* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
-   of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
-   disocclusion, and shows the surface behind it.
-   Gives (color, inverse depth); false where no direction meets a valid pixel. */
+/* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole,
+   lies outside of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by
+   count most. Else it is a disocclusion, and shows the surface behind it. Gives (color, inverse depth); false where
+   no direction meets a valid pixel. */
 INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     Border a;
@@ -182,20 +190,21 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame 
         if (!has(a.met, k)) continue;
         const int px = AT(a.px, k);
         const float3 px_source = static_source(dst_x, dst_y, AT(a.inverse, k), frame->to_source);
-        if (is_out_of_screen(px_source, frame)) out_of_screen |= 1 << k;
+        if (is_out_of_screen(px_source, frame))
+            out_of_screen |= 1 << k;
         else if (!f.is_dynamic[px] && f.filled_by[px] != BY_HIDDEN_PART && can_be_at(px_source, frame, f.source_depth))
             behind |= 1 << k;
     }
     const bool is_disocclusion = !out_of_screen;
-    *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion, frame->code_offset,
-                          f.color);
+    *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion,
+                          frame->code_offset, f.color);
     if (!is_disocclusion)
         mean->xyz = continued(mean->xyz, static_source(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
     return true;
 }
 
-#define MIXED_REACH 16           /* px beyond which the far side does not represent the remembered surface */
-#define CONTRAST 0.4f            /* of the far side, relative to its mean, with which it counts half */
+#define MIXED_REACH 16 /* px beyond which the far side does not represent the remembered surface */
+#define CONTRAST 0.4f /* of the far side, relative to its mean, with which it counts half */
 
 INLINE float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
@@ -213,10 +222,10 @@ INLINE float weight_of_far_side(const Border *a, const int far, const float3 mea
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
 }
 
-/* Mixes the background's fills with the far side. A surface's remembered color may be out of date, so the weighted mean with the
-   present color beside it is shown. RUN pixels per work-item. */
-SCAN __kernel void mix_far_side(__constant Frame *frame, __global const uchar *disoccluded, __global const uchar *filled_by,
-                                __global const float *depth, __global half *color) {
+/* Mixes the background's fills with the far side. A surface's remembered color may be out of date, so the weighted
+   mean with the present color beside it is shown. RUN pixels per work-item. */
+SCAN __kernel void mix_far_side(__constant Frame *frame, __global const uchar *disoccluded,
+                                __global const uchar *filled_by, __global const float *depth, __global half *color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
@@ -249,9 +258,11 @@ __kernel void push_image(__constant Frame *frame, __global const uchar *filled_b
     float inverse_sum = 0.0f;
     for (int k = 0; k < 4; ++k) {
         const int dst_x = 2 * texel_x + (k & 1), dst_y = 2 * texel_y + (k >> 1);
-        if (!inside(dst_x, dst_y, target_width,
-                    target_height) || filled_by[dst_y * target_width + dst_x] == BY_HOLE_FILLING) continue;
-        add(&sum, &inverse_sum, 1.0f, load_color(color, dst_y * target_width + dst_x), depth[dst_y * target_width + dst_x]);
+        if (!inside(dst_x, dst_y, target_width, target_height)
+            || filled_by[dst_y * target_width + dst_x] == BY_HOLE_FILLING)
+            continue;
+        add(&sum, &inverse_sum, 1.0f, load_color(color, dst_y * target_width + dst_x),
+            depth[dst_y * target_width + dst_x]);
     }
     const bool any = sum.w > 0.0f;
     const float size = any ? divide(1.0f, sum.w) : 0.0f;
@@ -264,7 +275,8 @@ __kernel void push_level(__constant Frame *frame, const int level, __global cons
                          __global const float *fine_weight, __global float4 *mean, __global float *weight) {
     const int fine_width = level_side(frame->target_width, level - 1);
     const int fine_height = level_side(frame->target_height, level - 1);
-    const int level_width = level_side(frame->target_width, level), level_height = level_side(frame->target_height, level);
+    const int level_width = level_side(frame->target_width, level),
+              level_height = level_side(frame->target_height, level);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     float4 sum = (float4)(0.0f);
@@ -288,30 +300,35 @@ INLINE float4 upsampled(const int x, const int y, const int level_width, const i
     const int x0 = (x - 1) >> 1, y0 = (y - 1) >> 1;
     float4 sum = (float4)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
-        const int tap_x = clamp(x0 + (tap & 1), 0, level_width - 1), tap_y = clamp(y0 + (tap >> 1), 0, level_height - 1);
+        const int tap_x = clamp(x0 + (tap & 1), 0, level_width - 1),
+                  tap_y = clamp(y0 + (tap >> 1), 0, level_height - 1);
         sum += bilinear_weight(tap, u, v) * mean[tap_y * level_width + tap_x];
     }
     return sum;
 }
 
 /* Completes a level, in place, where it is not full, from the coarser one. */
-__kernel void pull_level(__constant Frame *frame, const int level, __global const float4 *coarse_mean, __global float4 *mean,
-                         __global const float *weight) {
-    const int level_width = level_side(frame->target_width, level), level_height = level_side(frame->target_height, level);
+__kernel void pull_level(__constant Frame *frame, const int level, __global const float4 *coarse_mean,
+                         __global float4 *mean, __global const float *weight) {
+    const int level_width = level_side(frame->target_width, level),
+              level_height = level_side(frame->target_height, level);
     const int coarse_width = level_side(frame->target_width, level + 1);
     const int coarse_height = level_side(frame->target_height, level + 1);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const int texel = texel_y * level_width + texel_x;
     const float w = weight[texel];
-    if (w < 1.0f) mean[texel] = w * mean[texel] + (1.0f - w) * upsampled(texel_x, texel_y, coarse_width, coarse_height,
-                                                                         coarse_mean);
+    if (w < 1.0f)
+        mean[texel] =
+            w * mean[texel] + (1.0f - w) * upsampled(texel_x, texel_y, coarse_width, coarse_height, coarse_mean);
 }
 
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
-/* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image (static_source). */
-INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame, const Images f) {
+/* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image
+   (static_source). */
+INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame,
+                            const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
     const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
     f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
@@ -325,14 +342,20 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
-#define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
+#define BEYOND_REACH -1.0f /* depth of pixels that have no far side within reach, until they are filled */
 
 /* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(__constant Frame *frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color,
-                                 __global const float *source_depth, __global const uchar *is_dynamic, __global half *color,
-                                 __global float *depth, __global float2 *motion) {
-    const Images images = {filled_by, source_color, source_depth, is_dynamic, color, depth, motion};
+                                 __global const float *source_depth, __global const uchar *is_dynamic,
+                                 __global half *color, __global float *depth, __global float2 *motion) {
+    const Images images = {.filled_by = filled_by,
+                           .source_color = source_color,
+                           .source_depth = source_depth,
+                           .is_dynamic = is_dynamic,
+                           .color = color,
+                           .depth = depth,
+                           .motion = motion};
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
@@ -343,29 +366,33 @@ SCAN __kernel void fill_far_side(__constant Frame *frame, __global const uchar *
         const int dst = dst_y * target_width + dst_x;
         if (filled_by[dst] != BY_HOLE_FILLING) continue;
         float4 mean;
-        if (continue_surface(dst_x, dst_y, frame, images, &mean)) fill_pixel(dst_x, dst_y, mean, frame, images);
-        else depth[dst] = BEYOND_REACH;
+        if (continue_surface(dst_x, dst_y, frame, images, &mean))
+            fill_pixel(dst_x, dst_y, mean, frame, images);
+        else
+            depth[dst] = BEYOND_REACH;
     }
 }
 
 /* ---- downsampled, as in the paper ------------------------------------------------------------------------------ */
 
-#define TILE 4               /* texels along the side of a work-group's area: it needs those around them, too */
+#define TILE 4 /* texels along the side of a work-group's area: it needs those around them, too */
 #define RING (TILE + 2)
-#define GROUP 128            /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
-#define STRIP 8              /* rows of a texel that one work-item sums up */
+#define GROUP 128 /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
+#define STRIP 8 /* rows of a texel that one work-item sums up */
 
-/* The TILE x TILE texels that a work-group fills from, and the ring around them, whose first texel is (ring_x, ring_y). */
+/* The TILE x TILE texels that a work-group fills from, and the ring around them, whose first texel is (ring_x,
+   ring_y). */
 typedef struct {
     int ring_x, ring_y;
-    int width, height;       /* of the downsampled image */
-    int after_far_side;      /* only pixels are filled that the far side has left */
-    __local float4 *sums;    /* of the ring's texels: (color, 1), weighted ... */
-    __local float *inverse_sums;  /* ... and inverse depth */
-    __local uint *asked, *any_asks;  /* whether a pixel needs them */
+    int width, height; /* of the downsampled image */
+    int after_far_side; /* only pixels are filled that the far side has left */
+    __local float4 *sums; /* of the ring's texels: (color, 1), weighted ... */
+    __local float *inverse_sums; /* ... and inverse depth */
+    __local uint *asked, *any_asks; /* whether a pixel needs them */
 } Tile;
 
-/* Where a pixel lies between the centers of four texels of the downsampled image: the first one, and how far from it. */
+/* Where a pixel lies between the centers of four texels of the downsampled image: the first one, and how far from
+   it. */
 INLINE int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
     const float2 b = pixel_center(dst_x, dst_y) * (1.0f / DOWNSAMPLING) - 0.5f;
     const float2 first = floor(b);
@@ -380,9 +407,10 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
     return (texel_y - tile.ring_y) * RING + texel_x - tile.ring_x;
 }
 
-/* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
-   frame. */
-INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f, float *inverse_sum) {
+/* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the
+   rendered frame. */
+INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f,
+                        float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     float4 sum = (float4)(0.0f);
@@ -404,7 +432,8 @@ INLINE bool asks(const int dst, const Tile tile, const Images f) {
 }
 
 /* Fills a pixel from the four texels around it; out of screen, after the far side, with the image's border too. */
-INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *frame, const Images f) {
+INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *frame,
+                                const Images f) {
     float2 between;
     const int2 first = first_texel(dst_x, dst_y, &between);
     float4 sum = (float4)(0.0f);
@@ -417,14 +446,15 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
     }
     float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
     const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
-    if (tile.after_far_side && is_out_of_screen(px_source, frame)) mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
+    if (tile.after_far_side && is_out_of_screen(px_source, frame))
+        mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
-/* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they need as asked
-   for. */
-INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, __constant Frame *frame,
-                        const Images f) {
+/* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they
+   need as asked for. */
+INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile,
+                        __constant Frame *frame, const Images f) {
     for (int run_x = first_x; run_x < end_x; run_x += RUN) {
         const int run = dst_y * frame->target_width + run_x;
         if (run_x + RUN <= end_x && !run_has(f.filled_by + run, BY_HOLE_FILLING)) continue;
@@ -442,24 +472,37 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
     }
 }
 
-/* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills the pixels under TILE x TILE texels: it sums
-   up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
-SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
-                           __global const half *source_color, __global const float *source_depth, __global half *color,
-                           __global float *depth, __global float2 *motion, __global float4 *downsampled_color,
-                           __global float *downsampled_inverse_depth) {
-    const Images images = {filled_by, source_color, source_depth, 0, color, depth, motion};
+/* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills the pixels under TILE x TILE
+   texels: it sums up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who
+   wants to look at them. */
+SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
+                      __global const half *source_color, __global const float *source_depth, __global half *color,
+                      __global float *depth, __global float2 *motion, __global float4 *downsampled_color,
+                      __global float *downsampled_inverse_depth) {
+    const Images images = {.filled_by = filled_by,
+                           .source_color = source_color,
+                           .source_depth = source_depth,
+                           .color = color,
+                           .depth = depth,
+                           .motion = motion};
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
     __local uint asked[RING * RING], any_asks;
-    const Tile tile = {get_group_id(0) * TILE - 1, get_group_id(1) * TILE - 1,
-                       (frame->target_width + DOWNSAMPLING - 1) / DOWNSAMPLING, (frame->target_height + DOWNSAMPLING - 1) / DOWNSAMPLING,
-                       after_far_side, sums, inverse_sums, asked, &any_asks};
+    const Tile tile = {get_group_id(0) * TILE - 1,
+                       get_group_id(1) * TILE - 1,
+                       (frame->target_width + DOWNSAMPLING - 1) / DOWNSAMPLING,
+                       (frame->target_height + DOWNSAMPLING - 1) / DOWNSAMPLING,
+                       after_far_side,
+                       sums,
+                       inverse_sums,
+                       asked,
+                       &any_asks};
     const int lane = get_local_id(0);
     const int first_x = get_group_id(0) * TILE * DOWNSAMPLING, dst_y = get_group_id(1) * TILE * DOWNSAMPLING + lane;
     const int end_x = dst_y < frame->target_height ? min(first_x + TILE * DOWNSAMPLING, frame->target_width) : first_x;
-    const int own_x = tile.ring_x + 1 + lane % TILE, own_y = tile.ring_y + 1 + lane / TILE, own = own_y * tile.width + own_x;
+    const int own_x = tile.ring_x + 1 + lane % TILE, own_y = tile.ring_y + 1 + lane / TILE,
+              own = own_y * tile.width + own_x;
     const bool has_own = lane < TILE * TILE && own_x < tile.width && own_y < tile.height;
 
     if (lane < RING * RING) asked[lane] = 0;
@@ -478,8 +521,8 @@ void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __
         if (!asked[k]) continue;
         float inverse_sum;
         strip_sums[lane] = sum_strip((tile.ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
-                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, frame, images,
-                                     &inverse_sum);
+                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, frame,
+                                     images, &inverse_sum);
         strip_inverse_sums[lane] = inverse_sum;
         barrier(CLK_LOCAL_MEM_FENCE);
         if (lane == 0) {
@@ -501,9 +544,10 @@ void fill_from_downsampled(__constant Frame *frame, const int after_far_side, __
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */
-__kernel void fill_from_pyramid(__constant Frame *frame, __global const uchar *filled_by, __global const float4 *level_mean,
-                                __global half *color, __global float *depth, __global float2 *motion) {
-    const Images images = {filled_by, 0, 0, 0, color, depth, motion};
+__kernel void fill_from_pyramid(__constant Frame *frame, __global const uchar *filled_by,
+                                __global const float4 *level_mean, __global half *color, __global float *depth,
+                                __global float2 *motion) {
+    const Images images = {.filled_by = filled_by, .color = color, .depth = depth, .motion = motion};
     const int level_width = level_side(frame->target_width, 1), level_height = level_side(frame->target_height, 1);
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= frame->target_width || dst_y >= frame->target_height) return;

@@ -1,15 +1,18 @@
-/* The law by which color is encoded for the shading correction network (paper: 'Shading Correction Network'), LANES at once. */
+/* The law by which color is encoded for the shading correction network (paper: 'Shading Correction Network'), LANES
+   at once. */
 
 #include "common.h"
 #include "simd.h"
 
-/* Of the power of two within sqrt(2) of x > 0. */
+/* The exponent of the power of two within sqrt(2) of x > 0. */
 INLINE Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
 
-INLINE Floats mantissa_of(const Floats x, const Ints exponent) { return ints_as_floats(floats_as_ints(x) - (exponent << 23)); }
+INLINE Floats mantissa_of(const Floats x, const Ints exponent) {
+    return ints_as_floats(floats_as_ints(x) - (exponent << 23));
+}
 
-/* ln(mantissa * 2^exponent), to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions
-   differ between runtimes, and not all of them are fast. */
+/* ln(mantissa * 2^exponent), to about a unit in the last place: of Cephes (Moshier), without branches. Built-in
+   functions differ between runtimes, and not all of them are fast. */
 INLINE Floats log_of_parts(const Floats mantissa, const Ints exponent) {
     const Floats e = to_floats(exponent), m = mantissa - 1.0f, z = m * m;
     Floats y = 7.0376836292e-2f;
@@ -55,12 +58,14 @@ INLINE Floats exp_less_one(const Floats x) {
 
 /* mu-law of color: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
    their reciprocals. NaN is 0. */
-#define LIFTED(type, c, law) (1.0f + (law).x * ((c) > 0.0f ? ((c) < COLOR_MAX ? (c) : (type)(COLOR_MAX)) : (type)(0.0f)))
+#define LIFTED(type, c, law)                                                                                           \
+    (1.0f + (law).x * ((c) > 0.0f ? ((c) < COLOR_MAX ? (c) : (type)(COLOR_MAX)) : (type)(0.0f)))
 
 INLINE Floats lifted(const Floats c, const float4 law) { return LIFTED(Floats, c, law); }
 
 INLINE Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
 
 INLINE Floats decode(const Floats e, const float4 law) {
-    return wide_lesser(exp_less_one(wide_lesser(wide_greater(e, (Floats)(0.0f)) * law.w, (Floats)(88.0f))) * law.z, (Floats)(COLOR_MAX));
+    return wide_lesser(exp_less_one(wide_lesser(wide_greater(e, (Floats)(0.0f)) * law.w, (Floats)(88.0f))) * law.z,
+                       (Floats)(COLOR_MAX));
 }

@@ -2,22 +2,23 @@
    result does not depend on the order of execution. Keys and winners start with all bits set. */
 
 #define NOBODY 0xFFFFFFFFu
-#define GIVES_WAY 0x80000000u  /* of a depth's bits: every offer without it is nearer */
+#define GIVES_WAY 0x80000000u /* of a depth's bits: every offer without it is nearer */
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
-typedef ulong Key;  /* depth bits << 32 | index */
+typedef ulong Key; /* depth bits << 32 | index */
 #else
 typedef uint Key;   /* depth bits; the index is found in a second pass */
 #endif
 
-/* `depth_bits`: those of a positive float, perhaps with GIVES_WAY. One key for them and the index with 64-bit atomics; else
-   pass 0 finds the least of them, pass 1 the least index of it. An offer that cannot win any more need not be made: a plain look
-   costs less than an atomic, and one that comes too early only makes an offer in vain. It takes 32 bits, the depth's: devices need
-   not load 64 as a whole, and a new depth with an old index would drop a tie. */
-#define LOOKS 1  /* 0 for Oclgrind, which takes that look for a race */
+/* `depth_bits`: those of a positive float, perhaps with GIVES_WAY. One key for them and the index with 64-bit
+   atomics; else pass 0 finds the least of them, pass 1 the least index of it. An offer that cannot win any more need
+   not be made: a plain look costs less than an atomic, and one that comes too early only makes an offer in vain. It
+   takes 32 bits, the depth's: devices need not load 64 as a whole, and a new depth with an old index would drop a
+   tie. */
+#define LOOKS 1 /* 0 for Oclgrind, which takes that look for a race */
 #ifdef __ENDIAN_LITTLE__
-#define DEPTH_WORD 1  /* of a key's two words */
+#define DEPTH_WORD 1 /* of a key's two words */
 #else
 #define DEPTH_WORD 0
 #endif
@@ -38,12 +39,15 @@ INLINE void offer_bits(const int pass, __global Key *keys, __global uint *winner
     (void)winners;
     atom_min(keys + c, ((ulong)depth_bits << 32) | i);
 #else
-    if (pass == 0) atomic_min(keys + c, depth_bits);
-    else atomic_min(winners + c, i);
+    if (pass == 0)
+        atomic_min(keys + c, depth_bits);
+    else
+        atomic_min(winners + c, i);
 #endif
 }
 
-INLINE void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
+INLINE void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z,
+                  const uint i) {
     offer_bits(pass, keys, winners, c, as_uint(z), i);
 }
 

@@ -1,5 +1,5 @@
-/* Input of the shading correction network at half resolution (paper: 'Shading Correction Network'): encoded colors of the
-   extrapolated frame and of the warped previous one, inverse depth and the input mask. */
+/* Input of the shading correction network at half resolution (paper: 'Shading Correction Network'): encoded colors
+   of the extrapolated frame and of the warped previous one, inverse depth and the input mask. */
 
 #include "frame.h"
 #include "warped_previous.h"
@@ -43,8 +43,8 @@ WIDE __kernel void depth_histogram(__constant Frame *frame, __global const float
 }
 
 /* The middle of the bin in which half of the depths is reached; 1 if there are none. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
-void find_median(__global const uint *histogram, __global float *median_depth) {
+__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void find_median(__global const uint *histogram,
+                                                                                __global float *median_depth) {
     const uint part = get_local_id(0);
     __local uint sums[SCANNERS];
     uint sum = 0;
@@ -61,7 +61,9 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
 }
 
 /* Products of lifted colors, which stay below 1e28: of the left and of the right strips of two rows. */
-typedef struct { Strip left, right; } Products;
+typedef struct {
+    Strip left, right;
+} Products;
 
 INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
     Strip product;
@@ -101,8 +103,19 @@ WIDE __kernel void network_input(__constant Frame *frame, __global const half *c
     const float4 law = frame->color_law;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
-    const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
-                           out_motion, motion, is_dynamic, disoccluded, &frame->target_to_previous};
+    const Frames frames = {.known = 1,
+                           .target_width = target_width,
+                           .source_width = source_width,
+                           .source_height = source_height,
+                           .color = color,
+                           .color_prev = color_prev,
+                           .depth = depth,
+                           .depth_prev = depth_prev,
+                           .out_motion = out_motion,
+                           .motion = motion,
+                           .is_dynamic = is_dynamic,
+                           .disoccluded = disoccluded,
+                           .to_previous = &frame->target_to_previous};
     const int plane_size = network_width * network_height;
     __global float *out = planes + net_y * network_width + net_x;
 
@@ -113,7 +126,8 @@ WIDE __kernel void network_input(__constant Frame *frame, __global const half *c
     Strip colors[4], before[4];
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
-        const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
+        const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1),
+                  y = min(2 * net_y + (k >> 1), target_height - 1);
         strips[k] = strip_of_frame(&frames, x, y);
         colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
         previous_of(&frames, strips + k, colors + k, before + k);

@@ -1,8 +1,8 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
-   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed
-   to the camera keep their place in view space, those it carries move on there; P_1 is where the fragment's
-   motion points to in the frame before, at the depth met there. The trusted part of a mover's acceleration (acceleration.cl) is added
-   to the linear prediction. */
+   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed to the
+   camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
+   to in the frame before, at the depth met there. The trusted part of a mover's acceleration (acceleration.cl) is
+   added to the linear prediction. */
 
 #include "frame.h"
 #include "simd.h"
@@ -66,12 +66,19 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
 }
 
 /* target_position: planes of x, y and depth. */
-WIDE __kernel void predict_positions(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
-                                     __global const uchar *dynamic_mask, __global const float *met_depth,
-                                     __global const float4 *history, __global const float4 *velocity,
-                                     __global const uint2 *bend, __global const uint2 *view_velocity,
-                                     __global float *target_position) {
-    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend, view_velocity};
+WIDE __kernel void predict_positions(__constant Frame *frame, __global const float *depth,
+                                     __global const float2 *motion, __global const uchar *dynamic_mask,
+                                     __global const float *met_depth, __global const float4 *history,
+                                     __global const float4 *velocity, __global const uint2 *bend,
+                                     __global const uint2 *view_velocity, __global float *target_position) {
+    const Tracked fragments = {.depth = depth,
+                               .motion = motion,
+                               .dynamic_mask = dynamic_mask,
+                               .met_depth = met_depth,
+                               .history = history,
+                               .velocity = velocity,
+                               .bend = bend,
+                               .view_velocity = view_velocity};
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;

@@ -11,14 +11,15 @@ INLINE float cubic_1d(const float4 w, const float a, const float b, const float 
 }
 
 INLINE Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, const Rgb d) {
-    const Rgb made = {cubic_1d(w, a.r, b.r, c.r, d.r), cubic_1d(w, a.g, b.g, c.g, d.g), cubic_1d(w, a.b, b.b, c.b, d.b)};
+    const Rgb made = {cubic_1d(w, a.r, b.r, c.r, d.r), cubic_1d(w, a.g, b.g, c.g, d.g),
+                      cubic_1d(w, a.b, b.b, c.b, d.b)};
     return made;
 }
 
 INLINE float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
 
-/* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between. Beyond the image its border is
-   repeated. */
+/* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between. Beyond the image its
+   border is repeated. */
 __kernel void present_color(__constant Frame *frame, __global const uint2 *color, __global half *out_color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
@@ -29,7 +30,8 @@ __kernel void present_color(__constant Frame *frame, __global const uint2 *color
     const float left = floor(px_render - 0.5f);
     const float4 weights_x = cubic_weights(px_render - 0.5f - left);
     const int right = source_width - 1, x0 = (int)left - 1;
-    const int4 tap = (int4)(clamp(x0, 0, right), clamp(x0 + 1, 0, right), clamp(x0 + 2, 0, right), clamp(x0 + 3, 0, right));
+    const int4 tap =
+        (int4)(clamp(x0, 0, right), clamp(x0 + 1, 0, right), clamp(x0 + 2, 0, right), clamp(x0 + 3, 0, right));
 
     Rgb row0 = {0.0f, 0.0f, 0.0f}, row1 = row0, row2 = row0, row3 = row0;
     int held = INT_MIN / 2;  /* the row of row0 */
@@ -51,8 +53,8 @@ __kernel void present_color(__constant Frame *frame, __global const uint2 *color
     }
 }
 
-/* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface was on
-   the previous display. */
+/* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface
+   was on the previous display. */
 __kernel void present_geometry(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
                                __global float *out_depth, __global float2 *out_motion) {
     const int target_width = frame->target_width, target_height = frame->target_height;

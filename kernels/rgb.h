@@ -1,7 +1,9 @@
 /* Colors of half images as three scalars. */
 
 /* Three scalars, which compilers for CPUs spread over SIMD lanes three times better than a float3. */
-typedef struct { float r, g, b; } Rgb;
+typedef struct {
+    float r, g, b;
+} Rgb;
 
 /* The half in the low 16 bits of `bits`; NaN counts as 0, infinities are clamped. */
 INLINE float unpack_half(const uint bits) {

@@ -5,12 +5,13 @@
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
 INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     for (int k = 0; k < 3; ++k) {
-        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH), left = wide_greater(1.0f - t * t, (Floats)(0.0f));
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH),
+                     left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left * left;
     }
 }
 
-/* The same for interpolation between them; `off` in rendered pixels. */
+/* Weights of three samples for interpolation between them; `off` in rendered pixels. */
 INLINE void far_weights(const Floats off, Floats *weights) {
     const Floats within = wide_lesser(wide_greater(off, (Floats)(-1.0f)), (Floats)(1.0f));
     for (int k = 0; k < 3; ++k) {
@@ -19,8 +20,11 @@ INLINE void far_weights(const Floats off, Floats *weights) {
     }
 }
 
-/* Of 3x3 samples: weights of the columns, for each of LANES pixels of a row, and of the rows. */
-typedef struct { Floats x[3]; float3 y; } Weights;
+/* Weights of 3x3 samples: those of the columns, for each of LANES pixels of a row, and of the rows. */
+typedef struct {
+    Floats x[3];
+    float3 y;
+} Weights;
 
 INLINE Weights weights_of(const Floats *x, const Floats *y) {
     const Weights w = {{x[0], x[1], x[2]}, (float3)(FIRST_LANE(y[0]), FIRST_LANE(y[1]), FIRST_LANE(y[2]))};
@@ -33,7 +37,7 @@ INLINE float16 columns_of(const float3 wy, const float16 above, const float16 he
 
 #if LANES == 8
 
-/* Of four pixels, whose columns start at these floats of `columns`. */
+/* Weighted sums of a row of samples for four pixels, whose columns start at these floats of `columns`. */
 INLINE float16 rows_of(const Weights *w, const int part, const int *first, const float *columns) {
     const float *a = columns + first[0], *b = columns + first[1], *c = columns + first[2], *d = columns + first[3];
     return OF_TEXELS(w->x[0], part) * (float16)(vload4(0, a), vload4(0, b), vload4(0, c), vload4(0, d))
@@ -43,9 +47,9 @@ INLINE float16 rows_of(const Weights *w, const int part, const int *first, const
 
 #endif
 
-/* Of the 3x3 samples around each of LANES pixels of a row: their weighted sum, and one with other weights. */
-INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width, const int height,
-                         __global const half *compressed, Wide4 *far_sum) {
+/* The weighted sum of the 3x3 samples around each of LANES pixels of a row, and one with other weights. */
+INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width,
+                         const int height, __global const half *compressed, Wide4 *far_sum) {
 #if LANES == 8
     int column[LANES];
     store_ints(x, 0, column);

@@ -7,7 +7,10 @@
 INLINE Floats row_indices(const int x) { return to_floats(x + LANE_NUMBERS); }
 
 /* The taps around positions in pixels, with whole numbers at pixel centers. NaN counts as the far border. */
-typedef struct { Ints tap, right, down; Floats u, v; } Sample;
+typedef struct {
+    Ints tap, right, down;
+    Floats u, v;
+} Sample;
 
 INLINE void find_sample(const Floats x, const Floats y, const int width, const int height, Sample *s) {
     const Floats px = wide_greater(wide_lesser(x, (Floats)((float)(width - 1))), (Floats)(0.0f));

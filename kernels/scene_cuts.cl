@@ -1,6 +1,6 @@
-/* Cuts: whether the frame before shares any content with this frame (not in the paper, whose cuts are given).
-   A lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of color only the
-   contrast between neighbors. */
+/* Cuts: whether the frame before shares any content with this frame (not in the paper, whose cuts are given). A
+   lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of color only
+   the contrast between neighbors. */
 
 #include "frame.h"
 
@@ -23,7 +23,8 @@ INLINE float brightness(__global const half *color, const int x, const int y, co
 }
 
 /* Contrast between the pixels at -(dx, dy) and (dx, dy) from (x, y), -1 to 1: the same in any light. */
-INLINE float contrast(__global const half *color, const int x, const int y, const int dx, const int dy, const int width) {
+INLINE float contrast(__global const half *color, const int x, const int y, const int dx, const int dy,
+                      const int width) {
     const float a = brightness(color, x - dx, y - dy, width), b = brightness(color, x + dx, y + dy, width);
     return divide(b - a, a + b + DARK);
 }
@@ -33,7 +34,8 @@ INLINE bool has_arms(const int x, const int y, const int width, const int height
 }
 
 /* Depth of a pixel's surface in the frame before, unless its vector has movement of its own. */
-INLINE float depth_before(const float2 px, const float2 px_prev, const float2 mv_px, const float z, const Reprojection to_previous) {
+INLINE float depth_before(const float2 px, const float2 px_prev, const float2 mv_px, const float z,
+                          const Reprojection to_previous) {
     if (isinf(z)) return z;
     const float3 px_static = reproject(px, z, to_previous);
     const float dx = px_static.x - px_prev.x, dy = px_static.y - px_prev.y;
@@ -57,15 +59,16 @@ INLINE void compare_depth(const float2 px_prev, const float expected, const int 
         farthest = fmax(farthest, z);
     }
     *compared = !(isinf(expected) && all_sky);  /* sky is everywhere the same */
-    *right = isinf(expected) ? any_sky
-           : nearest <= expected * (1.0f + DEPTH_AGREES) && farthest >= expected * (1.0f - DEPTH_AGREES);
+    *right = isinf(expected)
+                 ? any_sky
+                 : nearest <= expected * (1.0f + DEPTH_AGREES) && farthest >= expected * (1.0f - DEPTH_AGREES);
 }
 
 /* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; it has passed nearer surfaces. */
-__kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1)))
-void compare_samples(__constant Frame *frame, __global const half *color, __global const float *depth,
-                     __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
-                     __global int *counts) {
+__kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1))) void
+compare_samples(__constant Frame *frame, __global const half *color, __global const float *depth,
+                __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
+                __global int *counts) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const float camera_step = frame->camera_step;
     const Reprojection to_previous = frame->to_previous;
@@ -80,15 +83,17 @@ void compare_samples(__constant Frame *frame, __global const half *color, __glob
         atomic_inc(found + VALID);
         if (z < camera_step) atomic_inc(found + PASSED);
         const float2 px = pixel_center(x, y), mv_px = motion[y * source_width + x], px_prev = px + mv_px;
-        if (px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)source_width && px_prev.y < (float)source_height) {
+        if (px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)source_width
+            && px_prev.y < (float)source_height) {
             atomic_inc(found + INSIDE);
             bool compared, right;
-            compare_depth(px_prev, depth_before(px, px_prev, mv_px, z, to_previous), source_width, source_height, depth_prev,
-                          &compared, &right);
+            compare_depth(px_prev, depth_before(px, px_prev, mv_px, z, to_previous), source_width, source_height,
+                          depth_prev, &compared, &right);
             if (compared) atomic_inc(found + COMPARED);
             if (compared && right) atomic_inc(found + DEPTH_RIGHT);
             const int x_prev = (int)px_prev.x, y_prev = (int)px_prev.y;
-            const bool arms = has_arms(x, y, source_width, source_height) && has_arms(x_prev, y_prev, source_width, source_height);
+            const bool arms =
+                has_arms(x, y, source_width, source_height) && has_arms(x_prev, y_prev, source_width, source_height);
             for (int axis = 0; axis < 2 && compared && right && arms; ++axis) {
                 const int dx = axis ? 0 : ARM, dy = axis ? ARM : 0;
                 const float now = contrast(color, x, y, dx, dy, source_width);

@@ -1,5 +1,5 @@
-/* Inputs of the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame, warped, at
-   full size for display, and the focus mask for training. */
+/* Inputs of the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame,
+   warped, at full size for display, and the focus mask for training. */
 
 #include "frame.h"
 #include "warped_previous.h"
@@ -8,7 +8,8 @@
 #define FOCUS_SMAPE 0.5f     /* the paper's: errors above this are the shading correction network's business */
 #define SMAPE_EPSILON 0.01f  /* the paper's: keeps black pixels from counting fully */
 
-/* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from warped_previous.h. */
+/* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from
+   warped_previous.h. */
 WIDE __kernel void prepare_inputs(__constant Frame *frame, __global const half *color, __global const float *depth,
                                   __global const float2 *out_motion, __global const uchar *is_dynamic,
                                   __global const uchar *disoccluded, __global const float2 *motion,
@@ -19,8 +20,19 @@ WIDE __kernel void prepare_inputs(__constant Frame *frame, __global const half *
     const int has_previous = frame->has_previous;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
-    const Frames frames = {has_previous, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
-                           out_motion, motion, is_dynamic, disoccluded, &frame->target_to_previous};
+    const Frames frames = {.known = has_previous,
+                           .target_width = target_width,
+                           .source_width = source_width,
+                           .source_height = source_height,
+                           .color = color,
+                           .color_prev = color_prev,
+                           .depth = depth,
+                           .depth_prev = depth_prev,
+                           .out_motion = out_motion,
+                           .motion = motion,
+                           .is_dynamic = is_dynamic,
+                           .disoccluded = disoccluded,
+                           .to_previous = &frame->target_to_previous};
     const StripOfFrame here = strip_of_frame(&frames, dst_x, dst_y);
     const Strip gae = load_strip(here.count, color + 4 * here.first);
     Strip previous;
@@ -33,12 +45,11 @@ INLINE float relative_error(const float a, const float b) {
     return divide(2.0f * fabs(a - b), fabs(a) + fabs(b) + SMAPE_EPSILON);
 }
 
-/* M_focus: 1 where the extrapolated color is unlike the truth at this pixel and at its neighbors (SMAPE over FOCUS_SMAPE), and
-   is not dynamic. */
+/* M_focus: 1 where the extrapolated color is unlike the truth at this pixel and at its neighbors (SMAPE over
+   FOCUS_SMAPE), and is not dynamic. */
 __kernel void focus_mask(const int target_width, const int target_height, const float exposure,
-                         __global const uint2 *color /* half x4 */,
-                         __global const uint2 *truth /* half x4 */, __global const uchar *is_dynamic,
-                         __global uchar *focus_truth) {
+                         __global const uint2 *color /* half x4 */, __global const uint2 *truth /* half x4 */,
+                         __global const uchar *is_dynamic, __global uchar *focus_truth) {
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;

@@ -1,13 +1,14 @@
-/* The trend of shading (beyond the paper): how encoded color changed on static surfaces from rendered frame t-1 to t, over wide
-   areas, and that of the interval before, carried on to t + alpha. Slow changes of light continue; flicker and turns do
-   not: the shading correction network tells them apart.
-   A cell has 8x8 pixels of the rendered image; a few of them stand for all. */
+/* The trend of shading (beyond the paper): how encoded color changed on static surfaces from rendered frame t-1 to
+   t, over wide areas, and that of the interval before, carried on to t + alpha. Slow changes of light continue;
+   flicker and turns do not: the shading correction network tells them apart. A cell has 8x8 pixels of the rendered
+   image; a few of them stand for all. */
 
 #include "frame.h"
 #include "mu_law.h"
 #include "simd_rgb.h"
 
-#define REACH_SHARE 120  /* rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
+#define REACH_SHARE                                                                                                    \
+    120  /* rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */
@@ -29,15 +30,18 @@ typedef struct {
     __global const float *depth_prev;
 } Frames;
 
-/* By which factor lifted colors have changed since t-1, 1 where it is not known. */
-typedef struct { WideRgb factor; Ints known, moves; } Change;
+/* The factor by which lifted colors have changed since t-1, 1 where it is not known. */
+typedef struct {
+    WideRgb factor;
+    Ints known, moves;
+} Change;
 
 INLINE Floats factor_of(const Floats now, const Floats before, const Ints known, const float4 law) {
     const Floats factor = wide_divide(lifted(now, law), lifted(before, law));
     return known ? clamp(factor, (Floats)(1.0f / MOST_CHANGE), (Floats)(MOST_CHANGE)) : (Floats)(1.0f);
 }
 
-/* Of the pixels (x, y). */
+/* The change of the pixels (x, y). */
 INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
@@ -48,8 +52,9 @@ INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const 
     const Wide3 before = wide_reproject(to_floats(x) + 0.5f, (float)y + 0.5f, z, frame->to_previous);
     const Floats px_x = before.x - 0.5f, px_y = before.y - 0.5f;
     c->known = in_image & !c->moves & (z > 0.0f) & (before.z > 0.0f) & (px_x >= 0.0f) & (px_y >= 0.0f)
-              & (px_x < (float)(width - 1)) & (px_y < (float)(height - 1));
-    const Ints x0 = to_ints(c->known ? px_x : (Floats)(0.0f)), y0 = to_ints(c->known ? px_y : (Floats)(0.0f)), first = y0 * width + x0;
+               & (px_x < (float)(width - 1)) & (px_y < (float)(height - 1));
+    const Ints x0 = to_ints(c->known ? px_x : (Floats)(0.0f)), y0 = to_ints(c->known ? px_y : (Floats)(0.0f)),
+               first = y0 * width + x0;
     const Floats u = px_x - to_floats(x0), v = px_y - to_floats(y0);
     const Floats tolerance = isinf(before.z) ? (Floats)(0.0f) : SAME_SURFACE * before.z;
     WideRgb sum = {0.0f, 0.0f, 0.0f};
@@ -72,12 +77,17 @@ INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const 
 
 INLINE Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
 
-/* Planes of the summed change of encoded color of a cell's samples, and of the share that is known, over the number of samples;
-   and how many samples move or change by more than noise. */
+/* Planes of the summed change of encoded color of a cell's samples, and of the share that is known, over the number
+   of samples; and how many samples move or change by more than noise. */
 WIDE __kernel void measure_changes(__constant Frame *frame, __global const half *color, __global const float *depth,
                                    __global const uchar *dynamic_mask, __global const half *color_prev,
-                                   __global const float *depth_prev, __global float *changes, __global uchar *changed_samples) {
-    const Frames frames = {color, depth, dynamic_mask, color_prev, depth_prev};
+                                   __global const float *depth_prev, __global float *changes,
+                                   __global uchar *changed_samples) {
+    const Frames frames = {.color = color,
+                           .depth = depth,
+                           .dynamic_mask = dynamic_mask,
+                           .color_prev = color_prev,
+                           .depth_prev = depth_prev};
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const float4 law = frame->color_law;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
@@ -93,19 +103,21 @@ WIDE __kernel void measure_changes(__constant Frame *frame, __global const half 
             factor[1] *= c.factor.g;
             factor[2] *= c.factor.b;
             known += c.known ? (Floats)(1.0f) : (Floats)(0.0f);
-            const Ints differs = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g) | is_more_than_noise(c.factor.b);
+            const Ints differs = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g)
+                                 | is_more_than_noise(c.factor.b);
             changed += differs ? (Ints)(1) : (Ints)(0);
         }
     const float share = (float)(SAMPLE_STRIDE * SAMPLE_STRIDE) / (float)(CELL * CELL);
     const int cell = cell_y * cells_width + first_x;
-    for (int c = 0; c < 3; ++c) store_some_floats(log_of(factor[c]) * (law.y * share), count, changes + c * plane + cell);
+    for (int c = 0; c < 3; ++c)
+        store_some_floats(log_of(factor[c]) * (law.y * share), count, changes + c * plane + cell);
     store_some_floats(known * share, count, changes + 3 * plane + cell);
     store_some_bytes(to_bytes(changed), count, changed_samples + cell);
 }
 
 /* Whether more than a FEW samples change in any tile of TILE x TILE cells. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
-void find_change(__constant Frame *frame, __global const uchar *changed_samples, __global int *changed) {
+__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void
+find_change(__constant Frame *frame, __global const uchar *changed_samples, __global int *changed) {
     const int part = get_local_id(0), cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int columns = (cells_width + TILE - 1) / TILE, rows = (cells_height + TILE - 1) / TILE;
     __local int found[SCANNERS];
@@ -123,8 +135,8 @@ void find_change(__constant Frame *frame, __global const uchar *changed_samples,
     *changed = found[0];
 }
 
-/* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond the image
-   there is nothing. */
+/* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond
+   the image there is nothing. */
 __kernel void blur_rows(__constant Frame *frame, __global const float *changes, __global float *blurred) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
@@ -139,7 +151,7 @@ __kernel void blur_rows(__constant Frame *frame, __global const float *changes, 
     }
 }
 
-/* The same along columns, and the mean of known values. */
+/* Blurs along columns, and takes the mean of known values. */
 __kernel void find_trend(__constant Frame *frame, __global const float *blurred, __global float *trend) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
@@ -159,7 +171,10 @@ __kernel void find_trend(__constant Frame *frame, __global const float *blurred,
 }
 
 /* The four cells around positions in a rendered image, and their weights; 0 behind the camera. */
-typedef struct { Ints tap[4]; Floats weight[4]; } Cells;
+typedef struct {
+    Ints tap[4];
+    Floats weight[4];
+} Cells;
 
 INLINE Cells cells_at(const Wide3 px, const int cells_width, const int cells_height) {
     const Floats x = clamp(px.x * (1.0f / CELL) - 0.5f, (Floats)(0.0f), (Floats)((float)(cells_width - 1)));
@@ -184,8 +199,8 @@ INLINE Floats trend_at(__global const float *plane, const Cells *c) {
            + (c->weight[2] * gather_floats(plane, c->tap[2]) + c->weight[3] * gather_floats(plane, c->tap[3]));
 }
 
-/* The trends of the last two intervals, continued to t + alpha, each looked up at the static surface's position then, and the
-   valid share of the last one; and the change of brightness nearby in the interval before. */
+/* The trends of the last two intervals, continued to t + alpha, each looked up at the static surface's position
+   then, and the valid share of the last one; and the change of brightness nearby in the interval before. */
 WIDE __kernel void carry_trends(__constant Frame *frame, __global const float *depth, __global const float *trend,
                                 __global const float *trend_prev, __global const float *changes_prev,
                                 __global float *trends) {
@@ -210,7 +225,8 @@ WIDE __kernel void carry_trends(__constant Frame *frame, __global const float *d
         store_floats(alpha * trend_at(trend_prev + c * plane, &before), 0, out + (3 + c) * size);
     }
     store_floats(trend_at(trend + 3 * plane, &now), 0, out + 6 * size);
-    const Floats share = trend_at(changes_prev + 3 * plane, &before), least = wide_greater(share, (Floats)(LEAST_SHARE));
+    const Floats share = trend_at(changes_prev + 3 * plane, &before),
+                 least = wide_greater(share, (Floats)(LEAST_SHARE));
     Floats change = 0.0f;
     for (int c = 0; c < 3; ++c) change += trend_at(changes_prev + c * plane, &before);
     store_floats(wide_divide(THIRD * change, least), 0, out + 7 * size);

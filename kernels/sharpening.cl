@@ -1,12 +1,11 @@
 /* Contrast-adaptive sharpening of upscaled frames.
 
-   Each pixel moves away from its four neighbors, the less the more these differ already: k is (strength / 5) low / high of their
-   luma over what it takes away from itself. Flat places and noise of equal share look alike in the dark and in the light, so no
-   exposure is needed; beside strong edges there is next to no overshoot.
+   Each pixel moves away from its four neighbors, the less the more these differ already: k is (strength / 5) low / high
+   of their luma over what it takes away from itself. Flat places and noise of equal share look alike in the dark and in
+   the light, so no exposure is needed; beside strong edges there is next to no overshoot.
 
-              name        image     what
-   in         color       display   linear: the history, or the generated frame
-   out        out_color   display   sharpened                                                                            */
+   name        image     what in         color       display   linear: the history, or the generated frame out
+   out_color   display   sharpened */
 
 #include "frame.h"
 #include "stencil.h"

@@ -1,8 +1,8 @@
-/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame->
-   A rendered frame is antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and of the surface behind.
-   Where both move apart, that share is estimated and carried along with the nearer surface, over the new frame behind it.
-   Colors are mixed by their codes (color_code.h).
-   Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
+/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame-> A rendered frame is
+   antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and of the surface behind.
+   Where both move apart, that share is estimated and carried along with the nearer surface, over the new frame
+   behind it. Colors are mixed by their codes (color_code.h). Only pixels at steps of depth whose two sides move
+   apart are looked at; LANES of others are skipped at once. */
 
 #include "frame.h"
 #include "stencil.h"
@@ -17,7 +17,8 @@
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
 #define ALIKE 1.0f           /* ... and those from which one color is interpolated */
 #define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
-#define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colors only partly determine the coverage */
+#define TOO_ALIKE                                                                                                      \
+    0.03125f   /* squared relative contrast of two layers below which colors only partly determine the coverage */
 
 #define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
@@ -29,7 +30,9 @@
 
 #define ALL_LINKS 15
 #define ANYWHERE 100000000.0f /* px: fragments that go nowhere have targets beyond this */
-#define MARKED 3             /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
+#define MARKED                                                                                                         \
+    3 /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides              \
+       */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
 INLINE float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }
@@ -46,9 +49,11 @@ typedef struct {
     __global const half *codes;
 } Source;
 
-/* Depths of the 3x3 pixels around each of them, 0 outside of the image, and the depth halfway between the sides if these are
-   apart. */
-typedef struct { Floats z[9], middle; } Depths;
+/* Depths of the 3x3 pixels around each of them, 0 outside of the image, and the depth halfway between the sides if
+   these are apart. */
+typedef struct {
+    Floats z[9], middle;
+} Depths;
 
 INLINE void load_depths(const Span p, __global const float *depth, Depths *d) {
 #pragma unroll
@@ -65,7 +70,8 @@ INLINE Ints at_step(Depths *d) {
         farthest = z > farthest ? z : farthest;
     }
     const Ints step = nearest < (1.0f - STEP) * farthest;
-    if (ANY(step)) d->middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
+    if (ANY(step))
+        d->middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
     return step;
 }
 
@@ -84,15 +90,16 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
         if (k == 4) continue;
         const Floats ex = fabs(beside(p, to_x, dx, dy) - x - s.zoom.x * (float)dx);
         const Floats ey = fabs(beside(p, to_y, dx, dy) - y - s.zoom.y * (float)dy);
-        part |= is_inside(p, dx, dy) & ((d->z[k] < d->middle) != is_near) & (d->z[k] > 0.0f) & (ex < ANYWHERE) & ((ex > MOVES_APART) | (ey > MOVES_APART));
+        part |= is_inside(p, dx, dy) & ((d->z[k] < d->middle) != is_near) & (d->z[k] > 0.0f) & (ex < ANYWHERE)
+                & ((ex > MOVES_APART) | (ey > MOVES_APART));
     }
     return step & part & (d->z[4] > 0.0f);
 }
 
-/* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the mean colors of
-   both layers around, as far as these differ; else from the pixels that each layer has. */
-INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links, Floats *behind,
-                  Floats *share) {
+/* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the
+   mean colors of both layers around, as far as these differ; else from the pixels that each layer has. */
+INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links,
+                  Floats *behind, Floats *share) {
     Strip near_sum, far_sum;
     Floats near_area = 0.0f, area = 0.0f;
 #pragma unroll
@@ -147,15 +154,17 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __g
 
 /* Marks the blocks around the pixel where a fragment goes. */
 INLINE void mark_around(const float2 px, const int width, const int height, __global uchar *marked) {
-    if (!(px.x > -(float)MARKED && px.y > -(float)MARKED && px.x < (float)(width + MARKED) && px.y < (float)(height + MARKED))) return;
+    if (!(px.x > -(float)MARKED && px.y > -(float)MARKED && px.x < (float)(width + MARKED)
+          && px.y < (float)(height + MARKED)))
+        return;
     for (int k = 0; k < 4; ++k) {
         const int x = (int)px.x + ((k & 1) ? MARKED : -MARKED), y = (int)px.y + ((k >> 1) ? MARKED : -MARKED);
         marked[block_of(clamp(x, 0, width - 1), clamp(y, 0, height - 1), width)] = 1;
     }
 }
 
-/* Which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's `share` of the pixel.
-   Marks the target blocks where they go; they come unmarked. */
+/* Which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's `share`
+   of the pixel. Marks the target blocks where they go; they come unmarked. */
 WIDE __kernel void find_layers(__constant Frame *frame, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked) {
@@ -165,7 +174,11 @@ WIDE __kernel void find_layers(__constant Frame *frame, __global const float *de
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
-    const Source s = {source_width, source_height, zoom, target_position, codes};
+    const Source s = {.width = source_width,
+                      .height = source_height,
+                      .zoom = zoom,
+                      .target_position = target_position,
+                      .codes = codes};
     Span p = {src_x, src_y, source_width, source_height, false};
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
@@ -195,7 +208,8 @@ WIDE __kernel void find_layers(__constant Frame *frame, __global const float *de
         if (!lane_part[k]) continue;
         behind[src + k] = (uint)lane_colors[k];
         share[src + k] = (uchar)lane_shares[k];
-        mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height, marked);
+        mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height,
+                    marked);
     }
 }
 
@@ -220,11 +234,13 @@ typedef struct {
 
 INLINE bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || filled_by == BY_CRACK_CLOSING; }
 
-/* Whether fragment `src`, at (x, y), goes to depth z, and to `px`, by its place in the rendered image `px_source`, within `most` px. */
-INLINE bool goes_along(const Source s, const int x, const int y, const float3 there, const float2 px, const float2 px_source,
-                       const float z, const float most) {
+/* Whether fragment `src`, at (x, y), goes to depth z, and to `px`, by its place in the rendered image `px_source`,
+   within `most` px. */
+INLINE bool goes_along(const Source s, const int x, const int y, const float3 there, const float2 px,
+                       const float2 px_source, const float z, const float most) {
     const float2 center = pixel_center(x, y);
-    const float ex = there.x - px.x - s.zoom.x * (center.x - px_source.x), ey = there.y - px.y - s.zoom.y * (center.y - px_source.y);
+    const float ex = there.x - px.x - s.zoom.x * (center.x - px_source.x),
+                ey = there.y - px.y - s.zoom.y * (center.y - px_source.y);
     return there.z * SAME_LAYER <= z && z * SAME_LAYER <= there.z && fmax(fabs(ex), fabs(ey)) < most;
 }
 
@@ -261,9 +277,10 @@ INLINE bool without_near(const Source s, const Layers l, const Shown f, const in
     return weight_sum > 0.05f;
 }
 
-/* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its color times its coverage, its coverage). False if it is not
-   known: out of the image, or hidden by something else. */
-INLINE bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z, float4 *near) {
+/* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its color times its coverage, its
+   coverage). False if it is not known: out of the image, or hidden by something else. */
+INLINE bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z,
+                       float4 *near) {
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
     const float u = px_source.x - 0.5f - (float)x0, v = px_source.y - 0.5f - (float)y0;
     float4 sum = (float4)(0.0f);
@@ -278,7 +295,9 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
         const float weight = bilinear_weight(k, u, v);
         weight_sum += weight;
         if (along && layer != NEAR) {
-            sum += weight * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.codes, src)), 1.0f);
+            sum +=
+                weight
+                * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.codes, src)), 1.0f);
         } else if (along || layer == FAR) {
             const float share = (float)l.share[src] * (1.0f / SHARES);
             const float3 own = not_negative(load_color(s.codes, src));
@@ -291,15 +310,16 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
     return true;
 }
 
-/* The two layers around pixels of the new frame, on both sides of a depth halfway: where the near one lies in the rendered image,
-   continued to a pixel's center, how deep it is, and which of the 3x3 pixels around show the far one, in bits. */
+/* The two layers around pixels of the new frame, on both sides of a depth halfway: where the near one lies in the
+   rendered image, continued to a pixel's center, how deep it is, and which of the 3x3 pixels around show the far
+   one, in bits. */
 typedef struct {
     Floats near_x, near_y, near_z;
     Ints far;
 } LayerPairs;
 
-/* Which of LANES pixels lie between two layers that move apart. A layer's place is that of the pixel itself if it shows the
-   layer, else the mean of its neighbors', or of its corners' without any. */
+/* Which of LANES pixels lie between two layers that move apart. A layer's place is that of the pixel itself if it
+   shows the layer, else the mean of its neighbors', or of its corners' without any. */
 INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *pairs) {
     Depths d;
     load_depths(p, f.depth, &d);
@@ -354,11 +374,13 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
     pairs->far = far;
     const Floats apart_x = fabs(pairs->near_x - wide_divide(far_x, far_count));
     const Floats apart_y = fabs(pairs->near_y - wide_divide(far_y, far_count));
-    return step & (d.z[4] > 0.0f) & (near_count > 0.0f) & (far_count > 0.0f) & ((apart_x > MOVES_APART) | (apart_y > MOVES_APART));
+    return step & (d.z[4] > 0.0f) & (near_count > 0.0f) & (far_count > 0.0f)
+           & ((apart_x > MOVES_APART) | (apart_y > MOVES_APART));
 }
 
 /* Color of the far layer: the mean of the 3x3 pixels in `far`. */
-INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const int far) {
+INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y,
+                        const int far) {
     float3 sum = (float3)(0.0f);
     for (int left = far; left; left &= left - 1) {
         const int k = 31 - clz(left & -left);
@@ -369,10 +391,10 @@ INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int
     return mean_of(sum, (float)popcount(far));
 }
 
-/* Value of `coverage` of a pixel, 0 if it is unchanged; else stores its color. `near_place`, `far`: of its pair of layers; 0: it
-   has none. */
-INLINE uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float3 near_place,
-                          const int far, __global uint *softened) {
+/* Value of `coverage` of a pixel, 0 if it is unchanged; else stores its color. `near_place`, `far`: of its pair of
+   layers; 0: it has none. */
+INLINE uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y,
+                          const float3 near_place, const int far, __global uint *softened) {
     const int dst = dst_y * f.width + dst_x;
     float4 near;
     float3 rgb;
@@ -391,7 +413,8 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     Floats motion_y;
     const Floats motion_x = load_xy(f.motion + p.y * p.width + p.x, &motion_y);
     const Floats px_x = row_centers(p.x) + motion_x - 0.5f, px_y = (float)p.y + 0.5f + motion_y - 0.5f;
-    const Ints in_image = (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
+    const Ints in_image =
+        (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
     if (!ALL(in_image)) return (Ints)(-1);
     const Ints taps = to_ints(px_y) * s.width + to_ints(px_x);
     const int first = FIRST_LANE(taps);
@@ -405,8 +428,8 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     return mixed;
 }
 
-/* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share. Unmarked blocks are
-   skipped. */
+/* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share.
+   Unmarked blocks are skipped. */
 WIDE __kernel void soften(__constant Frame *frame, __global const uchar *marked, __global const float *target_position,
                           __global const half *codes, __global const uchar *layer, __global const uint *behind,
                           __global const uchar *share, __global const half *color, __global const float *depth,
@@ -418,9 +441,20 @@ WIDE __kernel void soften(__constant Frame *frame, __global const uchar *marked,
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
-    const Source s = {source_width, source_height, zoom, target_position, codes};
-    const Layers l = {layer, behind, share};
-    const Shown f = {target_width, target_height, frame->code_offset, color, depth, motion, filled_by, mixed};
+    const Source s = {.width = source_width,
+                      .height = source_height,
+                      .zoom = zoom,
+                      .target_position = target_position,
+                      .codes = codes};
+    const Layers l = {.layer = layer, .behind = behind, .share = share};
+    const Shown f = {.width = target_width,
+                     .height = target_height,
+                     .code_offset = frame->code_offset,
+                     .color = color,
+                     .depth = depth,
+                     .motion = motion,
+                     .filled_by = filled_by,
+                     .mixed = mixed};
     Span p = {dst_x, dst_y, target_width, target_height, false};
     Ints paired, soft;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
@@ -443,8 +477,10 @@ WIDE __kernel void soften(__constant Frame *frame, __global const uchar *marked,
     store_floats(pairs.near_y, 0, lane_y);
     store_floats(pairs.near_z, 0, lane_z);
     for (int k = 0; k < count; ++k)
-        coverage[dst + k] = lane_soft[k] ? soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
-                                                        lane_far[k], softened) : (uchar)0;
+        coverage[dst + k] = lane_soft[k]
+                                ? soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
+                                               lane_far[k], softened)
+                                : (uchar)0;
 }
 
 /* The new colors go to the frame, RUN pixels per work-item. */

@@ -1,12 +1,13 @@
-/* Several pixels of a row per work-item. LANES is 8 on CPUs, whose compilers do not vectorize these kernels by themselves, and
-   1 on GPUs. The same source serves both:
+/* Several pixels of a row per work-item. LANES is 8 on CPUs, whose compilers do not vectorize these kernels by
+   themselves, and 1 on GPUs. The same source serves both:
    - Floats, Ints, Uints and Bytes hold one value per lane. With LANES 1 they are plain scalars.
-   - A comparison of Floats gives Ints: -1 or 0 with 8 lanes, 1 or 0 with one. Test with ANY and ALL. Never add or compare it.
+   - A comparison of Floats gives Ints: -1 or 0 with 8 lanes, 1 or 0 with one. Test with ANY and ALL. Never add or
+     compare it.
    - Select with `condition ? a : b`. Combine conditions with &, | and !, never with && and ||.
-   - The last work-item of a row may have fewer pixels: load_some_... and store_some_... take their `count`. Loads repeat the
-     last pixel, stores skip the rest.
-   - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes through the
-     function of one pixel, lane by lane.
+   - The last work-item of a row may have fewer pixels: load_some_... and store_some_... take their `count`. Loads
+     repeat the last pixel, stores skip the rest.
+   - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes
+     through the function of one pixel, lane by lane.
    - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
 
 #if LANES == 8
@@ -38,7 +39,8 @@ typedef uchar8 Bytes;
 #define LAST_LANE(v) ((v).s7)
 
 /* p[i] of each lane. */
-#define GATHER(p, i) ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
+#define GATHER(p, i)                                                                                                   \
+    ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
 #define gather_halfs(p, i)                                                                                             \
@@ -52,8 +54,8 @@ INLINE Floats load_xy(__global const float2 *p, Floats *y) {
 }
 
 INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) {
-    vstore16((float16)(x.s0, y.s0, x.s1, y.s1, x.s2, y.s2, x.s3, y.s3, x.s4, y.s4, x.s5, y.s5, x.s6, y.s6, x.s7, y.s7), 0,
-             (__global float *)p);
+    vstore16((float16)(x.s0, y.s0, x.s1, y.s1, x.s2, y.s2, x.s3, y.s3, x.s4, y.s4, x.s5, y.s5, x.s6, y.s6, x.s7, y.s7),
+             0, (__global float *)p);
 }
 
 #else
@@ -96,13 +98,13 @@ INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = 
 
 #endif
 
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. If one is NaN, the second of `wide_lesser` and
-   the first of `wide_greater`. */
+/* The lesser and the greater of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN.
+   If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */
 INLINE Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
 INLINE Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
 
-/* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0, whether any has a
-   value. */
+/* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0,
+   whether any has a value. */
 #if RUN == 16
 #define SCAN __attribute__((vec_type_hint(uchar16)))  /* before such a kernel */
 INLINE bool run_is_zero(__global const uchar *p) {
@@ -119,8 +121,8 @@ INLINE bool run_is_zero(__global const uchar *p) { return *p == 0; }
 INLINE bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
 #endif
 
-/* Whether all lanes are among the `count` pixels that are left of a row, which are at least one. With one lane it is a constant:
-   GPUs need no other path. */
+/* Whether all lanes are among the `count` pixels that are left of a row, which are at least one. With one lane it is
+   a constant: GPUs need no other path. */
 #define IS_WHOLE(count) (LANES == 1 || (count) >= LANES)
 
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */
@@ -189,13 +191,15 @@ INLINE Floats row_centers(const int x) { return to_floats(LANE_NUMBERS) + ((floa
 
 /* Where pixel i of an image is. */
 INLINE void wide_column_and_row(const Ints i, const int width, Ints *column, Ints *row) {
-    const Ints near = to_ints(to_floats(i) * (1.0f / (float)width)), rest = i - near * width;  /* one row off at most */
+    const Ints near = to_ints(to_floats(i) * (1.0f / (float)width)), rest = i - near * width; /* one row off at most */
     *row = near + (rest < 0 ? (Ints)(-1) : rest >= width ? (Ints)(1) : (Ints)(0));
     *column = i - *row * width;
 }
 
 /* View-space or pixel positions, lane by lane. */
-typedef struct { Floats x, y, z; } Wide3;
+typedef struct {
+    Floats x, y, z;
+} Wide3;
 
 /* divide of common.h. */
 INLINE Floats wide_divide(const Floats a, const Floats b) {
@@ -223,13 +227,15 @@ INLINE Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z
 }
 
 /* reproject of common.h: `exactly`, with the same bits, or with plain divisions. */
-INLINE Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
+INLINE Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floats px_y, const Floats z,
+                               const Reprojection r) {
     const Ints sky = isinf(z);
     const Wide3 v = wide_unproject(px_x, px_y, z, r.source_inverse);
     const Floats x = r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z;
     const Floats y = r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z;
     const Floats depth = r.row2.x * v.x + r.row2.y * v.y + r.row2.z * v.z;
-    const Floats target_x = sky ? x : x + r.row0.w, target_y = sky ? y : y + r.row1.w, target_z = sky ? depth : depth + r.row2.w;
+    const Floats target_x = sky ? x : x + r.row0.w, target_y = sky ? y : y + r.row1.w,
+                 target_z = sky ? depth : depth + r.row2.w;
     const Ints front = target_z > 0.0f;
     const Floats view_x = r.target.x * target_x, view_y = r.target.y * target_y;
     Wide3 out;
@@ -243,8 +249,9 @@ INLINE Wide3 wide_reproject(const Floats px_x, const Floats px_y, const Floats z
     return wide_reproject_so(true, px_x, px_y, z, r);
 }
 
-/* Depth has the same bits as reproject's; pixel positions are off by less than ROUGHLY of the larger side of an image whose
-   principal point it holds: two divisions of 2.5 ulp differ by 3.6e-7 of it at most, and their sums by 1.2e-7 more. */
+/* Depth has the same bits as reproject's; pixel positions are off by less than ROUGHLY of the larger side of an
+   image whose principal point it holds: two divisions of 2.5 ulp differ by 3.6e-7 of it at most, and their sums by
+   1.2e-7 more. */
 #define ROUGHLY 5e-7f
 INLINE Wide3 wide_reproject_roughly(const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
     return wide_reproject_so(false, px_x, px_y, z, r);

@@ -2,7 +2,9 @@
 
 #include "simd.h"
 
-typedef struct { Floats r, g, b; } WideRgb;
+typedef struct {
+    Floats r, g, b;
+} WideRgb;
 
 /* NaN counts as 0, infinities are clamped. */
 INLINE Floats finite(const Floats c) {
@@ -32,19 +34,20 @@ INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
 
 #if LANES == 8
 
-/* Of a row, from the first on. */
+/* LANES colors of a row, from the first on. */
 INLINE WideRgb load_rgb_run(__global const half *color) {
     const float16 a = vload_half16(0, color), b = vload_half16(1, color);
-    const WideRgb rgb = {(float8)(a.s048c, b.s048c), (float8)(a.s159d, b.s159d),
-                         (float8)(a.s26ae, b.s26ae)};
+    const WideRgb rgb = {(float8)(a.s048c, b.s048c), (float8)(a.s159d, b.s159d), (float8)(a.s26ae, b.s26ae)};
     return rgb;
 }
 
 INLINE void store_rgb_run(const WideRgb c, __global half *color) {
-    vstore_half16_rte((float16)(c.r.s0, c.g.s0, c.b.s0, 0.0f, c.r.s1, c.g.s1, c.b.s1, 0.0f, c.r.s2, c.g.s2, c.b.s2, 0.0f,
-                                c.r.s3, c.g.s3, c.b.s3, 0.0f), 0, color);
-    vstore_half16_rte((float16)(c.r.s4, c.g.s4, c.b.s4, 0.0f, c.r.s5, c.g.s5, c.b.s5, 0.0f, c.r.s6, c.g.s6, c.b.s6, 0.0f,
-                                c.r.s7, c.g.s7, c.b.s7, 0.0f), 1, color);
+    vstore_half16_rte((float16)(c.r.s0, c.g.s0, c.b.s0, 0.0f, c.r.s1, c.g.s1, c.b.s1, 0.0f, c.r.s2, c.g.s2, c.b.s2,
+                                0.0f, c.r.s3, c.g.s3, c.b.s3, 0.0f),
+                      0, color);
+    vstore_half16_rte((float16)(c.r.s4, c.g.s4, c.b.s4, 0.0f, c.r.s5, c.g.s5, c.b.s5, 0.0f, c.r.s6, c.g.s6, c.b.s6,
+                                0.0f, c.r.s7, c.g.s7, c.b.s7, 0.0f),
+                      1, color);
 }
 
 INLINE void copy_rgb_run(__global const half *color, __global half *out) {
@@ -59,7 +62,8 @@ typedef float16 Texels;
 #define TEXELS 4
 #define PARTS 2
 #define VALID(texels) (texels).s37bf  /* the fourth channel */
-#define OF_TEXELS(v, part) ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number, or a condition, ... */
+#define OF_TEXELS(v, part)                                                                                             \
+    ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number, or a condition, ... */
 #define WHERE_TEXELS(v, part) OF_TEXELS(v, part)  /* ... of each pixel for its channels */
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) vload_half16(i, p)
@@ -95,15 +99,17 @@ typedef float4 Texels;
 
 #endif
 
-typedef struct { Texels part[PARTS]; } Strip;
+typedef struct {
+    Texels part[PARTS];
+} Strip;
 
-/* As `finite`. */
+/* `finite` of texels: NaN becomes 0, and magnitudes are limited. */
 INLINE Texels finite_texels(const Texels c) {
     const Texels number = c == c ? c : (Texels)(0.0f), low = number < -COLOR_MAX ? (Texels)(-COLOR_MAX) : number;
     return low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
 }
 
-/* Its four channels. */
+/* The four channels of a strip, apart. */
 INLINE void channels_of(const Strip *s, Floats *channels) {
 #if LANES == 8
     channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);

@@ -4,7 +4,9 @@
 #include "cubic.h"
 
 /* Four channels of each lane. */
-typedef struct { Floats x, y, z, w; } Wide4;
+typedef struct {
+    Floats x, y, z, w;
+} Wide4;
 
 /* float4 of each lane, as they lie in memory -> channels, and back into the first `count` pixels of a row. */
 INLINE Wide4 channels_in(const float *texels) {
@@ -19,17 +21,17 @@ INLINE Wide4 channels_in(const float *texels) {
 INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
     Strip s;
 #if LANES == 8
-    s.part[0] = (float16)(c.x.s0, c.y.s0, c.z.s0, c.w.s0, c.x.s1, c.y.s1, c.z.s1, c.w.s1, c.x.s2, c.y.s2, c.z.s2, c.w.s2,
-                          c.x.s3, c.y.s3, c.z.s3, c.w.s3);
-    s.part[1] = (float16)(c.x.s4, c.y.s4, c.z.s4, c.w.s4, c.x.s5, c.y.s5, c.z.s5, c.w.s5, c.x.s6, c.y.s6, c.z.s6, c.w.s6,
-                          c.x.s7, c.y.s7, c.z.s7, c.w.s7);
+    s.part[0] = (float16)(c.x.s0, c.y.s0, c.z.s0, c.w.s0, c.x.s1, c.y.s1, c.z.s1, c.w.s1, c.x.s2, c.y.s2, c.z.s2,
+                          c.w.s2, c.x.s3, c.y.s3, c.z.s3, c.w.s3);
+    s.part[1] = (float16)(c.x.s4, c.y.s4, c.z.s4, c.w.s4, c.x.s5, c.y.s5, c.z.s5, c.w.s5, c.x.s6, c.y.s6, c.z.s6,
+                          c.w.s6, c.x.s7, c.y.s7, c.z.s7, c.w.s7);
 #else
     s.part[0] = (float4)(c.x, c.y, c.z, c.w);
 #endif
     store_strip(s, count, image);
 }
 
-/* Of the pixels i. */
+/* The four channels of the pixels i. */
 INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
     Strip s;
 #if LANES == 8
@@ -63,7 +65,8 @@ INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
 INLINE float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
     if (x >= 0 && x + 4 <= width) return vload_half16(0, image + 4 * (row + x));
-    return (float16)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image),
+    return (float16)(vload_half4(row + clamp(x, 0, width - 1), image),
+                     vload_half4(row + clamp(x + 1, 0, width - 1), image),
                      vload_half4(row + clamp(x + 2, 0, width - 1), image),
                      vload_half4(row + clamp(x + 3, 0, width - 1), image));
 }
@@ -72,19 +75,23 @@ INLINE float16 four_texels(__global const half *image, const int x, const int y,
 INLINE float8 two_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
     if (x >= 0 && x + 2 <= width) return vload_half8(0, image + 4 * (row + x));
-    return (float8)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image));
+    return (float8)(vload_half4(row + clamp(x, 0, width - 1), image),
+                    vload_half4(row + clamp(x + 1, 0, width - 1), image));
 }
 
 /* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
-INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
-                               __global const half *image) {
+INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width,
+                               const int height, __global const half *image) {
 #if LANES == 8
-    const float8 above = two_texels(image, x + 1, y, width, height), below = two_texels(image, x + 1, y + 3, width, height);
+    const float8 above = two_texels(image, x + 1, y, width, height),
+                 below = two_texels(image, x + 1, y + 3, width, height);
     const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
     const float16 columns = wy.y * b + wy.z * c;
-    const float4 left = columns.s4567 + (wy.x * above.lo + wy.w * below.lo), right = columns.s89ab + (wy.x * above.hi + wy.w * below.hi);
+    const float4 left = columns.s4567 + (wy.x * above.lo + wy.w * below.lo),
+                 right = columns.s89ab + (wy.x * above.hi + wy.w * below.hi);
     const float4 sum = wx.x * columns.s0123 + wx.y * left + wx.z * right + wx.w * columns.scdef;
-    const float8 least = b.s456789ab < c.s456789ab ? b.s456789ab : c.s456789ab, most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
+    const float8 least = b.s456789ab < c.s456789ab ? b.s456789ab : c.s456789ab,
+                 most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
     const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
     const float4 raised = sum < low ? low : sum;
     return high < raised ? high : raised;
@@ -114,7 +121,7 @@ INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const 
 
 #if LANES == 8
 
-/* The same of four pixels whose taps lie in a row, within the image, from index `first` on. */
+/* The round cubic sums of four pixels whose taps lie in a row, within the image, from index `first` on. */
 INLINE float16 round_cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
                                   __global const half *image) {
     float16 total, low, high;
@@ -137,7 +144,8 @@ INLINE float16 round_cubic_of_run(const int first, const float4 *wx, const float
 
 #endif
 
-/* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is sharper. */
+/* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is
+   sharper. */
 INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
     weights[0] = slope * (2.0f * t2 - t - t3);
@@ -146,8 +154,8 @@ INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
     weights[3] = slope * (t3 - t2);
 }
 
-/* The image at LANES places of the lanes in `use` (others: 0), cubic without corners, clamped to the four inner taps. Of finite
-   numbers. */
+/* The image at LANES places of the lanes in `use` (others: 0), cubic without corners, clamped to the four inner
+   taps. Of finite numbers. */
 INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, const int width, const int height,
                       const float slope, __global const half *image) {
     const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
@@ -172,11 +180,16 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                         & (y + 4 <= height);
     for (int k = 0; k < 2; ++k) {
         if (!all(k ? in_row.hi : in_row.lo)) continue;
-        const float4 four_x[4] = {k ? wx[0].hi : wx[0].lo, k ? wx[1].hi : wx[1].lo, k ? wx[2].hi : wx[2].lo, k ? wx[3].hi : wx[3].lo};
-        const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo, k ? wy[3].hi : wy[3].lo};
-        store_texels(round_cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k, texels);
-        if (k) rest.hi = (int4)(0);
-        else rest.lo = (int4)(0);
+        const float4 four_x[4] = {k ? wx[0].hi : wx[0].lo, k ? wx[1].hi : wx[1].lo, k ? wx[2].hi : wx[2].lo,
+                                  k ? wx[3].hi : wx[3].lo};
+        const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo,
+                                  k ? wy[3].hi : wy[3].lo};
+        store_texels(round_cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k,
+                     texels);
+        if (k)
+            rest.hi = (int4)(0);
+        else
+            rest.lo = (int4)(0);
     }
     if (!any(rest)) return channels_in(texels);
 #endif
@@ -187,8 +200,9 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     }
     for (int k = 0; k < LANES; ++k)
         if (lane_use[k])
-            vstore4(round_cubic_from(lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
-                               (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
+            vstore4(round_cubic_from(
+                        lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
+                        (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
                     k, texels);
     return channels_in(texels);
 }

@@ -3,7 +3,10 @@
 #include "simd_rgb.h"
 
 /* LANES pixels of an image from (x, y) on. `inner`: those around lie inside, too; else they are clamped to it. */
-typedef struct { int x, y, width, height; bool inner; } Span;
+typedef struct {
+    int x, y, width, height;
+    bool inner;
+} Span;
 
 /* Whether the pixels (dx, dy) from them are in the image, where these are; if not all, the nearest that are. */
 INLINE Ints is_inside(const Span p, const int dx, const int dy) {
@@ -23,7 +26,8 @@ INLINE Floats beside(const Span p, __global const float *plane, const int dx, co
 }
 
 INLINE Ints bytes_beside(const Span p, __global const uchar *plane, const int dx, const int dy) {
-    return to_ints(p.inner ? load_bytes(0, plane + first_beside(p, dx, dy)) : gather_bytes(plane, clamped_beside(p, dx, dy)));
+    return to_ints(p.inner ? load_bytes(0, plane + first_beside(p, dx, dy))
+                           : gather_bytes(plane, clamped_beside(p, dx, dy)));
 }
 
 INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx, const int dy, Floats *y) {

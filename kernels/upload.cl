@@ -1,6 +1,6 @@
-/* Frames from the host as other kernels take them, and counts of bad pixels. The host's arrays begin at value `start` of the given
-   buffers. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs consecutive ones, on GPUs those that lie as far apart
-   as there are runs, so that neighbors load neighbors. */
+/* Frames from the host as other kernels take them, and counts of bad pixels. The host's arrays begin at value
+   `start` of the given buffers. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs consecutive
+   ones, on GPUs those that lie as far apart as there are runs, so that neighbors load neighbors. */
 
 #include "frame.h"
 #include "simd_rgb.h"
@@ -17,7 +17,7 @@ INLINE int run_x(const int width, const int k) {
     return LANES > 1 ? (run * RUN_PIXELS + k) * LANES : run + k * runs_of(width);
 }
 
-/* Of the first `count` lanes, those for which a condition holds. */
+/* How many of the first `count` lanes a condition holds for. */
 INLINE int lanes_where(const Ints condition, const int count) {
     int number = 0;
     uchar lanes[LANES];
@@ -55,7 +55,8 @@ INLINE float16 given_16(__global const float *given, const bool halves, const in
 #endif
 
 /* LANES pixels from pixel i on, of which the image has `count` or more: RGB, and 0. */
-INLINE void load_given(__global const float *given, const bool halves, const int channels, const int i, const int count, Strip *s) {
+INLINE void load_given(__global const float *given, const bool halves, const int channels, const int i, const int count,
+                       Strip *s) {
 #if LANES == 8
     if (count >= LANES && channels == 4) {
         s->part[0] = rgb_of(given_16(given, halves, 4 * i));
@@ -63,8 +64,9 @@ INLINE void load_given(__global const float *given, const bool halves, const int
         return;
     }
     if (count >= LANES) {  /* with the first value of the next pixel, but for the last one */
-        const float4 a = given_4(given, halves, 3 * i), b = given_4(given, halves, 3 * i + 3), c = given_4(given, halves, 3 * i + 6),
-                     d = given_4(given, halves, 3 * i + 9), e = given_4(given, halves, 3 * i + 12), f = given_4(given, halves, 3 * i + 15),
+        const float4 a = given_4(given, halves, 3 * i), b = given_4(given, halves, 3 * i + 3),
+                     c = given_4(given, halves, 3 * i + 6), d = given_4(given, halves, 3 * i + 9),
+                     e = given_4(given, halves, 3 * i + 12), f = given_4(given, halves, 3 * i + 15),
                      g = given_4(given, halves, 3 * i + 18), h = given_4(given, halves, 3 * i + 20).yzww;
         s->part[0] = rgb_of((float16)(a, b, c, d));
         s->part[1] = rgb_of((float16)(e, f, g, h));
@@ -81,8 +83,8 @@ INLINE void load_given(__global const float *given, const bool halves, const int
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(__constant Frame *frame, __global const float *given, const bool halves, const int channels, __global half *color,
-                 __global uchar *bad_pixels) {
+INLINE void take(__constant Frame *frame, __global const float *given, const bool halves, const int channels,
+                 __global half *color, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     int infinite = 0, clamped = 0;
@@ -97,7 +99,8 @@ INLINE void take(__constant Frame *frame, __global const float *given, const boo
             Floats rgba[4];
             channels_of(&s, rgba);
             const Ints r = isfinite(rgba[0]), g = isfinite(rgba[1]), b = isfinite(rgba[2]);
-            const Ints over = (r & (fabs(rgba[0]) > COLOR_MAX)) | (g & (fabs(rgba[1]) > COLOR_MAX)) | (b & (fabs(rgba[2]) > COLOR_MAX));
+            const Ints over = (r & (fabs(rgba[0]) > COLOR_MAX)) | (g & (fabs(rgba[1]) > COLOR_MAX))
+                              | (b & (fabs(rgba[2]) > COLOR_MAX));
             infinite += min(count, LANES) - lanes_where(r & g & b, count);
             clamped += lanes_where(over, count);
             for (int part = 0; part < PARTS; ++part) s.part[part] = finite_texels(s.part[part]);
@@ -107,8 +110,8 @@ INLINE void take(__constant Frame *frame, __global const float *given, const boo
     store_counts(width, height, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(__constant Frame *frame, __global const float *given, const int start, const int channels,
-                               __global half *color, __global uchar *bad_pixels) {
+WIDE __kernel void take_floats(__constant Frame *frame, __global const float *given, const int start,
+                               const int channels, __global half *color, __global uchar *bad_pixels) {
     take(frame, given + start, false, channels, color, bad_pixels);
 }
 
@@ -117,8 +120,9 @@ WIDE __kernel void take_halves(__constant Frame *frame, __global const half *giv
     take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
 }
 
-/* Bad are depth that is NaN, not positive or denormal, and motion that is NaN or infinite. Finite depth beyond DEPTH_MOST becomes sky,
-   and motion as long as the diagonal, which leads out of the image from everywhere, NaN. Input and output may be the same buffer. */
+/* Bad are depth that is NaN, not positive or denormal, and motion that is NaN or infinite. Finite depth beyond
+   DEPTH_MOST becomes sky, and motion as long as the diagonal, which leads out of the image from everywhere, NaN.
+   Input and output may be the same buffer. */
 WIDE __kernel void take_geometry(__constant Frame *frame, __global const float *given_depth, const int depth_start,
                                  __global const float *given_motion, const int motion_start, __global float *depth,
                                  __global float2 *motion, __global uchar *bad_pixels) {

@@ -1,21 +1,19 @@
 /* Temporal anti-aliasing and upsampling: jittered frames of render size, gathered over time at the display's size.
 
-   A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose; jitter is in them.
-   Colors are linear in `color` and `history`; blending and bounds are in YCoCg of tone-mapped color ("compressed").
+   A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose; jitter is in
+   them. Colors are linear in `color` and `history`; blending and bounds are in YCoCg of tone-mapped color
+   ("compressed").
 
-              name             image     what
-   in         color            render    the rendered frame
-              depth, motion    render    its depth, and its motion into the render image before
-              previous_depth   render    of the rendered frame before
+   name             image     what in         color            render    the rendered frame depth, motion    render
+   its depth, and its motion into the render image before previous_depth   render    of the rendered frame before
    between    compressed       render    its color, compressed; A: share of its place that was not hidden before
-              dilated          render    motion of the nearest surface around; NaN where nothing is known
-              surprise         render    how far the color is beyond the history around, compressed; A: 1 where there is any
-              mean             render    of 3x3 compressed colors; A: error of the history, in deviations
-              deviation        render    theirs; A: by how much more light there is than in the history
-   state      history          display   color, linear: displayed; A: number of accumulated samples
-              lock             display   frames in which it foretold the samples, at rest; more: a thin feature
-   out        rejected         display   which share of the history was not believed
-              out_color        display   a generated frame, seen through the history                                       */
+   dilated          render    motion of the nearest surface around; NaN where nothing is known surprise
+   render    how far the color is beyond the history around, compressed; A: 1 where there is any mean
+   render    of 3x3 compressed colors; A: error of the history, in deviations deviation        render    theirs; A:
+   by how much more light there is than in the history state      history          display   color, linear:
+   displayed; A: number of accumulated samples lock             display   frames in which it foretold the samples, at
+   rest; more: a thin feature out        rejected         display   which share of the history was not believed
+   out_color        display   a generated frame, seen through the history */
 
 #include "frame.h"
 #include "stencil.h"
@@ -24,24 +22,27 @@
 
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-#define LEAST_WEIGHT 0.5f     /* of the displayed color until samples arrive; with a lighter history, samples count less, too */
-#define FRESH 0.8f            /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
-#define SLOPE 0.75f           /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
-#define DEVIATIONS 2.0f       /* deviations from the mean that a history may have */
-#define NOISE 0.01f           /* of compressed colors, in addition to their deviation */
-#define SCATTER 1.0f          /* weight of the scatter of the history's error, against its mean, which is followed */
-#define WRONG 1.0f            /* deviations: error from which on a history that moved is not believed */
+#define LEAST_WEIGHT                                                                                                   \
+    0.5f     /* of the displayed color until samples arrive; with a lighter history, samples count less, too */
+#define FRESH 0.8f /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
+#define SLOPE                                                                                                          \
+    0.75f /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run            \
+           */
+#define DEVIATIONS 2.0f /* deviations from the mean that a history may have */
+#define NOISE 0.01f /* of compressed colors, in addition to their deviation */
+#define SCATTER 1.0f /* weight of the scatter of the history's error, against its mean, which is followed */
+#define WRONG 1.0f /* deviations: error from which on a history that moved is not believed */
 #define WRONG_AT_REST 3.0f
-#define UNREST 10.0f          /* per squared pixel of motion */
-#define AT_REST 0.1f          /* pixels of motion up to which thin features are kept */
-#define AGREED 0.5f           /* trust from which on a frame counts for a lock */
-#define LOCK_FRAMES 8         /* that count at most */
-#define SETTLED 4.0f          /* from which on something nearer that is gone was thin, and no sample meets it now */
-#define THIN 16               /* the lock of such a feature; one less in each frame, down to LOCK_FRAMES */
-#define MET 0.75f             /* share of a place that was not hidden from which on nothing is gone */
-#define LOCKED_ROOM 0.5f      /* tolerance of compressed color, in addition to DEVIATIONS */
-#define MOST_ERROR 1000.0f    /* deviations; half has room for it */
-#define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
+#define UNREST 10.0f /* per squared pixel of motion */
+#define AT_REST 0.1f /* pixels of motion up to which thin features are kept */
+#define AGREED 0.5f /* trust from which on a frame counts for a lock */
+#define LOCK_FRAMES 8 /* that count at most */
+#define SETTLED 4.0f /* from which on something nearer that is gone was thin, and no sample meets it now */
+#define THIN 16 /* the lock of such a feature; one less in each frame, down to LOCK_FRAMES */
+#define MET 0.75f /* share of a place that was not hidden from which on nothing is gone */
+#define LOCKED_ROOM 0.5f /* tolerance of compressed color, in addition to DEVIATIONS */
+#define MOST_ERROR 1000.0f /* deviations; half has room for it */
+#define SAME_DEPTH 0.96f /* relative depth from which on it is the same surface */
 
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
 INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const float exposure) {
@@ -55,7 +56,8 @@ INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const
 
 INLINE Wide4 expanded(const Wide4 c, const float exposure) {
     const Floats none = 0.0f, rest = c.x - c.z;
-    const Floats r = wide_greater(rest + c.y, none), g = wide_greater(c.x + c.z, none), b = wide_greater(rest - c.y, none);
+    const Floats r = wide_greater(rest + c.y, none), g = wide_greater(c.x + c.z, none),
+                 b = wide_greater(rest - c.y, none);
     const Floats most = 1.0f - wide_greater(r, wide_greater(g, b));
     const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure), top = COLOR_MAX;
     const Wide4 rgb = {wide_lesser(r * scale, top), wide_lesser(g * scale, top), wide_lesser(b * scale, top), c.w};
@@ -63,10 +65,10 @@ INLINE Wide4 expanded(const Wide4 c, const float exposure) {
 }
 
 INLINE Ints within(const Floats px_x, const Floats px_y, const int width, const int height) {
-    return (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)width) & (px_y < (float)height);  /* not of NaN */
+    return (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)width) & (px_y < (float)height); /* not of NaN */
 }
 
-/* Where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
+/* Finds where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
    Gives whether any is. */
 INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
     const Floats own = beside(p, depth, 0, 0);
@@ -111,20 +113,24 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
     store_ints(to_ints(floor(px_x - 0.5f)), 0, left);
     store_ints(to_ints(floor(px_y - 0.5f)), 0, top);
     for (int k = 0; k < LANES; ++k) {
-        const float8 a = two_texels(image, left[k], top[k], width, height), b = two_texels(image, left[k], top[k] + 1, width, height);
+        const float8 a = two_texels(image, left[k], top[k], width, height),
+                     b = two_texels(image, left[k], top[k] + 1, width, height);
         const float8 least = a < b ? a : b, most = a < b ? b : a;
         vstore4(least.lo < least.hi ? least.lo : least.hi, k, low);
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
     }
     const Wide4 l = channels_in(low), h = channels_in(high);
-    const Wide4 clamped = {wide_lesser(wide_greater(c.x, l.x), h.x), wide_lesser(wide_greater(c.y, l.y), h.y), wide_lesser(wide_greater(c.z, l.z), h.z), c.w};
+    const Wide4 clamped = {wide_lesser(wide_greater(c.x, l.x), h.x), wide_lesser(wide_greater(c.y, l.y), h.y),
+                           wide_lesser(wide_greater(c.z, l.z), h.z), c.w};
     return clamped;
 }
 
-/* Of each rendered pixel: where its surroundings were, and the distance of its color from the history there. */
+/* Writes, for each rendered pixel, where its surroundings were, and the distance of its color from the history there.
+ */
 WIDE __kernel void compare(__constant Frame *frame, __global const half *color, __global const float *depth,
-                           __global const float2 *motion, __global const float *previous_depth, __global const half *history,
-                           __global half *out_compressed, __global float2 *out_dilated, __global half *out_surprise) {
+                           __global const float2 *motion, __global const float *previous_depth,
+                           __global const half *history, __global half *out_compressed, __global float2 *out_dilated,
+                           __global half *out_surprise) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const Reprojection to_previous = frame->to_previous;
@@ -148,19 +154,21 @@ WIDE __kernel void compare(__constant Frame *frame, __global const half *color, 
         const Wide3 v = wide_unproject(center_x, center_y, z, to_previous.source_inverse);
         const float4 forward = to_previous.row2;
         const Floats expected = forward.x * v.x + forward.y * v.y + forward.z * v.z + forward.w;
-        const Floats share = share_seen(center_x + moved_x, center_y + moved_y, isinf(z) ? (Floats)(INFINITY) : expected,
-                                        source_width, source_height, previous_depth);
+        const Floats share =
+            share_seen(center_x + moved_x, center_y + moved_y, isinf(z) ? (Floats)(INFINITY) : expected, source_width,
+                       source_height, previous_depth);
         seen = z > 0.0f ? share : (Floats)(0.0f);
     }
     const Wide4 raw = gather_channels(color, clamped_beside(p, 0, 0));
     const Wide4 own = {finite(raw.x), finite(raw.y), finite(raw.z), (Floats)(0.0f)};
-    Wide4 here = compressed_of(own.x, own.y, own.z, exposure), surprise = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
+    Wide4 here = compressed_of(own.x, own.y, own.z, exposure),
+          surprise = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
     const Ints known = seen > 0.0f;
     if (ANY(known)) {
         const Floats px_x = (row_centers(x) + moved_x) * to_previous_display.x + to_previous_display.z;
         const Floats px_y = ((float)y + 0.5f + moved_y) * to_previous_display.y + to_previous_display.w;
-        const Wide4 like = within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f), target_width, target_height,
-                                        history);
+        const Wide4 like = within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f), target_width,
+                                        target_height, history);
         const Wide4 foretold = compressed_of(like.x, like.y, like.z, exposure);
         surprise.x = known ? here.x - foretold.x : (Floats)(0.0f);
         surprise.y = known ? here.y - foretold.y : (Floats)(0.0f);
@@ -211,9 +219,11 @@ WIDE __kernel void survey(__constant Frame *frame, __global const half *compress
         variance[c] = wide_greater(square[c] * ninth - middle[c] * middle[c], (Floats)(0.0f));
     }
     const Floats per_known = wide_divide((Floats)(1.0f), wide_greater(off[3], (Floats)(1.0f)));
-    const Floats bias = off[0] * per_known, scatter = wide_greater(off_square[0] * per_known - bias * bias, (Floats)(0.0f));
+    const Floats bias = off[0] * per_known,
+                 scatter = wide_greater(off_square[0] * per_known - bias * bias, (Floats)(0.0f));
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
-    const Floats missed = wide_greater((off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
+    const Floats missed = wide_greater(
+        (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
     const Floats error = sqrt(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
     const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
     const Wide4 deviation = {sqrt(variance[0]), sqrt(variance[1]), sqrt(variance[2]), shift};
@@ -221,8 +231,10 @@ WIDE __kernel void survey(__constant Frame *frame, __global const half *compress
     store_channels(deviation, count, out_deviation + 4 * i);
 }
 
-/* The history that was found, in today's light, within a few deviations of the mean and `more_room`; its fourth channel. */
-INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room, const float exposure) {
+/* The history that was found, in today's light, within a few deviations of the mean and `more_room`; its fourth
+   channel. */
+INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room,
+                     const float exposure) {
     Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
     const Floats gain = wide_divide(wide_greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
     before.x *= gain;
@@ -236,8 +248,8 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
     return past;
 }
 
-/* The lock of a pixel at rest: number of frames in which the history was right. If it is large, and a nearer surface disappears
-   by depth, that surface was thin, and will be hit again. */
+/* The lock of a pixel at rest: number of frames in which the history was right. If it is large, and a nearer surface
+   disappears by depth, that surface was thin, and will be hit again. */
 INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) {
     const Floats most = (float)LOCK_FRAMES, counted = before + (right ? (Floats)(1.0f) : (Floats)(-1.0f));
     const Floats next = before > most ? before - 1.0f : wide_lesser(wide_greater(counted, (Floats)(0.0f)), most);
@@ -257,22 +269,23 @@ typedef struct {
     Floats held, believed, locked;
 } Recalled;
 
-/* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around `src`, within
-   their colors; less where it moved, from there to `px`. `seen`: by depth. */
-INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, const Ints known, const Floats *px_previous,
-                   const Ints src, const Floats seen, Recalled *r) {
+/* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around
+   `src`, within their colors; less where it moved, from there to `px`. `seen`: by depth. */
+INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, const Ints known,
+                   const Floats *px_previous, const Ints src, const Floats seen, Recalled *r) {
     const int width = frame->target_width, height = frame->target_height;
     const Floats at_x = known ? px_previous[0] : (Floats)(0.0f), at_y = known ? px_previous[1] : (Floats)(0.0f);
     const Floats motion = fabs(at_x - px[0]) + fabs(at_y - px[1]);
     const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
     const Wide4 middle = gather_channels(past.mean, src), around = gather_channels(past.deviation, src);
-    const Floats trust = wide_greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
+    const Floats trust =
+        wide_greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
     const Floats before = to_floats(gather_bytes(past.lock, to_ints(at_y) * width + to_ints(at_x)));
     const Ints rests = known & (motion < AT_REST);
     r->locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
     const Ints thin = r->locked > (float)LOCK_FRAMES;
-    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SLOPE, past.history), middle, around,
-                       thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
+    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SLOPE, past.history), middle,
+                       around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
     r->believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
     r->held = wide_lesser(r->color.w * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
 }
@@ -314,7 +327,8 @@ WIDE __kernel void accumulate(__constant Frame *frame, __global const half *comp
     const Floats moved_x = gather_xy(dilated, src, &moved_y), none = 0.0f;
     px_previous[0] = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
     px_previous[1] = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
-    const Ints known = within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame->has_previous) != 0);
+    const Ints known =
+        within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame->has_previous) != 0);
     Recalled r = {{none, none, none, none}, none, none, none};
     if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
 
@@ -374,7 +388,8 @@ WIDE __kernel void generate(__constant Frame *frame, const int corrected, __glob
         shown.z += own.z - finite(before.z);
     }
     const Floats none = 0.0f, top = COLOR_MAX;
-    const Wide4 out = {seen ? wide_lesser(wide_greater(shown.x, none), top) : own.x, seen ? wide_lesser(wide_greater(shown.y, none), top) : own.y,
+    const Wide4 out = {seen ? wide_lesser(wide_greater(shown.x, none), top) : own.x,
+                       seen ? wide_lesser(wide_greater(shown.y, none), top) : own.y,
                        seen ? wide_lesser(wide_greater(shown.z, none), top) : own.z, none};
     store_channels(out, count, out_color + 4 * i);
 }

@@ -1,7 +1,7 @@
-/* Warp (paper: 'Warping', with crack closing and resampling).
-   A fragment covers, in the target image, the parallelogram to which its own pixel maps; the nearest fragment keeps a
-   target pixel, ties go to the smallest source index. Blocks that show one smooth surface (backward_blocks.cl) are neither splatted
-   nor searched: their pixels find the fragment by the inverse of the block's flow. */
+/* Warp (paper: 'Warping', with crack closing and resampling). A fragment covers, in the target image, the
+   parallelogram to which its own pixel maps; the nearest fragment keeps a target pixel, ties go to the smallest
+   source index. Blocks that show one smooth surface (backward_blocks.cl) are neither splatted nor searched: their
+   pixels find the fragment by the inverse of the block's flow. */
 
 #include "frame.h"
 #include "simd_rgb.h"
@@ -39,7 +39,8 @@ typedef struct {
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
-INLINE void splat_fragment(const Fragments from, const Winners to, const int src, const int crack_closing, const int pass) {
+INLINE void splat_fragment(const Fragments from, const Winners to, const int src, const int crack_closing,
+                           const int pass) {
     const float3 here = position_of(from.target_position, src, from.plane);
     const int width = from.target_width, height = from.target_height;
     if (!may_land(from, here)) return;
@@ -50,8 +51,10 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
     Flow flow;
     flow_at(from, src, here, &flow);
     const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centers, and a little for rounding */
-    const int x0 = max((int)ceil(here.x - half_size.x), 0), x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
-    const int y0 = max((int)ceil(here.y - half_size.y), 0), y1 = min((int)floor(here.y + half_size.y - 1.0f), height - 1);
+    const int x0 = max((int)ceil(here.x - half_size.x), 0),
+              x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
+    const int y0 = max((int)ceil(here.y - half_size.y), 0),
+              y1 = min((int)floor(here.y + half_size.y - 1.0f), height - 1);
     const float limit = FOOTPRINT_HALF * flow.det;
     for (int dst_y = y0; dst_y <= y1; ++dst_y)
         for (int dst_x = x0; dst_x <= x1; ++dst_x) {
@@ -63,8 +66,8 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
         }
 }
 
-/* LANES fragments, one pixel within the image, of which most cover no more than the 3x3 pixels around their own; gives the lanes
-   that are done. */
+/* LANES fragments, one pixel within the image, of which most cover no more than the 3x3 pixels around their own;
+   gives the lanes that are done. */
 INLINE Ints splat_lanes(const Fragments from, const Winners to, const int src, const int pass) {
     Positions at;
     WideFlow f;
@@ -72,7 +75,8 @@ INLINE Ints splat_lanes(const Fragments from, const Winners to, const int src, c
     wide_flow(at, to_ints(load_bytes(0, from.links + src)), load_floats(0, from.depth + src), from.zoom, &f);
     const Floats x = at.x.here, y = at.y.here, z = at.z.here, own_x = floor(x), own_y = floor(y);
     const Ints within = (z > 0.0f) & (own_x >= 1.0f) & (own_y >= 1.0f) & (own_x < (float)(from.target_width - 1))
-                        & (own_y < (float)(from.target_height - 1)) & (FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)) < 1.49f)
+                        & (own_y < (float)(from.target_height - 1))
+                        & (FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)) < 1.49f)
                         & (FOOTPRINT_HALF * (fabs(f.xy) + fabs(f.yy)) < 1.49f);
     const Floats limit = FOOTPRINT_HALF * f.det;
     Ints covers = (Ints)(16);  /* bit 3 (dy + 1) + dx + 1; its own pixel always */
@@ -86,7 +90,8 @@ INLINE Ints splat_lanes(const Fragments from, const Winners to, const int src, c
     }
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const Ints covered = (fabs(across_x[k % 3] - down_x[k / 3]) <= limit) & (fabs(down_y[k / 3] - across_y[k % 3]) <= limit);
+        const Ints covered =
+            (fabs(across_x[k % 3] - down_x[k / 3]) <= limit) & (fabs(down_y[k / 3] - across_y[k % 3]) <= limit);
         covers |= covered ? (Ints)(1 << k) : (Ints)(0);
     }
     int lane_covers[LANES], lane_dst[LANES];
@@ -97,7 +102,8 @@ INLINE Ints splat_lanes(const Fragments from, const Winners to, const int src, c
     for (int lane = 0; lane < LANES; ++lane)
         for (int left = lane_covers[lane]; left; left &= left - 1) {
             const int k = 31 - clz(left & -left), dy = (k * 11) >> 5, dx = k - 3 * dy;
-            offer(pass, to.keys, to.winners, lane_dst[lane] + (dy - 1) * from.target_width + dx - 1, lane_z[lane], (uint)(src + lane));
+            offer(pass, to.keys, to.winners, lane_dst[lane] + (dy - 1) * from.target_width + dx - 1, lane_z[lane],
+                  (uint)(src + lane));
         }
     return within;
 }
@@ -111,17 +117,26 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
 }
 
 /* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. */
-WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const float *depth, __global const uchar *links,
-                         __global const float *target_position, __global const short4 *reach,
-                         __global const uchar *block_class, __global Key *keys, __global uint *winners) {
+WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const float *depth,
+                         __global const uchar *links, __global const float *target_position,
+                         __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
+                         __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height;
-    const Fragments from = {depth, target_position, links, width, height, width * height,
-                            frame->target_width, frame->target_height, frame->zoom};
+    const Fragments from = {.depth = depth,
+                            .target_position = target_position,
+                            .links = links,
+                            .width = width,
+                            .height = height,
+                            .plane = width * height,
+                            .target_width = frame->target_width,
+                            .target_height = frame->target_height,
+                            .zoom = frame->zoom};
     const Winners to = {keys, winners};
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
     if (src_x >= width || src_y >= height) return;
     if (frame->blocks && frame->crack_closing
-        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame->target_width, block_class)) return;
+        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame->target_width, block_class))
+        return;
     Ints done = (Ints)(0);
     if (frame->crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < width && src_y + 1 < height)
         done = splat_lanes(from, to, src, pass);
@@ -142,9 +157,10 @@ INLINE float deviation(const float3 there, const int dx, const int dy, const flo
     return fmax(fabs(ex), fabs(ey));
 }
 
-/* A pixel beside a nearer surface that moves away has a mixture of both colors. Returns the step, in source pixels, to the
-   neighbor without it, if that one moves along. */
-INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here, const Flow flow) {
+/* A pixel beside a nearer surface that moves away has a mixture of both colors. Returns the step, in source pixels,
+   to the neighbor without it, if that one moves along. */
+INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here,
+                                const Flow flow) {
     const int src = src_y * f.width + src_x;
     int2 step = (int2)(0, 0);
     for (int k = 0; k < 4; ++k) {
@@ -173,7 +189,8 @@ INLINE float3 of_those_alike(const int alike, const int tap, const float u, cons
         sum += weight * load_color(shown.codes, tap + (k >> 1) * source_width + (k & 1));
         weight_sum += weight;
     }
-    return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset) : load_color(shown.color, winner);
+    return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset)
+                              : load_color(shown.color, winner);
 }
 
 /* Where a pixel is resampled: at (u, v) from the pixel `tap`, next to the winner `src`. */
@@ -182,10 +199,10 @@ typedef struct {
     float u, v;
 } Sample;
 
-/* At (src_x, src_y) + d. Whether the neighborhood moves alike is judged by its four inner taps and its corners, or known of
-   `smooth` blocks. */
-INLINE void sample_at(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
-                      const bool smooth, Sample *s) {
+/* At (src_x, src_y) + d. Whether the neighborhood moves alike is judged by its four inner taps and its corners, or
+   known of `smooth` blocks. */
+INLINE void sample_at(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here,
+                      const Flow flow, const bool smooth, Sample *s) {
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
     s->src = src_y * f.width + src_x;
     s->tap = s->src + oy * f.width + ox;
@@ -195,8 +212,10 @@ INLINE void sample_at(const Fragments f, const int src_x, const int src_y, const
     if (smooth || (d.x == 0.0f && d.y == 0.0f)) return;
     for (int k = 0; k < 8; ++k) {
         const int dx = ox + (k < 4 ? (k & 1) : 3 * (k & 1) - 1), dy = oy + (k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1);
-        const bool tap_alike = inside(src_x + dx, src_y + dy, f.width, f.height)
-            && deviation(position_of(f.target_position, s->src + dy * f.width + dx, f.plane), dx, dy, here, flow) <= SAME_MOTION;
+        const bool tap_alike =
+            inside(src_x + dx, src_y + dy, f.width, f.height)
+            && deviation(position_of(f.target_position, s->src + dy * f.width + dx, f.plane), dx, dy, here, flow)
+                   <= SAME_MOTION;
         if (!tap_alike) s->alike &= ~(1 << k);
     }
 }
@@ -205,7 +224,8 @@ INLINE void sample_at(const Fragments f, const int src_x, const int src_y, const
 INLINE float3 resample(const Sample s, const int source_width, const Rendered shown) {
     if (s.tap == s.src && s.u == 0.0f && s.v == 0.0f) return load_color(shown.color, s.src);
     if (s.alike != ALL_ALIKE) return of_those_alike(s.alike, s.tap, s.u, s.v, source_width, s.src, shown);
-    const float3 code = cubic(s.tap - source_width - 1, cubic_weights(s.u), cubic_weights(s.v), source_width, shown.codes);
+    const float3 code =
+        cubic(s.tap - source_width - 1, cubic_weights(s.u), cubic_weights(s.v), source_width, shown.codes);
     return decode_color(code, shown.code_offset);
 }
 
@@ -214,10 +234,11 @@ INLINE float2 without_rounding(const float2 d) {
     return (float2)(fabs(d.x) < STILL ? 0.0f : d.x, fabs(d.y) < STILL ? 0.0f : d.y);
 }
 
-/* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block. False where
-   there is none: nothing is to be resampled. Its key is emptied if the background may fill it. */
-INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
-                          const int dst_y, const uint src, const bool smooth, const int unfilled_label, Sample *sample) {
+/* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block.
+   False where there is none: nothing is to be resampled. Its key is emptied if the background may fill it. */
+INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to,
+                          const int dst_x, const int dst_y, const uint src, const bool smooth, const int unfilled_label,
+                          Sample *sample) {
     const int dst = dst_y * from.target_width + dst_x;
     if (src == NOBODY) {
         store_color((float3)(0.0f), to.color, dst);
@@ -268,9 +289,10 @@ INLINE void smooth_flow(const Positions at, WideFlow *flow) {
 }
 
 /* deviation of fragments at (dx, dy) from the winners; infinite or no number where they go nowhere. */
-INLINE Floats wide_deviation(const Floats there_x, const Floats there_y, const Floats dx, const Floats dy, const Floats here_x,
-                             const Floats here_y, const WideFlow f) {
-    const Floats ex = fabs(there_x - here_x - f.xx * dx - f.yx * dy), ey = fabs(there_y - here_y - f.xy * dx - f.yy * dy);
+INLINE Floats wide_deviation(const Floats there_x, const Floats there_y, const Floats dx, const Floats dy,
+                             const Floats here_x, const Floats here_y, const WideFlow f) {
+    const Floats ex = fabs(there_x - here_x - f.xx * dx - f.yx * dy),
+                 ey = fabs(there_y - here_y - f.xy * dx - f.yy * dy);
     return ex > ey ? ex : ey;
 }
 
@@ -289,7 +311,8 @@ INLINE Ints stays(const Positions at, const Cross depth, const WideFlow f) {
 }
 
 /* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */
-INLINE Ints taps_alike(const Fragments from, const Positions at, const Ints src, const Floats ox, const Floats oy, const WideFlow f) {
+INLINE Ints taps_alike(const Fragments from, const Positions at, const Ints src, const Floats ox, const Floats oy,
+                       const WideFlow f) {
     Places base;
     find_places(src + to_ints(oy) * from.width + to_ints(ox), 2 * from.width + 2, from.plane, &base);
     Ints alike = (Ints)(0);
@@ -298,8 +321,8 @@ INLINE Ints taps_alike(const Fragments from, const Positions at, const Ints src,
         const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
         __global const float *p = from.target_position + dy * from.width + dx, *q = p + from.plane;
         const Floats there_x = floats_at(p, base), there_y = floats_at(q, base);
-        const Ints tap_alike = wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, at.x.here, at.y.here, f)
-                               <= SAME_MOTION;
+        const Ints tap_alike =
+            wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, at.x.here, at.y.here, f) <= SAME_MOTION;
         alike |= tap_alike ? (Ints)(1 << k) : (Ints)(0);
     }
     return alike;
@@ -337,13 +360,14 @@ INLINE Texels decode_texels(const Texels code, const float offset) {
     return offset > 0.0f ? copysign(root * root, code) : code;
 }
 
-/* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`, keep its bits. False where
-   they are to be made one by one. */
+/* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`,
+   keep its bits. False where they are to be made one by one. */
 INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const int source_width,
                           const Rendered shown, __global half *out_color) {
     if (any(exact) && !all(exact)) return false;
     const Texels c = all(exact) ? finite_texels(vload_half16(0, shown.color + 4 * tap))
-                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes), shown.code_offset);
+                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes),
+                                                shown.code_offset);
     vstore_half16_rte(WITHOUT_ALPHA(c), 0, out_color);
     return true;
 }
@@ -362,11 +386,14 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
     /* Halves whose taps lie in a row; elsewhere one lane after another. */
     const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
-    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
-    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi}, right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
+    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo},
+                 left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
+    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi},
+                 right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
     const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
-        && resample_four(lane_tap[0], exact.lo, left_x, left_y, source_width, shown, out_color + 4 * dst);
-    const bool right = all(whole.hi & (in_row.hi == lane_tap[4] - 4))
+                      && resample_four(lane_tap[0], exact.lo, left_x, left_y, source_width, shown, out_color + 4 * dst);
+    const bool right =
+        all(whole.hi & (in_row.hi == lane_tap[4] - 4))
         && resample_four(lane_tap[4], exact.hi, right_x, right_y, source_width, shown, out_color + 4 * (dst + 4));
     if (left && right) return;
     const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
@@ -390,22 +417,25 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
         } else {
             const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
             const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
-            rgb = decode_color(cubic(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, shown.codes), shown.code_offset);
+            rgb = decode_color(cubic(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, shown.codes),
+                               shown.code_offset);
         }
         store_color(rgb, out_color, dst + k);
     }
 }
 
-/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`; `smooth`: in blocks without
-   silhouettes. */
+/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`; `smooth`: in blocks
+   without silhouettes. */
 typedef struct {
     Ints x, y, use;
     bool smooth;
 } WideWinners;
 
-/* resolve_pixel of LANES pixels. Gives the lanes that are done: those in use that stay where they are at silhouettes. */
-INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won, const int dst_x,
-                          const int dst_y) {
+/* resolve_pixel of LANES pixels. Gives the lanes that are done: those in use that stay where they are at
+   silhouettes. */
+INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won,
+                          const int dst_x, const int dst_y) {
+    /* The fragments that won, and where they go. */
     const int dst = dst_y * from.target_width + dst_x;
     const Floats center_x = row_centers(dst_x);
     const float center_y = (float)dst_y + 0.5f;
@@ -415,6 +445,8 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
 
     Positions at;
     load_positions(from, places, &at);
+
+    /* Their flow; those beside a silhouette that may step off it are left to `resolve_pixel`. */
     WideFlow f;
     Ints done = won.use;
     if (won.smooth) {
@@ -425,15 +457,20 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
         wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
         done &= stays(at, depth, f);
     }
+
+    /* The place within each fragment that lands on the pixel's center. */
     const Floats ex = center_x - at.x.here, ey = center_y - at.y.here, z = at.z.here;
     Floats dx = clamp(wide_divide(f.yy * ex - f.yx * ey, f.det), -1.0f, 1.0f);
     Floats dy = clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f);
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
+
+    /* The taps around that place. */
     Samples samples;
     samples_at(src, dx, dy, from.width, &samples);
     if (!won.smooth) samples.alike = taps_alike(from, at, src, floor(dx), floor(dy), f);
 
+    /* The pixel: depth, motion, labels, color. */
     const Floats out_z = z + f.xz * dx + f.yz * dy;
     store_floats(out_z > 0.0f ? out_z : z, 0, to.depth + dst);
     store_xy((to_floats(won.x) + 0.5f) + dx - center_x, (to_floats(won.y) + 0.5f) + dy - center_y, to.motion + dst);
@@ -445,7 +482,8 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
 
 #endif
 
-/* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of backward_blocks.cl. */
+/* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of
+   backward_blocks.cl. */
 INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
     const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
     const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
@@ -454,8 +492,8 @@ INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_
 }
 
 /* LANES pixels, but for their color, of a block in which that is exact. */
-INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source, const int dst_x,
-                           const int dst_y, Samples *samples) {
+INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source,
+                           const int dst_x, const int dst_y, Samples *samples) {
     const int dst = dst_y * from.target_width + dst_x;
     Floats px_y;
     const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
@@ -472,7 +510,8 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     Cross z;
     load_cross(from.target_position + 2 * from.plane, from.width, places, &z);
     const Ints sky = isinf(z.here);
-    const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f, down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
+    const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f,
+                 down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
     store_floats(out_z > 0.0f ? out_z : z.here, 0, to.depth + dst);
     store_xy(src_center_x + dx - row_centers(dst_x), src_center_y + dy - ((float)dst_y + 0.5f), to.motion + dst);
@@ -492,10 +531,25 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
                            __global uchar *filled_by, __global uchar *mixed) {
     const int width = frame->source_width, height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments from = {depth, target_position, links, width, height, width * height, target_width, target_height, frame->zoom};
-    const Rendered shown = {color, codes, dynamic_mask, frame->code_offset};
+    const Fragments from = {.depth = depth,
+                            .target_position = target_position,
+                            .links = links,
+                            .width = width,
+                            .height = height,
+                            .plane = width * height,
+                            .target_width = target_width,
+                            .target_height = target_height,
+                            .zoom = frame->zoom};
+    const Rendered shown = {
+        .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
     const Winners winning = {keys, winners};
-    const NewFrame to = {out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed};
+    const NewFrame to = {.color = out_color,
+                         .depth = out_depth,
+                         .motion = out_motion,
+                         .dynamic_mask = out_dynamic,
+                         .disoccluded = disoccluded,
+                         .filled_by = filled_by,
+                         .mixed = mixed};
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int block = block_of(dst_x, dst_y, target_width);
@@ -515,7 +569,8 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
         } else {
             src = winner_of(keys, winners, dst_y * target_width + dst_x);
         }
-        const bool smooth = backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)]);
+        const bool smooth =
+            backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)]);
         if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
     }
     store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
@@ -538,8 +593,8 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
             wide_column_and_row(to_ints(src), width, &won.x, &won.y);
             won.use = (src != NOBODY) & (won.x >= 2) & (won.y >= 2) & (won.x < width - 2) & (won.y < height - 2);
             won.smooth = ALL(won.use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
-                && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)]
-                && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)];
+                         && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)]
+                         && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)];
         }
         if (won.smooth) {
             resolve_lanes(from, shown, to, won, dst_x, dst_y);
@@ -556,7 +611,8 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
         if (lane_done[k]) continue;
         const int dst = dst_y * target_width + dst_x + k;
         Sample sample;
-        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, winner_of(keys, winners, dst), false, unfilled_label, &sample))
+        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, winner_of(keys, winners, dst), false,
+                          unfilled_label, &sample))
             store_color(resample(sample, width, shown), out_color, dst);
     }
 #endif

@@ -1,18 +1,21 @@
-/* The previous rendered frame at pixels of the extrapolated one (paper: I^w and M^input of 'Shading Correction Network'), for the
-   kernels that store or sum it. Only pixels whose taps lie apart from their neighbors', or at the image's border, are processed
-   one by one. */
+/* The previous rendered frame at pixels of the extrapolated one (paper: I^w and M^input of 'Shading Correction
+   Network'), for the kernels that store or sum it. Only pixels whose taps lie apart from their neighbors', or at the
+   image's border, are processed one by one. */
 
 #include "common.h"
 #include "simd_rgb.h"
 
-#define SAME_SURFACE 0.03f      /* relative depth within which the surface met in the previous frame is the fragment's ... */
-#define DEPTH_PER_MOTION 2.0f   /* ... and an addition per unit of its sideways motion, as in history tracking */
-#define LEAST_WEIGHT 0.25f      /* of the taps that show the surface */
+#define SAME_SURFACE                                                                                                   \
+    0.03f /* relative depth within which the surface met in the previous frame is the fragment's ...                   \
+           */
+#define DEPTH_PER_MOTION 2.0f /* ... and an addition per unit of its sideways motion, as in history tracking */
+#define LEAST_WEIGHT 0.25f /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f
 #define MASK_REST 0.5f
 
-/* The extrapolated frame, and the two rendered ones that its pixels are looked up in. `known`: whether there is one of t-1. */
+/* The extrapolated frame, and the two rendered ones that its pixels are looked up in. `known`: whether there is one
+   of t-1. */
 typedef struct {
     int known, target_width, source_width, source_height;
     __global const half *color, *color_prev;
@@ -22,7 +25,8 @@ typedef struct {
     __constant const Reprojection *to_previous;
 } Frames;
 
-/* Color of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
+/* Color of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too
+   little. */
 INLINE bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
                          __global const half *color_prev, __global const float *depth_prev, float3 *rgb) {
     const int x0 = (int)floor(before.x), y0 = (int)floor(before.y);
@@ -41,21 +45,23 @@ INLINE bool color_before(const float3 before, const float tolerance, const int s
     return true;
 }
 
-/* Where pixels of a row, of depth z, were at t-1 if they are static or were filled in: pixels of the previous image, less half
-   a pixel, and depth there. reproject of common.h with fewer divisions. */
+/* The positions where pixels of a row, of depth z, were at t-1 if they are static or were filled in: pixels of the
+   previous image, less half a pixel, and depth there. reproject of common.h with fewer divisions. */
 INLINE Wide3 position_before(const Floats px_x, const float px_y, const Floats z, const Reprojection r) {
-    const Floats x = (px_x - r.source_inverse.z) * r.source_inverse.x, nearness = 1.0f / z;  /* of the sky: 0 */
+    const Floats x = (px_x - r.source_inverse.z) * r.source_inverse.x, nearness = 1.0f / z; /* of the sky: 0 */
     const float y = (px_y - r.source_inverse.w) * r.source_inverse.y;
     const Floats depth = r.row2.x * x + (r.row2.y * y + r.row2.z) + r.row2.w * nearness, per_depth = 1.0f / depth;
     Wide3 before;
-    before.x = r.target.x * (r.row0.x * x + (r.row0.y * y + r.row0.z) + r.row0.w * nearness) * per_depth + (r.target.z - 0.5f);
-    before.y = r.target.y * (r.row1.x * x + (r.row1.y * y + r.row1.z) + r.row1.w * nearness) * per_depth + (r.target.w - 0.5f);
+    before.x =
+        r.target.x * (r.row0.x * x + (r.row0.y * y + r.row0.z) + r.row0.w * nearness) * per_depth + (r.target.z - 0.5f);
+    before.y =
+        r.target.y * (r.row1.x * x + (r.row1.y * y + r.row1.z) + r.row1.w * nearness) * per_depth + (r.target.w - 0.5f);
     before.z = depth * z;
     return before;
 }
 
-/* A strip of LANES pixels of a row, from the first of `count` that are left of it, which a row's last strip has fewer of: lanes
-   beyond are the last pixel. */
+/* A strip of LANES pixels of a row, from the first of `count` that are left of it, which a row's last strip has
+   fewer of: lanes beyond are the last pixel. */
 typedef struct {
     int first, count;
     Floats px_x, depth;
@@ -82,17 +88,17 @@ INLINE Floats input_mask_of(const StripOfFrame *s) {
     return s->moves ? (Floats)(MASK_DYNAMIC) : still;
 }
 
-/* Where a strip's pixels were at t-1. `tolerance`: in depth. Of those that are `inner`, all four taps are in the image, from
-   tap_0 on. Of most strips they follow one another but for one jump, which the ends tell: they are those from `first` on, or,
-   where in_second, from `second` on. */
+/* The places where a strip's pixels were at t-1. `tolerance`: in depth. Of those that are `inner`, all four taps are in
+   the image, from tap_0 on. Of most strips they follow one another but for one jump, which the ends tell: they are
+   those from `first` on, or, where in_second, from `second` on. */
 typedef struct {
-    Wide3 before;  /* pixels, less half a pixel, and depth there: -1 where it is unknown */
+    Wide3 before; /* pixels, less half a pixel, and depth there: -1 where it is unknown */
     Floats tolerance, weight[4];
     Ints inner, tap_0, in_second, in_runs;
     int first, second;
 } StripTaps;
 
-/* The same of those that move, by the motion of both intervals. */
+/* Replaces the places of pixels that move, by the motion of both intervals. */
 INLINE void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) {
     Floats mv_y;
     const Floats mv_x = load_some_xy(s->count, f->out_motion + s->first, &mv_y);
@@ -104,8 +110,8 @@ INLINE void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) 
     const Floats mv_before_y = gather_floats((__global const float *)f->motion, 2 * at + 1);
     const Ints known = follows & isfinite(mv_before_x) & isfinite(mv_before_y);
     const Floats x_before = x + mv_before_x - 0.5f, y_before = y + mv_before_y - 0.5f;
-    const Floats sideways = (fabs(x_before - t->before.x) + fabs(y_before - t->before.y))
-                            * (t->before.z / f->to_previous->target.x);
+    const Floats sideways =
+        (fabs(x_before - t->before.x) + fabs(y_before - t->before.y)) * (t->before.z / f->to_previous->target.x);
     t->tolerance = known ? t->tolerance + DEPTH_PER_MOTION * sideways : t->tolerance;
     t->before.x = known ? x_before : t->before.x;
     t->before.y = known ? y_before : t->before.y;
@@ -159,7 +165,8 @@ INLINE Floats weigh(const Frames *f, const bool all_in_runs, StripTaps *t) {
 /* The sum, by weights, of taps that follow one another from `first` on. */
 INLINE Strip sum_of_run(const int first, const StripTaps *t, const int width, __global const half *color) {
     const Strip a = load_strip(LANES, color + 4 * first), b = load_strip(LANES, color + 4 * (first + 1));
-    const Strip c = load_strip(LANES, color + 4 * (first + width)), d = load_strip(LANES, color + 4 * (first + width + 1));
+    const Strip c = load_strip(LANES, color + 4 * (first + width)),
+                d = load_strip(LANES, color + 4 * (first + width + 1));
     Strip sum;
 #pragma unroll
     for (int p = 0; p < PARTS; ++p)
@@ -168,7 +175,7 @@ INLINE Strip sum_of_run(const int first, const StripTaps *t, const int width, __
     return sum;
 }
 
-/* The same of taps that are in either run. */
+/* The weighted sum of taps that are in either of two runs. */
 INLINE Strip sum_of_runs(const StripTaps *t, const int width, __global const half *color) {
     Strip sum = sum_of_run(t->first, t, width, color);
     if (t->second == t->first) return sum;
@@ -178,15 +185,16 @@ INLINE Strip sum_of_runs(const StripTaps *t, const int width, __global const hal
     return sum;
 }
 
-/* Value of one pixel: (color of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those of
-   the surface; (GAE color, 0) where too few show it. */
+/* Value of one pixel: (color of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or
+   by those of the surface; (GAE color, 0) where too few show it. */
 INLINE float4 texel_before(const Frames *f, const int pixel, const bool lost, const bool weighted, const int tap_0,
                            const float4 weights, const float3 before, const float tolerance) {
     if (!lost && weighted) {
         __global const half *top = f->color_prev + 4 * tap_0, *bottom = top + 4 * f->source_width;
         const float4 sum = (weights.x * vload_half4(0, top) + weights.z * vload_half4(0, bottom))
                            + (weights.y * vload_half4(1, top) + weights.w * vload_half4(1, bottom));
-        if (fabs(sum.x) <= COLOR_MAX && fabs(sum.y) <= COLOR_MAX && fabs(sum.z) <= COLOR_MAX) return (float4)(sum.xyz, 1.0f);
+        if (fabs(sum.x) <= COLOR_MAX && fabs(sum.y) <= COLOR_MAX && fabs(sum.z) <= COLOR_MAX)
+            return (float4)(sum.xyz, 1.0f);
     }
     float3 rgb;
     if (!lost && color_before(before, tolerance, f->source_width, f->source_height, f->color_prev, f->depth_prev, &rgb))
@@ -195,8 +203,8 @@ INLINE float4 texel_before(const Frames *f, const int pixel, const bool lost, co
 }
 
 /* Values of the pixels `rest` of a strip. */
-INLINE void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripTaps *t, const Ints lost, const Ints rest,
-                            Strip *out) {
+INLINE void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripTaps *t, const Ints lost,
+                            const Ints rest, Strip *out) {
     int lane_first[LANES], lane_weighted[LANES], lane_lost[LANES], lane_rest[LANES];
     float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES], texels[4 * LANES];
     store_ints(t->tap_0, 0, lane_first);
@@ -213,14 +221,15 @@ INLINE void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripT
         if (!lane_rest[k]) continue;
         const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);
         const float3 place = (float3)(before_x[k], before_y[k], before_z[k]);
-        vstore4(texel_before(f, s->first + min(k, s->count - 1), lane_lost[k], lane_weighted[k], lane_first[k], taps, place,
-                             tolerances[k]), k, texels);
+        vstore4(texel_before(f, s->first + min(k, s->count - 1), lane_lost[k], lane_weighted[k], lane_first[k], taps,
+                             place, tolerances[k]),
+                k, texels);
     }
     for (int part = 0; part < PARTS; ++part) out->part[part] = reload_texels(part, texels);
 }
 
-/* I^w of a strip: (color of t-1 at the pixel's surface, 1), or (GAE color, 0) where that was hidden or outside then. gae: the
-   strip's colors. */
+/* I^w of a strip: (color of t-1 at the pixel's surface, 1), or (GAE color, 0) where that was hidden or outside then.
+   gae: the strip's colors. */
 INLINE void previous_of(const Frames *f, const StripOfFrame *s, const Strip *gae, Strip *previous) {
     StripTaps taps;
     taps.before = position_before(s->px_x, s->px_y, s->depth, *f->to_previous);
@@ -228,7 +237,8 @@ INLINE void previous_of(const Frames *f, const StripOfFrame *s, const Strip *gae
     if (ANY(s->moves)) follow_motion(f, s, &taps);
     if (!f->known) taps.before.z = -1.0f;
     find_taps(f, &taps);
-    const bool runs_in_image = max(taps.first, taps.second) + LANES + f->source_width < f->source_width * f->source_height;
+    const bool runs_in_image =
+        max(taps.first, taps.second) + LANES + f->source_width < f->source_width * f->source_height;
     const Floats weight_sum = weigh(f, runs_in_image && ALL(taps.in_runs | !taps.inner), &taps);
     const Ints shown = weight_sum >= LEAST_WEIGHT;
     if (!ALL(weight_sum > 0.99999f)) {

@@ -1,1 +1,2 @@
-"""Pictures in and out: sequences on disk, other programs' captures, built-in scenes, `gffe run`, the doctor."""
+"""Captures: pictures in and out. Sequences on disk, other programs' captures, built-in scenes, `gffe run`, the
+doctor."""

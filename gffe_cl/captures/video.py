@@ -1,4 +1,4 @@
-"""Videos of display values (`gffe demo`, the viewer)."""
+"""Writer of videos of display values (`gffe demo`, the viewer)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: `gffe`. Exit codes: 0 done, 1 findings, 2 could not, 130 interrupted."""
+"""The command line: `gffe`. Exit codes: 0 done, 1 findings, 2 failed, 130 interrupted."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
 
 
 def main() -> None:
-    """Entry point: structural faults become one line and exit code 2. The commands are imported when signals are
-    taken care of."""
+    """Run the command line: structural faults become one line and exit code 2. Signal handlers are installed before the
+    commands are imported."""
     _open_missing_streams()
     if not sys.warnoptions:  # warnings of libraries, mostly about damaged files, are not the program's messages
         warnings.simplefilter("ignore")
@@ -31,7 +31,7 @@ def main() -> None:
 
 def _open_missing_streams() -> None:
     """Give standard streams that the caller closed to the null device. Their descriptors are the lowest free ones:
-    files that are opened later would take them, and be written to by whatever prints."""
+    files that are opened later would take them, and every print would write into them."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             stream = open(os.devnull, mode)  # noqa: SIM115 - stays open

@@ -1,4 +1,4 @@
-"""The command that measures cost: bench."""
+"""Command `gffe bench`, which measures cost."""
 
 from __future__ import annotations
 

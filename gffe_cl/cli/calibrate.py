@@ -1,4 +1,4 @@
-"""The command that recovers cameras: calibrate."""
+"""Command `gffe calibrate`, which recovers cameras."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command that finds faults of sequences: check."""
+"""Command `gffe check`, which finds faults of sequences."""
 
 from __future__ import annotations
 

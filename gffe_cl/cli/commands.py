@@ -1,4 +1,4 @@
-"""All commands, and how one is called."""
+"""All commands, and a function that runs one."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def invoke(arguments: list[str]) -> int:
 
 
 def _command() -> Any:
-    """The command line library's command, whose parameters take neither empty texts nor numbers that are not finite:
-    an empty path would be the working folder."""
+    """Return the command line library's command, whose parameters take neither empty texts nor numbers that are not
+    finite: an empty path would be the working folder."""
     group: Any = typer.main.get_command(app)
     for command in group.commands.values():
         for parameter in command.params:

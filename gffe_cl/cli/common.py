@@ -63,7 +63,7 @@ SchedulerOption = Annotated[
 
 @contextmanager
 def cluster_at(address: str | None) -> Iterator[Cluster | None]:
-    """The cluster of --scheduler for a while; None without one. Raises GffeError."""
+    """Yield the cluster of --scheduler during the block; None without one. Raises GffeError."""
     if not address:
         yield None
         return
@@ -77,7 +77,7 @@ def cluster_at(address: str | None) -> Iterator[Cluster | None]:
 
 
 def output_file(option: str):
-    """A callback for an option that names a file to write: checked before the work, not after it."""
+    """Return a callback for an option that names a file to write: it is checked before the work, not after it."""
     return lambda path: None if path is None else require_output_file(path, option)
 
 
@@ -116,7 +116,7 @@ WindowOption = Annotated[
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """'1920x1080' → (1920, 1080)."""
+    """Return the size of a text: '1920x1080' → (1920, 1080)."""
     try:
         width, height = (int(part) for part in text.lower().replace("×", "x").split("x"))
     except ValueError:
@@ -127,7 +127,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_encoding(text: str | None) -> Encoding:
-    """Of --encode; the exact one if it is not given."""
+    """Return the encoding of --encode; the exact one if it is not given."""
     from gffe_cl.captures.sequence.encoding import CODE_SIZE, EXACT, Encoding
 
     if text is None:
@@ -137,7 +137,7 @@ def parse_encoding(text: str | None) -> Encoding:
 
 
 def parse_numbers(text: str, option: str) -> list[float]:
-    """'0.25,0.5' → [0.25, 0.5]."""
+    """Return the numbers of a text: '0.25,0.5' → [0.25, 0.5]."""
     with suppress(ValueError):
         numbers = [float(part) for part in text.split(",")]
         if all(map(is_number, numbers)):
@@ -147,7 +147,7 @@ def parse_numbers(text: str, option: str) -> list[float]:
 
 @contextmanager
 def progress_bars():
-    """Progress of steps on standard error: bars on a terminal, lines elsewhere."""
+    """Show the progress of steps on standard error: bars on a terminal, lines elsewhere."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err) if err.is_terminal else _Lines()
     with bars as progress:
@@ -208,7 +208,7 @@ class _Lines(Progress):
 
 
 def steps(progress: Progress):
-    """A function that opens a progress bar and returns its `advance`."""
+    """Return A function that opens a progress bar and returns its `advance`."""
 
     def step(text: str, total: int):
         task = progress.add_task(text, total=total)
@@ -227,7 +227,7 @@ def write_json(path: Path | None, document: dict) -> None:
 
 
 def _finite(value):
-    """`value` with null for numbers that JSON cannot hold."""
+    """Return `value` with null for numbers that JSON cannot hold."""
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -247,7 +247,7 @@ _warned: set[str] = set()
 
 
 def warn(text: str) -> None:
-    """Once in a command."""
+    """Print a warning, each text once in a command."""
     if text not in _warned:
         _warned.add(text)
         say(f"[yellow]warning:[/] {plain(shortened(text))}")
@@ -262,6 +262,6 @@ def warn_of_networks() -> None:
 
 
 def plain(text: object) -> str:
-    """`text` as it is, for the consoles: neither markup nor a control character of the terminal in it, of the name of a
-    file perhaps, has an effect."""
+    """Return `text` for the consoles without effects: neither markup nor control characters of the terminal in it,
+    perhaps in the name of a file, are interpreted."""
     return escape(printable(str(text)))

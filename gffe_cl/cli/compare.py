@@ -1,4 +1,4 @@
-"""The command that measures pictures: compare."""
+"""Command `gffe compare`, which measures pictures."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def compare(
 
 
 def _print_regions(result: Comparison, metrics: list[Metric]) -> None:
-    """Where `--gae` is given, each metric without and with shading correction, and the gain."""
+    """Print each metric without and with shading correction, and the gain, if `--gae` is given."""
     heads = ("GAE", "final", "gain") if result.gae else ("",)
     table = Table("all frames together", "share", "metric", *heads, box=None, header_style="bold")
     for region, figures in result.regions.items():

@@ -1,4 +1,4 @@
-"""The command demo: a first result."""
+"""Command `gffe demo`, which gives a first result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command that lists devices: devices."""
+"""Command `gffe devices`, which lists devices."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def devices(
 
 
 def _provider_verdicts(refresh: bool) -> list[Verdict]:
-    """Of all providers that are installed, but the CPU's, with the package's own network."""
+    """Return the verdicts on all installed providers except the CPU's, with the package's own network."""
     from gffe_cl.engine.inference.network import default_model
     from gffe_cl.engine.inference.provider_check import verdict
     from gffe_cl.engine.inference.providers import CPU, installed_providers

@@ -1,4 +1,5 @@
-"""The command that fills the table of methods and sequences: eval; and study, its older name for parts of that."""
+"""Commands `gffe eval`, which fills the table of methods and sequences, and `gffe study`, its older name for parts of
+that."""
 
 from __future__ import annotations
 
@@ -159,7 +160,7 @@ def evaluate(
 
 
 def _subjects(texts, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
-    """The subjects, and why folders among several cannot be opened, by their names."""
+    """Return the subjects, and why folders among several cannot be opened, by their names."""
     from gffe_cl.lab.table.datasets import parse_subject
 
     chosen, broken = [], {}
@@ -195,7 +196,7 @@ def study(
     rate: Annotated[float, typer.Option(help="Turn rate of the camera for --windows, degrees per second.")] = 150.0,
     device: DeviceOption = None,
 ) -> None:
-    """Older name of parts of `gffe eval`: prints the command that does the same, and runs it."""
+    """Run parts of `gffe eval` under their older name, after printing the command that does the same."""
     if disocclusions + windows + shading > 1:
         raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
     methods = (
@@ -214,7 +215,7 @@ def study(
 
 
 def _seeded(text: str, seeds: int) -> list[str]:
-    """A built-in scene's name with each seed in turn; anything else as it is."""
+    """Return a built-in scene's name with each seed in turn; anything else unchanged."""
     from gffe_cl.captures.scenes import is_scene
 
     return [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
@@ -243,7 +244,7 @@ def _videos(text: str | None) -> tuple[str, ...]:
 
 
 def _folder(path: Path) -> Path:
-    """`path`, made if it is not there. GffeError if it is no place for a report."""
+    """Return `path`, created if it is missing. Raises GffeError if it is no place for a report."""
     if path.exists() and not path.is_dir():
         raise GffeError(f"--out {path}: is a file (expected a folder)")
     if (path / "sequence.json").exists():
@@ -257,8 +258,8 @@ def _folder(path: Path) -> Path:
 
 @contextmanager
 def _filling(output: Path, device: str | None, scheduler: str | None):
-    """Return a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the
-    time left."""
+    """Yield a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the time
+    left."""
     from gffe_cl.lab.table.runner import fill
 
     with cluster_at(scheduler) as workers, progress_bars() as bars:
@@ -327,7 +328,7 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
 
 
 def _print_regions(results: dict) -> None:
-    """PSNR by method and region, of all sequences together."""
+    """Print PSNR by method and region, of all sequences together."""
     from gffe_cl.lab.metrics import METRICS
 
     regions, shares = list(results["regions"]), [sequence["shares"] for sequence in results["sequences"]]

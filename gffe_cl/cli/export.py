@@ -1,4 +1,4 @@
-"""The command that writes the pipeline as C: export."""
+"""Command `gffe export`, which writes the pipeline as C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Endings of commands in one line: errors and interrupts."""
+"""Errors and interrupts of commands, reported in one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gffe_cl.engine.core.errors import GffeError, shortened
 
 
 def explain(error: BaseException, interrupts: Interrupts) -> int:
-    """Print the user's message for `error`. Returns the exit code. Unexpected exceptions are raised again."""
+    """Print the user's message for `error`, and return the exit code. Unexpected exceptions are raised again."""
     if interrupts.received or isinstance(error, KeyboardInterrupt):
         kept = "; ".join(_notes(error))
         say(plain(shortened(f"interrupted: {kept}" if kept else "interrupted")))

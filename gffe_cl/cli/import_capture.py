@@ -1,4 +1,4 @@
-"""The commands for captures of other programs: formats, import."""
+"""Commands for captures of other programs: `gffe formats`, `gffe import`."""
 
 from __future__ import annotations
 

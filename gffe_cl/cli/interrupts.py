@@ -1,4 +1,5 @@
-"""SIGINT, SIGTERM and SIGHUP: one way out for all of them. Imports nothing heavy: it must be there first."""
+"""Handlers of SIGINT, SIGTERM and SIGHUP: one way out for all of them. The module imports nothing heavy, because it
+must be there first."""
 
 from __future__ import annotations
 
@@ -98,7 +99,7 @@ class Interrupts:
 
 
 def _interrupt(kind) -> None:
-    """As if the signal had come from outside: a call that waits ends, too."""
+    """Interrupt the process as if the signal had come from outside: a call that waits ends, too."""
     if hasattr(signal, "pthread_kill"):
         main = threading.main_thread().ident
         assert main is not None  # it runs

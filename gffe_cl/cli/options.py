@@ -1,4 +1,4 @@
-"""The pipeline's options on the command line, made from their descriptions."""
+"""The pipeline's options on the command line, generated from their descriptions."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # optio
 
 
 def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
-    """Gives a command the options `names` (all that have a flag if none are named) in place of its parameter `options`,
-    an `Options`; `fixed` are values of others."""
+    """Return a decorator that gives a command the options `names` (all that have a flag if none are named) in place of
+    its parameter `options`, an `Options`; `fixed` are values of others."""
 
     def decorate(command: Callable) -> Callable:
         chosen = [OPTIONS[name] for name in names or OPTIONS if OPTIONS[name].flag and name not in fixed]
@@ -53,7 +53,7 @@ def _with(name: str, hint: Any, command: Callable) -> Callable:
 
 
 def _parameters(option: Option) -> list[inspect.Parameter]:
-    """Of typer: one, and a second for the short way to switch a module off."""
+    """Return the parameters for typer: one, and a second for the short way to switch a module off."""
     assert option.flag is not None  # of the options that have one
     made = [_parameter(option.name, *_kind(option), option.flag, _help(option))]
     if option.off_flag:
@@ -70,7 +70,7 @@ def _parameters(option: Option) -> list[inspect.Parameter]:
 
 
 def _kind(option: Option) -> tuple[Any, Any]:
-    """Type and default of the command line's parameter."""
+    """Return type and default of the command line's parameter."""
     if option.kind is bool:
         return (bool | None, None) if option.automatic else (bool, False)
     if option.kind is str:

@@ -1,4 +1,4 @@
-"""The command that renders built-in scenes: render."""
+"""Command `gffe render`, which renders built-in scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command that extrapolates: run."""
+"""Command `gffe run`, which extrapolates."""
 
 from __future__ import annotations
 
@@ -131,7 +131,8 @@ def open_source(
     live: dict[str, Any],
     upscale: float = 0.0,
 ) -> tuple[Device, Recorded | Live]:
-    """Open a folder as a sequence. Other names may be built-in scenes, rendered as `live` describes."""
+    """Open a folder as a sequence, and return device and source. Other names may be built-in scenes, rendered as `live`
+    describes."""
     from gffe_cl.captures.formats import open_capture
     from gffe_cl.captures.offline.source import Live, Recorded
     from gffe_cl.captures.scenes import is_scene, load_scene, scene_names

@@ -1,4 +1,4 @@
-"""The command that tests devices: selftest."""
+"""Command `gffe selftest`, which tests devices."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _print_network(result: NetworkResult) -> None:
 
 
 def _print_differences(results: list[DeviceResult]) -> None:
-    """Devices × buffers, of the buffers that differ anywhere."""
+    """Print the differences by device and buffer, of the buffers that differ anywhere."""
     others = sorted({case for result in results for case in result.other_inputs})
     if others:
         out.print(f"NumPy makes other frames here than were recorded ({', '.join(others)}): no device's fault.")

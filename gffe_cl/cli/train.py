@@ -1,4 +1,4 @@
-"""The command that trains: train."""
+"""Command `gffe train`, which trains the network."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class _Plan:
             )
 
     def clip(self, made: bool, wanted: int, processes: int) -> None:
-        """After a clip."""
+        """Update the plan after a clip."""
         self.made += made
         if not made or self.made != _LEAST_CLIPS:
             return
@@ -195,7 +195,7 @@ class _Plan:
         self.say(f"steps: {steps - done:,} of {steps:,} to go, for {_duration(self.steps_until - self.now)}")
 
     def step(self, done: int, steps: int) -> None:
-        """After `done` steps."""
+        """Update the plan after `done` steps."""
         if done - self.first_step != _MEASURED_STEPS:
             return
         each = (time.monotonic() - self.now) / _MEASURED_STEPS

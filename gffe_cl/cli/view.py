@@ -1,4 +1,4 @@
-"""The command that shows: view."""
+"""Command `gffe view`, which opens the viewer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def _list_actions(wanted: bool) -> None:
-    """All actions by their ids, with their labels and shortcuts."""
+    """Print all actions by their ids, with their labels and shortcuts."""
     if not wanted:
         return
     _require_packages()
@@ -221,7 +221,7 @@ def view(
 
 
 def _require_packages() -> None:
-    """GffeError unless the packages that only the viewer needs are there and work."""
+    """Raise GffeError unless the packages that only the viewer needs are there and work."""
     for name in ("imgui_bundle", "glfw", "moderngl"):  # in this order
         try:
             import_module(name)

@@ -1,1 +1,1 @@
-"""What a renderer links: devices, the pipeline of stages, networks, pacing, the export to C."""
+"""Engine: the part that a renderer links. Devices, the pipeline of stages, networks, pacing, the export to C."""

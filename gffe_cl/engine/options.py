@@ -38,10 +38,10 @@ class Option:
     low, high : range of a number, both included; `usual_high` is where sliders end
     unit : of a number
     choices : of a string, with a sentence each; empty if any will do
-    automatic : what None stands for ("auto": found out from the data), where None is allowed
+    automatic : the meaning of None ("auto": found out from the data), where None is allowed
     off : the value that switches a module off; False for a bool, None if it is no module
     off_label, off_sentence : of the module, where switching it off is an option beside this one
-    flag : of the command line; of a bool that is on by default, what switches it off
+    flag : of the command line; of a bool that is on by default, the flag that switches it off
     off_flag : of the command line, short for the value `off`
     remembered : by the viewer, from one start to the next
     needs : another option, a module, without which it has no effect
@@ -68,7 +68,7 @@ class Option:
 
     @property
     def is_module(self) -> bool:
-        """Whether it can be switched on and off."""
+        """Whether the option is a module, which can be switched on and off."""
         return self.off is not None
 
     def words(self, value: Any) -> list[str]:
@@ -83,7 +83,7 @@ class Option:
         return [self.flag, str(value)]
 
     def checked(self, value: Any) -> Any:
-        """`value` as the field holds it. GffeError if it makes no sense."""
+        """Return `value` in the type of the field. Raises GffeError if it is invalid."""
         if value is None and self.automatic is not None:
             return None
         given = value
@@ -101,7 +101,7 @@ class Option:
 
     @property
     def expected(self) -> str:
-        """Return the values that `checked` accepts, in words."""
+        """The values that `checked` accepts, in words."""
         either = f", or {self.automatic}" if self.automatic else ""
         if self.choices:
             return ", ".join(self.choices) + either
@@ -126,7 +126,7 @@ def _option(default: Any, label: str, sentence: str, **about: Any) -> Any:
 class Options:
     """Settings of the pipeline; the defaults are recommended. `OPTIONS` describes each field.
 
-    Raises GffeError for values that make no sense.
+    Raises GffeError for invalid values.
     """
 
     cut_detection: bool = _option(
@@ -329,8 +329,8 @@ class Options:
             raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
 
     def changed(self, name: str, value: Any) -> Options:
-        """With another value of one field; history and order give way to each other. GffeError for an unknown one, or
-        a value that makes no sense."""
+        """Return these options with another value of one field. If history and order conflict, the other one is
+        adapted. Raises GffeError for an unknown field or an invalid value."""
         require_choice(name, OPTIONS, "options: name")
         values = {name: (value := OPTIONS[name].checked(value))}
         if name == "history":
@@ -348,7 +348,7 @@ class Options:
 
     @property
     def weights(self) -> Path | None:
-        """The file of the shading correction network that runs; None where none runs, or none is there."""
+        """The file of the shading correction network that runs; None if none runs, or if there is none."""
         if not self.corrects_shading:
             return None
         return network.default_model() if self.scn_model is None else Path(self.scn_model)
@@ -358,7 +358,7 @@ OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name)
 
 
 def command_words(options: Options) -> list[str]:
-    """The options of `gffe run` that give `options`; those of a network that does not run are left out."""
+    """Return the options of `gffe run` that give `options`; those of a network that does not run are left out."""
     without = () if options.shading_correction is not False else ("focus_mask", "scn_model", "scn_provider")
     return [
         word for name, option in OPTIONS.items() if name not in without for word in option.words(getattr(options, name))

@@ -1,1 +1,1 @@
-"""What research needs: metrics, comparisons, benchmarks, the table of methods, training."""
+"""Lab: the part that research needs. Metrics, comparisons, benchmarks, the table of methods, training."""

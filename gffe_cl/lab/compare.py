@@ -1,4 +1,4 @@
-"""Measuring extrapolated frames against ground truth, by one definition for every command."""
+"""Comparison of extrapolated frames with ground truth, by one definition for every command."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ class FrameScore:
 
 @dataclass
 class Comparison:
-    """Scores of all matched frames, by time; `notes` are sentences about how the means came about; `regions`, for the
-    mask "focus", figures pooled over the counted frames (`RegionErrors.figures`), and `gae`, those of the frames
-    without shading correction, where they were given."""
+    """Scores of all matched frames, by time; `notes` are sentences about the means; `regions`, for the mask "focus",
+    figures pooled over the counted frames (`RegionErrors.figures`), and `gae`, those of the frames without shading
+    correction, where they were given."""
 
     frames: list[FrameScore]
     notes: list[str] = field(default_factory=list)
@@ -52,12 +52,12 @@ class Comparison:
 
     @property
     def mean(self) -> dict[str, float]:
-        """Every metric by name, over the counted frames where it is defined; NaN where there are none."""
+        """The mean of every metric by name, over the counted frames where it is defined; NaN where there are none."""
         return {name: self._mean(name) for name in METRICS}
 
     @property
     def gain(self) -> dict[str, dict[str, float]]:
-        """By region and metric: how much better the frames are than `gae`."""
+        """The improvement of the frames over `gae`, by region and metric."""
         return {
             region: {name: metric.gain(before[name], self.regions[region][name]) for name, metric in METRICS.items()}
             for region, before in self.gae.items()
@@ -101,21 +101,21 @@ def compare(
     progress: Callable[[int, int], None] | None = None,
     gae: Sequence | None = None,
 ) -> Comparison:
-    """Extrapolated frames of `a` against ground truth of `b`.
+    """Compare the extrapolated frames of `a` with the ground truth of `b`, and return their scores.
 
-    Frames match as `Sequence.at` says. The means leave out the frames that follow the first two rendered frames after a
-    reset of `a`, the reset included (cuts that `gffe run` found are such resets, with a note); if nothing else is left
-    they are over all frames, with a note. Display values take `b`'s exposure.
+    Frames are matched by `Sequence.at`. The means leave out the frames that follow the first two rendered frames after
+    a reset of `a`, the reset included (cuts that `gffe run` found are such resets, with a note); if nothing else is
+    left they are over all frames, with a note. Display values take `b`'s exposure.
 
     Parameters
     ----------
     mask : str or None
         A channel of `a`'s frames: metrics are over the pixels where it is not 0. "focus" means the pixels whose shading
-        is wrong in `gae`: `focus_mask`, less what is disoccluded.
+        is wrong in `gae`: `focus_mask` without disocclusions.
     progress : callable or None
         Called with (frames done, frames in all).
     gae : Sequence or None
-        For "focus": what `a` is without shading correction; `a` itself if None.
+        For "focus": the frames of `a` without shading correction; `a` itself if None.
 
     Raises
     ------
@@ -157,10 +157,11 @@ def compare(
 def baseline_repeat(
     sequence: Sequence, progress: Callable[[int, int], None] | None = None, device: Device | None = None
 ) -> Comparison:
-    """The last rendered frame, shown again, against each ground-truth frame of the same sequence.
+    """Compare the last rendered frame, shown again, with each ground-truth frame of the same sequence, and return the
+    scores.
 
-    The floor of any extrapolation, by the definition of `compare`. Frames rendered through a window are presented on
-    `device` (the default one if None). Raises GffeError.
+    This is the lower bound for any extrapolation, by the definition of `compare`. Frames rendered through a window are
+    presented on `device` (the default one if None). Raises GffeError.
     """
     rendered = sequence.rendered
     history = _History(sequence)
@@ -180,7 +181,7 @@ def _is_shown_whole(entry: FrameEntry) -> bool:
 
 
 def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = None) -> np.ndarray:
-    """Linear RGB (H, W, 3) of a frame as displayed: the display part of a frame rendered through a window."""
+    """Return linear RGB (H, W, 3) of a frame as displayed: the display part of a frame rendered through a window."""
     size = (sequence.width, sequence.height)
     if entry.kind != "rendered" or (sequence.size_of(entry) == size and _is_shown_whole(entry)):
         return sequence.read_color(entry)
@@ -246,7 +247,8 @@ class _History:
             self._since_reset.append(since)
 
     def suffices(self, entry: FrameEntry) -> bool:
-        """By the frame's source if it names one, else by the last rendered frame before it."""
+        """Return whether the frame has enough frames before it: its source if it names one, else the last rendered
+        frame before it."""
         index = self._files.get(entry.file if entry.kind == "rendered" else entry.source)
         if index is None:
             index = self._sequence.rendered_before(entry.time)
@@ -254,8 +256,8 @@ class _History:
 
 
 def _resets_of_its_own(a: Sequence, b: Sequence) -> list[str]:
-    """Return a note if `a` has resets that `b` lacks, such as cuts found by `gffe run`: then the means leave out
-    other frames."""
+    """Return a note if `a` has resets that `b` lacks, such as cuts found by `gffe run`: then the means leave out other
+    frames."""
     same = ((entry, b.at("rendered", entry.time)) for entry in a.rendered[1:] if entry.reset)
     found = [entry for entry, other in same if other and not other.reset]
     if not found:

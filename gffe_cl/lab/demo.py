@@ -1,4 +1,4 @@
-"""The demonstration: render `corridor`, extrapolate it, measure it, show it (`gffe demo`)."""
+"""Demonstration: render `corridor`, extrapolate it, measure it, show it (`gffe demo`)."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ _SLOWDOWN = 4
 
 
 def demo(output: Path, device: Device, width: int, height: int, seed: int, window: str, options: Options, step) -> dict:
-    """Fill the folder `output`: `rendered/`, `extrapolated/`, `contact_sheet.png`, `side_by_side.mp4`, `metrics.json`.
+    """Fill the folder `output` and return the metrics. The files are `rendered/`, `extrapolated/`, `contact_sheet.png`,
+    `side_by_side.mp4`, `metrics.json`.
 
-    `window` is the rendering window: "adaptive", "fixed:FACTOR" or "off".
-    `options`: of what is shown; the others go without shading correction.
-    `step(text, total)` opens a progress step and returns a function to call after each unit of it.
-    Returns the metrics: {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}, and "scn" where that is on.
+    `window` is the rendering window: "adaptive", "fixed:FACTOR" or "off". `options`: of the displayed frames; the
+    others are made without shading correction. `step(text, total)` opens a progress step and returns a function to call
+    after each unit of it. The metrics are {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}, and "scn" where that
+    is on.
     """
     scene = load_scene("corridor", seed)
     rendered, extrapolated = output / "rendered", output / "extrapolated"
@@ -103,7 +104,7 @@ def _contact_sheet(source: Sequence, made: Sequence, device: Device):
 
 
 def _video_frames(source: Sequence, made: Sequence, device: Device, on_frame) -> Iterator[np.ndarray]:
-    """Left the rendered frames at 30 Hz, right with the extrapolated ones at 60 Hz, slowed down."""
+    """Yield video frames: left the rendered frames at 30 Hz, right with the extrapolated ones at 60 Hz, slowed down."""
 
     def pairs():
         for now, new in zip(source.rendered, made.extrapolated, strict=True):

@@ -1,4 +1,4 @@
-"""Fault injection: good sequences are broken in the ways of real captures, to measure and test the doctor."""
+"""Fault injection: good sequences are given the faults of real captures, to measure and test the doctor."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
 
 
 class Kept:
-    """Rendered frames in memory, with the parts of a `Sequence` that the doctor needs. `forward`: vectors to the
-    next frame of each, (H, W, 2) pixels, where they are known."""
+    """Clip of rendered frames in memory, with the parts of a `Sequence` that the doctor needs. `forward`: vectors to
+    the next frame of each, (H, W, 2) pixels, where they are known."""
 
     def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0, forward=None):
         self.images, self.exposure, self.fps, self.forward = frames, exposure, fps, forward
@@ -49,7 +49,8 @@ class Kept:
 
 
 def static_motion(frame: RenderedFrame, other: Camera) -> np.ndarray:
-    """(H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, less where it is."""
+    """Return the motion (H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, minus
+    where it is."""
     height, width = frame.depth.shape
     y, x = np.mgrid[:height, :width] + 0.5
     px = np.stack([x, y], -1)
@@ -121,7 +122,7 @@ def _with_motion(frames, motions):
 
 
 def _to_next(frames):
-    """Return vectors to the next frame: exact for static points, the previous motion for movers."""
+    """Return the frames with vectors to the next frame: exact for static points, the previous motion for movers."""
     motions = []
     for k, frame in enumerate(frames):
         if k + 1 == len(frames):
@@ -155,7 +156,7 @@ def _jittered(frames):
 
 
 def jitter(count: int) -> np.ndarray:
-    """(count, 2) pixels within half a pixel: the Halton sequence of bases 2 and 3."""
+    """Return offsets (count, 2) in pixels within half a pixel: the Halton sequence of bases 2 and 3."""
 
     def radical(index, base):
         value, share = 0.0, 1.0 / base
@@ -233,7 +234,7 @@ def _bottom_up(*buffers: str) -> Callable:
 
 
 def _range_misread(z: np.ndarray) -> np.ndarray:
-    """Made linear from 0 … 1 by the formula for OpenGL's −1 … 1."""
+    """Return depth that was made linear from 0 … 1 by the formula for OpenGL's −1 … 1."""
     device = FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR))
     return np.where(np.isinf(z), z, 2 * FAR * NEAR / (FAR + NEAR - device * (FAR - NEAR)))
 
@@ -286,8 +287,8 @@ GAPS: dict[str, Callable] = {"frame dropped": _one_dropped}
 
 
 def broken(clip: Kept, names: list[str]) -> Kept:
-    """`clip` with the faults `names` (of BREAKS, HARMLESS or GAPS), one after the other; GffeError for an unknown
-    one."""
+    """Return `clip` with the faults `names` (of BREAKS, HARMLESS or GAPS), one after the other. Raises GffeError for an
+    unknown one."""
     frames, known = clip.images, {name: change for name, (_, change) in BREAKS.items()} | HARMLESS | GAPS
     for name in names:
         if name not in known:

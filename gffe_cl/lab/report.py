@@ -14,8 +14,8 @@ _PAPER = (24, 24, 26)
 
 
 def contact_sheet(groups: list[tuple[str, list[tuple[str, np.ndarray]]]], columns: int = 3, cell_width: int = 640):
-    """A PIL image of groups of images (H, W, 3) or (H, W), values in [0, 1], all of one size; labels of groups and
-    captions of images stand above them."""
+    """Return a PIL image of groups of images (H, W, 3) or (H, W), values in [0, 1], all of one size; labels of groups
+    and captions of images stand above them."""
     from PIL import Image, ImageDraw
 
     height, width = groups[0][1][0][1].shape[:2]
@@ -38,7 +38,7 @@ def contact_sheet(groups: list[tuple[str, list[tuple[str, np.ndarray]]]], column
 
 
 def to_image(values: np.ndarray):
-    """(H, W, 3) or (H, W) display values in [0, 1] → PIL image."""
+    """Return a PIL image of display values (H, W, 3) or (H, W) in [0, 1]."""
     from PIL import Image
 
     if values.ndim == 2:
@@ -47,13 +47,14 @@ def to_image(values: np.ndarray):
 
 
 def error_image(a: np.ndarray, b: np.ndarray, gain: float = 4.0) -> np.ndarray:
-    """Mean absolute difference of display values times `gain`, on a black–red–yellow–white scale (H, W, 3)."""
+    """Return the mean absolute difference of display values times `gain`, on a black–red–yellow–white scale (H, W,
+    3)."""
     e = np.abs(a - b).mean(-1) * gain
     return np.clip(np.stack([3 * e, 3 * e - 1, 3 * e - 2], -1), 0, 1)
 
 
 def side_by_side(pairs: Iterable[tuple[np.ndarray, np.ndarray]], labels: tuple[str, str]) -> Iterator[np.ndarray]:
-    """Join (left, right) display images with a label each; yields (H, 2W + gap, 3) uint8, sides even."""
+    """Join (left, right) display images with a label each, and yield (H, 2W + gap, 3) uint8, sides even."""
     from PIL import Image, ImageDraw
 
     font = _font(20)

@@ -13,8 +13,9 @@
 
 /* Records, in float4. */
 #define OBJECT_SIZE 7    /* bound (center rel, radius); rel -> local rows; rel -> other view rows */
-#define MATERIAL_SIZE 5  /* color, texture; color2, scale; f0, roughness, mirror, transparency; emission, contrast;
-                            seed */
+#define MATERIAL_SIZE                                                                                                  \
+    5  /* color, texture; color2, scale; f0, roughness, mirror, transparency; emission, contrast;                      \
+          seed */
 #define LIGHT_SIZE 3     /* position or direction rel, size; color, kind; axis, cos of the cone */
 #define SUN 0
 #define LAMP 1
@@ -198,7 +199,8 @@ INLINE float closest_approach(const int type, const float4 a, const float4 b, co
     return (h * bad - doa) / dd;
 }
 
-/* ---- traversal: `nodes` is a tree of boxes in depth-first order, (min, next node if missed), (max, object or -1) ---- */
+/* ---- traversal: `nodes` is a tree of boxes in depth-first order, (min, next node if missed), (max, object or -1)
+   ---- */
 
 /* Whether a ray with 0 <= t <= t_max meets the box low .. high. */
 INLINE bool meets_box(const float3 low, const float3 high, const float3 o, const float3 inverse, const float t_max) {

@@ -29,11 +29,11 @@ INLINE float3 sky_color(const World w, const float3 d, const float fp) {
     return c + frame[SUN_COLOR].xyz * 2.5f * smoothstep(-edge, edge, acos(frame[SUN_DISC].w) - acos(toward));
 }
 
-/* Radiance of the surface itself, without reflections and transmission. Lamps that add little, given the `weight` of the surface
-   in the pixel, are taken as partly hidden. */
+/* Radiance of the surface itself, without reflections and transmission. Lamps that add little, given the `weight` of
+   the surface in the pixel, are taken as partly hidden. */
 INLINE float3 surface_color(const World w, const int material_index, const float3 p, const float3 n, const float3 eye,
-                            const float3 p_local, const float3 n_local, const float fp,
-                            const int prim, const float weight) {
+                            const float3 p_local, const float3 n_local, const float fp, const int prim,
+                            const float weight) {
     __global const float4 *material = w.materials + material_index * MATERIAL_SIZE;
     const int type = w.prim_info[prim].x;
     const float4 prim_a = w.prims[2 * prim], prim_b = w.prims[2 * prim + 1];
@@ -44,8 +44,8 @@ INLINE float3 surface_color(const World w, const int material_index, const float
     const float3 albedo = texture_color((int)base.w, base.xyz, second.xyz, second.w, glow.w, material[4].xyz, p_local,
                                         n_local, center, extent, fp);
     const float open = openness(w, p, n, prim);
-    const float3 ambient = mix(w.frame[AMBIENT_DOWN].xyz, w.frame[AMBIENT_UP].xyz, 0.5f + 0.5f * n.y)
-                           * (0.25f + 0.75f * open);
+    const float3 ambient =
+        mix(w.frame[AMBIENT_DOWN].xyz, w.frame[AMBIENT_UP].xyz, 0.5f + 0.5f * n.y) * (0.25f + 0.75f * open);
     float3 diffuse = ambient, highlight = (float3)(0.0f);
     const float power = 2.0f / max(finish.y * finish.y * finish.y, 1e-3f);
     for (int k = 0; k < w.light_count; ++k) {
@@ -79,13 +79,21 @@ INLINE float3 surface_color(const World w, const int material_index, const float
     return albedo * diffuse * (1.0f - finish.w) + highlight * finish.x + emitted;
 }
 
-INLINE World make_world(__global const float4 *frame, __global const float4 *objects,
-                        __global const int4 *object_info, __global const float4 *prims,
-                        __global const int2 *prim_info, __global const float4 *materials,
+INLINE World make_world(__global const float4 *frame, __global const float4 *objects, __global const int4 *object_info,
+                        __global const float4 *prims, __global const int2 *prim_info, __global const float4 *materials,
                         __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,
                         const int node_count, const int light_count) {
-    const World w = {frame,  objects, object_info, prims,      prim_info,  materials,
-                     lights, nodes,   leaf_of,     node_count, light_count};
+    const World w = {.frame = frame,
+                     .objects = objects,
+                     .object_info = object_info,
+                     .prims = prims,
+                     .prim_info = prim_info,
+                     .materials = materials,
+                     .lights = lights,
+                     .nodes = nodes,
+                     .leaf_of = leaf_of,
+                     .node_count = node_count,
+                     .light_count = light_count};
     return w;
 }
 
@@ -107,14 +115,14 @@ INLINE int surface_key(const World w, const Hit hit, const float3 o, const float
     return hit.prim * 8 + face;
 }
 
-#define WORLD_ARGUMENTS                                                                                     \
-    __global const float4 *frame, __global const float4 *objects, __global const int4 *object_info,         \
-    __global const float4 *prims, __global const int2 *prim_info, __global const float4 *materials,         \
-    __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,               \
-    const int node_count, const int light_count, __global const int *tiles, const int tile_stride,          \
-    const int width, const int height
-#define WORLD                                                                                                \
-    make_world(frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count, \
+#define WORLD_ARGUMENTS                                                                                                \
+    __global const float4 *frame, __global const float4 *objects, __global const int4 *object_info,                    \
+        __global const float4 *prims, __global const int2 *prim_info, __global const float4 *materials,                \
+        __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,                      \
+        const int node_count, const int light_count, __global const int *tiles, const int tile_stride,                 \
+        const int width, const int height
+#define WORLD                                                                                                          \
+    make_world(frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count,           \
                light_count)
 
 /* Objects that may be seen in each tile of TILE x TILE pixels, in the given order. One work item per tile;
@@ -148,11 +156,11 @@ __kernel void bin(__global const float4 *frame, __global const float4 *objects, 
     list[0] = n;
 }
 
-/* What each pixel's center sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other time;
-   position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there;
-   object_id: -1 for sky; keys: surface, for the antialiasing. Motion is rounded to multiples of motion_step, if that is not 0. */
-__kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float *depth, __global float2 *motion, __global float4 *position,
-                       __global int *object_id, __global int *keys) {
+/* Renders what each pixel's center sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other
+   time; position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there; object_id:
+   -1 for sky; keys: surface, for the antialiasing. Motion is rounded to multiples of motion_step, if that is not 0. */
+__kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float *depth, __global float2 *motion,
+                       __global float4 *position, __global int *object_id, __global int *keys) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const World w = WORLD;
@@ -180,7 +188,8 @@ __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float 
 
 /* Antialiased color: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
    once per pixel and its reflections once per sample. Textures are filtered over `footprint` pixels. Frames that are
-   gathered over time have a `phase` each, so that few samples do not show the same part of a rough reflection in all. */
+   gathered over time have a `phase` each, so that few samples do not show the same part of a rough reflection in
+   all. */
 __kernel __attribute__((vec_type_hint(float4))) /* scalar code: Intel's vectorizer makes this kernel 20 times slower */
 void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id, __global const int *keys,
            const int base, const int samples, const int phase, const float footprint, __global half *color) {

@@ -1,14 +1,31 @@
-/* Procedural textures of the built-in scenes, filtered analytically: `fp` is the width of a pixel on the surface, in meters;
-   finer detail fades to its mean. */
+/* Procedural textures of the built-in scenes, filtered analytically: `fp` is the width of a pixel on the surface, in
+   meters; finer detail fades to its mean. */
 
 enum {
-    PLAIN, TILES, CHECKER, BRICKS, PLANKS, MARBLE, CARPET, STRIPES, BARK, LEAVES, GRASS, BOOKS, PICTURE, SIGN,
-    WALLPAPER, COBBLES, WATER
+    PLAIN,
+    TILES,
+    CHECKER,
+    BRICKS,
+    PLANKS,
+    MARBLE,
+    CARPET,
+    STRIPES,
+    BARK,
+    LEAVES,
+    GRASS,
+    BOOKS,
+    PICTURE,
+    SIGN,
+    WALLPAPER,
+    COBBLES,
+    WATER
 };
 
 INLINE uint hash_bits(uint x) {
-    x ^= x >> 16; x *= 0x7feb352du;
-    x ^= x >> 15; x *= 0x846ca68bu;
+    x ^= x >> 16;
+    x *= 0x7feb352du;
+    x ^= x >> 15;
+    x *= 0x846ca68bu;
     return x ^ (x >> 16);
 }
 
@@ -63,9 +80,7 @@ INLINE float disc(const float2 p, const float radius, const float fp) {
 /* 0 where a pixel holds more than one cell, 1 where cells are resolved. */
 INLINE float resolved(const float fp) { return 1.0f - smoothstep(0.4f, 1.2f, fp); }
 
-INLINE float3 palette(const float h) {
-    return 0.5f + 0.5f * cos(6.2832f * (h + (float3)(0.0f, 0.33f, 0.67f)));
-}
+INLINE float3 palette(const float h) { return 0.5f + 0.5f * cos(6.2832f * (h + (float3)(0.0f, 0.33f, 0.67f))); }
 
 /* Albedo at local point p with local normal n. `center` and `extent` are those of the primitive. */
 INLINE float3 texture_color(const int texture, const float3 color, const float3 color2, const float scale,
@@ -127,7 +142,8 @@ INLINE float3 texture_color(const int texture, const float3 color, const float3 
         const float joint = max(lines(across, 0.016f, fp), lines(x, 0.0022f, fp * 0.13f));
         const float h = hash_cell((int)floor(x), (int)row, salt) - 0.5f;
         return mix(mix(color, color2, clamp(0.5f + contrast * 4.0f * (noise - 0.5f), 0.0f, 1.0f))
-                   * (1.0f + 0.4f * h * resolved(fp)), color * 0.25f, joint);
+                       * (1.0f + 0.4f * h * resolved(fp)),
+                   color * 0.25f, joint);
     }
     if (texture == MARBLE) {
         const float vein = 0.5f + 0.5f * sin((p.x + 0.6f * p.z + 0.8f * p.y) / scale * 2.0f + 9.0f * noise + seed.y);
@@ -160,9 +176,10 @@ INLINE float3 texture_color(const int texture, const float3 color, const float3 
         if (leaves) c *= mix(1.0f, 0.45f + 1.1f * value_noise(p * 24.0f), resolved(fp_meters * 30.0f));
         if (texture == GRASS) {
             const float patch = value_noise(p * 0.35f + seed);
-            const float blades = mix(1.0f, 0.55f + 0.9f * value_noise(p * (float3)(70.0f, 1.0f, 70.0f)),
-                                     resolved(fp_meters * 90.0f));
-            const float fallen = smoothstep(0.66f, 0.72f, value_noise(p * 19.0f + seed.yzx)) * resolved(fp_meters * 22.0f);
+            const float blades =
+                mix(1.0f, 0.55f + 0.9f * value_noise(p * (float3)(70.0f, 1.0f, 70.0f)), resolved(fp_meters * 90.0f));
+            const float fallen =
+                smoothstep(0.66f, 0.72f, value_noise(p * 19.0f + seed.yzx)) * resolved(fp_meters * 22.0f);
             c = mix(c, c * (float3)(1.25f, 1.0f, 0.7f), patch) * ((0.75f + 0.5f * patch) * blades);
             c = mix(c, (float3)(0.36f, 0.2f, 0.07f) * (0.5f + noise), mix(0.12f, 1.0f, fallen) * contrast);
         }
@@ -207,7 +224,8 @@ INLINE float3 texture_color(const int texture, const float3 color, const float3 
     }
     if (texture == WALLPAPER) {
         const float2 w = q * 6.2832f;
-        const float vine = sin(w.x + 0.8f * sin(0.5f * w.y)) * sin(0.5f * w.y) + 0.5f * sin(2.0f * w.x) * sin(1.5f * w.y);
+        const float vine =
+            sin(w.x + 0.8f * sin(0.5f * w.y)) * sin(0.5f * w.y) + 0.5f * sin(2.0f * w.x) * sin(1.5f * w.y);
         const float figure = smoothstep(-0.08f - 4.0f * fp, 0.08f + 4.0f * fp, vine - 0.3f);
         return mix(color, color2, mix(0.3f, figure, resolved(2.0f * fp))) * tone;
     }

@@ -108,7 +108,6 @@ def use_all_names():
         gffe.RenderedFrame(color, depth, zero, camera, k / 30, reset=k == 0, overlays=gffe.Overlays()) for k in range(3)
     ]
     assert isinstance(gffe.check(frames), str | None)
-    assert gffe.pack_frame(frames[0], H, W)  # deprecated, but there
     assert gffe.present(frames[0]).color.shape[:2] == (H, W)
     options = gffe.Options(shading_correction=True)
     assert gffe.OPTIONS["shading_correction"]

@@ -1,4 +1,4 @@
-"""Cameras for a sequence that has none (`gffe calibrate`)."""
+"""Recovery of cameras for a sequence that has none (`gffe calibrate`)."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class Calibration:
     turned : float
         Degrees by which the camera turned in all.
     median, percentile_90 : float
-        Of the residuals of static samples, pixels.
+        Quantiles of the residuals of static samples, pixels.
     static : float
-        Their share of all samples.
+        Share of static samples in all samples.
     cuts : list of str
         Rendered frames that no movement of a camera explains: they are resets.
     """
@@ -62,7 +62,7 @@ class Calibration:
 
     @property
     def verdict(self) -> str:
-        """In plain words."""
+        """The verdict in plain words."""
         if self.percentile_90 > USABLE or self.static < 2 * LEAST_STATIC:
             return "poor: depth and motion vectors do not fit one camera (units, sign, another frame's?)"
         if self.percentile_90 > GOOD:
@@ -72,7 +72,7 @@ class Calibration:
 
 @dataclass
 class _Found:
-    """Of one frame: how the camera moved since the rendered frame before, and how far off each sample is, pixels."""
+    """Movement of the camera from the rendered frame before to one frame, and the residual of each sample, pixels."""
 
     movement: Movement
     off: np.ndarray
@@ -91,10 +91,10 @@ def calibrate_sequence(
     aspect: float = 1.0,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Calibration:
-    """Recover a camera for every frame of `sequence`, and write it with them to `output`.
+    """Recover a camera for every frame of `sequence`, write the sequence with them to `output`, and return the fit.
 
-    Cameras that the sequence has are not looked at. Ground truth gets a camera where it has depth and motion vectors
-    (to the rendered frame before). The world is that of the first frame after each reset, in units of depth.
+    Cameras in the sequence are ignored. Ground truth gets a camera where it has depth and motion vectors (to the
+    rendered frame before). The world is that of the first frame after each reset, in units of depth.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _size_of(sequence: Sequence) -> tuple[int, int]:
 
 
 def _read(sequence: Sequence, on_frame: Callable[[], None]) -> dict[str, Correspondences]:
-    """By file, of all frames that have depth and motion and are no reset."""
+    """Return the correspondences of all frames that have depth and motion and are no reset, by file."""
     size = _size_of(sequence)
     wanted = [entry for entry in sequence.rendered if not entry.reset]
     wanted += [entry for entry in sequence.ground_truth if _has_motion(sequence, entry, size)]
@@ -175,7 +175,7 @@ def _is_usable(entry: FrameEntry, seen: dict[str, Correspondences]) -> bool:
 
 
 def _movements(sequence: Sequence, seen: dict[str, Correspondences], lens: Lens) -> dict[str, _Found]:
-    """By file, of the frames whose movement since the rendered frame before is known."""
+    """Return the movements that are known from the rendered frame before, by file."""
     found, guess = {}, ()
     for entry in (*sequence.rendered, *sequence.ground_truth):
         if not _is_usable(entry, seen):
@@ -206,7 +206,7 @@ def _require_determined(sequence: Sequence, turned: float, deviation: float) -> 
 
 
 def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Lens) -> int:
-    """The sequence with cameras; how many ground-truth frames have one."""
+    """Write the sequence with cameras, and return how many ground-truth frames have one."""
     size, truths = (sequence.width, sequence.height), 0
     pose, poses = np.eye(4), []
     for entry in sequence.rendered:

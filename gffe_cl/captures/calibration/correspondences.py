@@ -1,4 +1,4 @@
-"""Correspondences of a pair of rendered frames without cameras: where samples of one were seen in the other."""
+"""Correspondences between two rendered frames without cameras: positions of the samples of one in the other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Correspondences:
     depth : (N,) float64
         View depth in the frame, world units; 1 for sky.
     sky : (N,) bool
-        Infinitely far: it turns, but does not move.
+        Whether the sample is infinitely far: it turns, but does not move.
     """
 
     px: np.ndarray
@@ -32,7 +32,7 @@ class Correspondences:
         return len(self.depth)
 
     def some(self, count: int, rng: np.random.Generator) -> Correspondences:
-        """At most `count` of them."""
+        """Return at most `count` of them, drawn at random."""
         if len(self) <= count:
             return self
         chosen = rng.choice(len(self), count, replace=False)

@@ -1,4 +1,5 @@
-"""The focal length of a capture. Only rotation determines it: translation looks the same through any lens."""
+"""Estimation of the focal length of a capture. Only rotation determines it: translation looks the same through any
+lens."""
 
 from __future__ import annotations
 
@@ -33,12 +34,12 @@ _SAME = 0.02  # relative change of the lens that does not affect the static samp
 
 
 def lens_of_view(degrees: float, size: tuple[int, int], center: np.ndarray, aspect: float) -> Lens:
-    """A lens that shows so many degrees across an image of `size` (width, height)."""
+    """Return the lens that shows so many degrees across an image of `size` (width, height)."""
     return Lens(size[0] / (2 * np.tan(np.radians(degrees) / 2)) / aspect, center, aspect)
 
 
 def view_of_lens(lens: Lens, size: tuple[int, int]) -> float:
-    """Degrees across an image of `size`."""
+    """Return the field of view of `lens` in degrees across an image of `size` (width, height)."""
     return float(np.degrees(2 * np.arctan(size[0] / (2 * lens.focals[0]))))
 
 
@@ -66,7 +67,8 @@ def find_focal(
 def _refined(
     pairs: Sequence[Correspondences], lens: Lens, movements: list[Movement], rounds: int = 15
 ) -> tuple[Lens, float]:
-    """Focal length and movements together, by Gauss-Newton; the relative deviation of the focal length."""
+    """Return the lens and the relative deviation of its focal length, refined together with the movements by
+    Gauss-Newton."""
     total = 0.0
     for _ in range(rounds):
         total, slope_total, eliminated = 0.0, 0.0, []
@@ -103,7 +105,7 @@ def _normal_equations(seen: Correspondences, lens: Lens, movement: Movement) -> 
 
 
 def _focal_slopes(seen: Correspondences, lens: Lens, movement: Movement, at: np.ndarray) -> np.ndarray:
-    """(N, 2) derivatives of the residuals by the logarithm of the focal length."""
+    """Return the derivatives (N, 2) of the residuals by the logarithm of the focal length."""
     points = lens.rays(seen.px, seen.depth)
     points[:, 2] = 0
     change = -points @ movement.rotation.T

@@ -1,4 +1,4 @@
-"""The movement of a camera between two frames, by robust perspective-n-point: moving objects are outliers."""
+"""Estimation of a camera's movement between two frames, by robust perspective-n-point: moving objects are outliers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_SIGMA = 6.0  # residuals beyond have no weight
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with its principal point: `focal` in pixels along y, `aspect` times that along x; `center` (2,)."""
+    """Pinhole lens with its principal point: `focal` in pixels along y, `aspect` times that along x; `center` (2,)."""
 
     focal: float
     center: np.ndarray
@@ -29,19 +29,19 @@ class Lens:
 
     @property
     def focals(self) -> np.ndarray:
-        """(2,) fx and fy, pixels."""
+        """Focal lengths fx and fy, (2,) pixels."""
         return self.focal * np.array([self.aspect, 1.0])
 
     def rays(self, px: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """(…, 3) view space positions of pixels (…, 2) at view depth (…)."""
+        """Return view space positions (…, 3) of pixels (…, 2) at view depth (…)."""
         flat = (px - self.center) / self.focals * depth[..., None]
         return np.concatenate([flat, depth[..., None]], -1)
 
 
 @dataclass(frozen=True)
 class Movement:
-    """View space of a frame → view space of the one before: `rotation` (3, 3), `translation` (3,) world units; leading
-    axes are candidates. `noise`: standard deviation of static residuals along an axis, pixels."""
+    """Transform from the view space of a frame to that of the one before: `rotation` (3, 3), `translation` (3,) world
+    units. Leading axes are candidates. `noise`: standard deviation of static residuals along an axis, pixels."""
 
     rotation: np.ndarray
     translation: np.ndarray
@@ -49,32 +49,33 @@ class Movement:
 
     @property
     def matrix(self) -> np.ndarray:
-        """(4, 4)."""
+        """The transform as a matrix (4, 4)."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
         return matrix
 
     @property
     def degrees(self) -> float:
-        """By how much the camera turned."""
+        """Angle in degrees by which the camera turned."""
         off = self.rotation - self.rotation.T
         sine = np.linalg.norm([off[2, 1], off[0, 2], off[1, 0]]) / 2
         return float(np.degrees(np.arctan2(sine, (np.trace(self.rotation) - 1) / 2)))
 
 
 def still(candidates: int = 1) -> Movement:
-    """No movement, so many times."""
+    """Return so many candidates without movement."""
     return Movement(np.tile(np.eye(3), (candidates, 1, 1)), np.zeros((candidates, 3)))
 
 
 def moved(seen: Correspondences, lens: Lens, movement: Movement) -> np.ndarray:
-    """(…, N, 3) samples in view space of the frame before, for all candidates."""
+    """Return the samples (…, N, 3) in view space of the frame before, for all candidates."""
     points = lens.rays(seen.px, seen.depth) @ np.swapaxes(movement.rotation, -1, -2)
     return points + movement.translation[..., None, :] * ~seen.sky[..., None]
 
 
 def residuals(seen: Correspondences, lens: Lens, movement: Movement) -> np.ndarray:
-    """(…, N, 2) where samples should have been less where they were, pixels; infinite behind the camera."""
+    """Return residuals (…, N, 2): predicted minus actual positions of samples in the frame before, pixels; infinite
+    behind the camera."""
     return _off(moved(seen, lens, movement), seen, lens)
 
 
@@ -86,8 +87,8 @@ def _off(at: np.ndarray, seen: Correspondences, lens: Lens) -> np.ndarray:
 
 
 def slopes(at: np.ndarray, sky: np.ndarray, lens: Lens) -> np.ndarray:
-    """(…, N, 2, 6) derivatives of `residuals` by a small further rotation (3) and translation (3), where samples are
-    `moved` to `at`."""
+    """Return the derivatives (…, N, 2, 6) of `residuals` by a small further rotation (3) and translation (3), where
+    samples are `moved` to `at`."""
     with np.errstate(divide="ignore", invalid="ignore"):
         near = np.where(at[..., 2] > 0, 1 / at[..., 2], 1.0)
     u, v = at[..., 0] * near, at[..., 1] * near
@@ -102,14 +103,14 @@ def slopes(at: np.ndarray, sky: np.ndarray, lens: Lens) -> np.ndarray:
 
 
 def advanced(movement: Movement, change: np.ndarray) -> Movement:
-    """After a further rotation and translation (…, 6)."""
+    """Return the movement after a further rotation and translation (…, 6)."""
     turn = rotation_of(change[..., :3])
     along = (turn @ movement.translation[..., None])[..., 0] + change[..., 3:]
     return replace(movement, rotation=turn @ movement.rotation, translation=along)
 
 
 def rotation_of(vector: np.ndarray) -> np.ndarray:
-    """(…, 3, 3) rotations about vectors (…, 3) by their lengths in radians."""
+    """Return the rotations (…, 3, 3) about vectors (…, 3) by their lengths in radians."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     x, y, z = np.moveaxis(vector, -1, 0)
     none = np.zeros_like(x)
@@ -121,7 +122,7 @@ def rotation_of(vector: np.ndarray) -> np.ndarray:
 
 
 def fit(seen: Correspondences, lens: Lens, guesses: tuple[Movement, ...] = (), seed: int = 0) -> Movement:
-    """The movement that explains most samples, refined on all that it explains.
+    """Return the movement that explains most samples, refined on all of them.
 
     `guesses` are tried beside candidates drawn at random. Depths may be in any unit: `translation` is in it.
     """
@@ -141,13 +142,13 @@ def fit(seen: Correspondences, lens: Lens, guesses: tuple[Movement, ...] = (), s
 
 
 def cost(seen: Correspondences, lens: Lens, movement: Movement) -> np.ndarray:
-    """(…) mean squared residual, none counting for more than `NEAR`, pixels squared."""
+    """Return the mean squared residual (…), of which none counts for more than `NEAR`, pixels squared."""
     squared = (residuals(seen, lens, movement) ** 2).sum(-1)
     return np.minimum(squared, NEAR**2).mean(-1)
 
 
 def _candidates(seen: Correspondences, lens: Lens, rng: np.random.Generator) -> Movement:
-    """Each from a few samples, by Gauss-Newton from no movement on."""
+    """Return candidate movements, each from a few samples, by Gauss-Newton from no movement on."""
     chosen = rng.integers(len(seen), size=(_HYPOTHESES, _OF))
     few = Correspondences(seen.px[chosen], seen.px_prev[chosen], seen.depth[chosen], seen.sky[chosen])
     movement = still(_HYPOTHESES)
@@ -158,8 +159,8 @@ def _candidates(seen: Correspondences, lens: Lens, rng: np.random.Generator) -> 
 
 
 def refine(seen: Correspondences, lens: Lens, movement: Movement, rounds: int = _ROUNDS) -> Movement:
-    """By Gauss-Newton with weights that fall to 0 at six times the noise, which is estimated meanwhile. Starts from the
-    noise of `movement`."""
+    """Return `movement` refined by Gauss-Newton with weights that fall to 0 at six times the noise, which is estimated
+    meanwhile. It starts from the noise of `movement`."""
     reach = max(reach_of(movement), 2 * NEAR)
     for _ in range(rounds):
         at = moved(seen, lens, movement)
@@ -174,25 +175,27 @@ def refine(seen: Correspondences, lens: Lens, movement: Movement, rounds: int = 
 
 
 def weights(off: np.ndarray, reach: float) -> np.ndarray:
-    """(…, N) Tukey's, of residuals: from 1 where they are 0 to 0 where they are `reach` pixels long and beyond."""
+    """Return Tukey's weights (…, N) of residuals: from 1 where they are 0 to 0 where they are `reach` pixels long and
+    beyond."""
     squared = (off**2).sum(-1)
     return (1 - np.minimum(squared, reach**2) / reach**2) ** 2
 
 
 def reach_of(movement: Movement) -> float:
-    """From which residual on a sample has no weight, pixels."""
+    """Return the length of residuals from which on a sample has no weight, pixels."""
     return _MOST_SIGMA * movement.noise
 
 
 def noise_of(off: np.ndarray, reach: float) -> float:
-    """Standard deviation along an axis of the residuals (N, 2) that are less than `reach` long, by their median."""
+    """Return the standard deviation along an axis of the residuals (N, 2) that are shorter than `reach`, by their
+    median."""
     length = np.linalg.norm(off, axis=-1)
     near = length[length < reach]
     return max(float(np.median(near)) / 1.1774 if len(near) else reach, _LEAST_NOISE)
 
 
 def _step(slope: np.ndarray, off: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return (…, 6) the step of weighted Gauss-Newton. Components that the samples do not determine stay unchanged."""
+    """Return the step (…, 6) of weighted Gauss-Newton. Components that the samples do not determine stay unchanged."""
     weight = np.where(np.isfinite(off).all(-1), weight, 0.0)
     off = np.where(np.isfinite(off), off, 0.0)
     flat = slope.reshape(*slope.shape[:-3], -1, 6)  # both axes of all samples

@@ -17,7 +17,7 @@ ON_REQUEST = finding_id("color", DISPLAY_VALUES)
 
 
 def require_findings(names: Collection[str], option: str) -> None:
-    """GffeError unless all `names` are findings that can be repaired."""
+    """Raise GffeError unless all `names` are findings that can be repaired."""
     known = fixable_ids()
     for name in names:
         if name not in known:
@@ -51,7 +51,7 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
 
 
 def fixed_by(diagnosis: Diagnosis) -> list[str]:
-    """Findings of `diagnosis` that can be repaired or left, by their ids."""
+    """Return the ids of the findings of `diagnosis` that can be repaired or left."""
     known = set(fixable_ids())
     return list(dict.fromkeys(f.id for f in diagnosis.findings if f.fix and f.id in known))
 

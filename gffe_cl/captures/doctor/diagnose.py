@@ -46,10 +46,11 @@ _SKY_STILL = 0.05  # pixels
 class Diagnosis:
     """Result of a diagnosis.
 
-    `findings`: faults, notes, and what cannot be told; `reading`: how the buffers are to be read; `given`, `best`:
-    verdicts on what is given and on `reading`; `others`: on the next best; `order`: of the frames; `residuals`: pixels
-    as given and as read; `step`: of quantized vectors, pixels; `decodes_color`: colors are to be made linear, which
-    only `gffe_cl.captures.doctor.selected` decides; `frames`: how many were looked at.
+    `findings`: faults, notes, and undecidable properties; `reading`: the best hypothesis about the meaning of the
+    buffers; `given`, `best`: verdicts on the sequence as given and on `reading`; `others`: verdicts on the next best
+    readings; `order`: of the frames; `residuals`: in pixels, as given and as read; `step`: of quantized vectors,
+    pixels; `decodes_color`: colors are to be made linear, which only `gffe_cl.captures.doctor.selected` decides;
+    `frames`: number of examined frames.
     """
 
     findings: list[Finding]
@@ -84,12 +85,13 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """Return "faults", "fits", or "unknown" where nothing was compared."""
+        """Verdict in one word: "faults", "fits", or "unknown" where nothing was compared."""
         return "faults" if self.faults else "fits" if self.compared else "unknown"
 
 
 def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
-    """Examine the rendered frames of `clip`. Raises GffeError if it has none, or if a file cannot be read."""
+    """Examine the rendered frames of `clip` and return the diagnosis. Raises GffeError if it has none, or if a file
+    cannot be read."""
     count = len(clip.rendered)
     deep = _deep_frames(clip.rendered)
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
@@ -157,7 +159,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
 
 
 def _deep_frames(entries: list[FrameEntry]) -> list[int]:
-    """Return frames that can tell something, evenly spread: the camera moves before them, and it does not jump."""
+    """Return frames that can be evidence, evenly spread: the camera moves before them, and it does not jump."""
     if len(entries) < 3:
         return list(range(len(entries)))
     inner = [k for k in range(1, len(entries) - 1) if not entries[k].reset]
@@ -173,7 +175,7 @@ def _some(indices: list[int], most: int) -> list[int]:
 
 
 def _camera_moves(entries: list[FrameEntry], indices: list[int]) -> np.ndarray:
-    """(indices,) bool: the camera moves before the frame, and not so far that it must be a cut."""
+    """Return (indices,) bool: whether the camera moves before the frame, and not so far that it must be a cut."""
     moved = np.zeros((len(indices), 2))  # how far it turns, and how far it goes
     for row, k in enumerate(indices):
         before, here = entries[k - 1].render_camera, entries[k].render_camera
@@ -186,7 +188,7 @@ def _camera_moves(entries: list[FrameEntry], indices: list[int]) -> np.ndarray:
 
 
 def _spread(count: int, pixels: int) -> list[int]:
-    """All frames, or of long sequences runs of them."""
+    """Return the numbers of all frames, or of runs of frames in long sequences."""
     if count <= max(_MOST_READ, _MOST_PIXELS // pixels):
         return list(range(count))
     starts = np.linspace(0, count - 4, _MOST_READ // 4).astype(int)
@@ -194,7 +196,7 @@ def _spread(count: int, pixels: int) -> list[int]:
 
 
 def _pixels(clip: Clip) -> int:
-    """Of a rendered frame."""
+    """Return the number of pixels of a rendered frame."""
     entries = clip.rendered
     return int(np.size(clip.read(entries[0]).depth)) if entries else 1
 
@@ -236,8 +238,8 @@ def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
 
 
 def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
-    """Return whether the reading of `verdict` is better than the given one in most of the frames that can tell. Where
-    vectors lack the camera's part, and where the camera stands still, colors tell."""
+    """Return whether the reading of `verdict` is better than the given one in most of the frames that are evidence.
+    Where vectors lack the camera's part, and where the camera stands still, colors are the evidence."""
     reading = verdict.reading
     if reading in (Reading(), Reading(rows=("color",))):
         return True
@@ -284,8 +286,8 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
 
 
 def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> list[int]:
-    """Return the frames that the one before does not fit though it shows the same: depth and cameras lead to the same
-    colors, only the vectors lead elsewhere."""
+    """Return the frames whose vectors do not lead to the frame before although both frames show the same: depth and
+    cameras lead to the same colors, only the vectors lead elsewhere."""
     assert found.order is not None and found.best is not None  # examined before
     gaps = []
     for index in found.order.misfits[:_MOST_GAPS]:
@@ -331,7 +333,7 @@ def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
 
 
 def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:
-    """Frames after the first that are marked as resets."""
+    """Add a note about frames after the first that are marked as resets."""
     resets = [str(k) for k, entry in enumerate(entries) if k and entry.reset]
     if resets:
         frames = f"frames {', '.join(resets[:12])}{' …' if len(resets) > 12 else ''} are resets"
@@ -340,7 +342,7 @@ def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:
 
 
 def _note_sky(found: Diagnosis, search: Search) -> None:
-    """Sky whose vectors are zero while the camera turns."""
+    """Add a note about sky whose vectors are zero while the camera turns."""
     bench = search.full
     ray = bench.reach(found.reading.camera, found.reading.motion.step).ray
     with np.errstate(invalid="ignore"):

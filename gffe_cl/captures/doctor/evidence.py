@@ -52,7 +52,7 @@ def _unwritten(share: float, what: str, value: np.ndarray | None) -> Finding:
 
 
 def _set_aside(look: Look, unwritten) -> float:
-    """Make samples of `look` NaN where `unwritten` says so of their vectors. Return the share of them."""
+    """Make samples of `look` NaN where `unwritten` is true for their vectors. Return the share of them."""
     share = 0.0
     for values in (look.motion, look.mirrored.get("motion")):
         if values is not None:

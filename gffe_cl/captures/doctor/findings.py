@@ -32,8 +32,8 @@ _UNIT_SLACK = 0.03
 
 @dataclass
 class Finding:
-    """`kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera, frames or
-    color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
+    """One finding. `kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera,
+    frames or color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
     `change`: the correction of the capture's own description, if possible."""
 
     kind: str
@@ -59,7 +59,7 @@ def finding_id(about: str, name: str) -> str:
 
 
 def fixable_ids() -> list[str]:
-    """All findings that `gffe check --fix` can repair or leave."""
+    """Return the ids of all findings that `gffe check --fix` can repair or leave."""
     names = {
         "color": (DISPLAY_VALUES, BOTTOM_UP),
         "motion": (*motions.SENTENCES, "jitter not removed", "sky without motion", BOTTOM_UP),

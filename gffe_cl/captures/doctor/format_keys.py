@@ -1,4 +1,4 @@
-"""Changes to a capture's own description: keys of a `gffe-folder`."""
+"""Corrections of a capture's own description: keys of a `gffe-folder`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Opening of sequences to check, including those with camera matrices that need repair first."""
+"""Opening of sequences to examine, including those with camera matrices that need repair first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How exactly buffers were stored: steps of motion vectors, depths of half floats, colors of 8 bits."""
+"""Detection of the precision with which buffers were stored: steps of motion vectors, half-float depth, 8-bit color."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CLASSES = "x", "negative x", "y", "negative y"
 
 
 def motion_steps(looks: list[Look]) -> np.ndarray:
-    """Return (4,) pixels: the quantization step of stored vectors in x for positive values, in x for negative ones,
+    """Return the quantization steps (4,) of stored vectors, pixels: in x for positive values, in x for negative ones,
     and the same for y; NaN if not quantized or with too few samples."""
     motion = _motion(looks)
     motion = motion[np.isfinite(motion).all(-1)]
@@ -34,8 +34,8 @@ def motion_steps(looks: list[Look]) -> np.ndarray:
 
 
 def largest_step(steps: np.ndarray) -> float:
-    """Pixels; 0 where nothing is quantized. Where nothing is known of a sign, twice the other's step is assumed, which
-    half floats may have, else twice that of the other component."""
+    """Return the largest step in pixels, 0 where nothing is quantized. Where nothing is known of a sign, twice the
+    other's step is assumed, which half floats may have, else twice that of the other component."""
     pairs = steps.reshape(2, 2)
     known = np.where(np.isfinite(pairs), pairs, 2 * pairs[:, ::-1])
     return float(np.nanmax(np.where(np.isfinite(known), known, 2 * known[::-1]), initial=0.0))
@@ -46,7 +46,7 @@ def _motion(looks: list[Look]) -> np.ndarray:
 
 
 def _step(values: np.ndarray) -> float:
-    """Return the grid step of (N,) values in pixels, for any offset; NaN if there is none."""
+    """Return the grid step of values (N,) in pixels, for any offset; NaN if there is none."""
     distinct, counts = np.unique(np.round(values / _SAME_VALUE), return_counts=True)
     if len(values) < max(_FEWEST, _REPEATED * len(distinct)):
         return np.nan
@@ -67,7 +67,7 @@ def _step(values: np.ndarray) -> float:
 
 
 def motion_finding(steps: np.ndarray, looks: list[Look], added: bool) -> Finding:
-    """A note on vectors quantized in `steps`. `added`: they are sums of two."""
+    """Return the note on vectors quantized in `steps`. `added`: they are sums of two."""
     told = [f"{step:.3g} px ({name})" for name, step in zip(_CLASSES, steps, strict=True) if np.isfinite(step)]
     alike = np.ptp(steps[np.isfinite(steps)]) <= _CODE_SLACK * np.nanmax(steps)
     grid = f"{_fraction(np.nanmedian(steps))} px" if alike else ", ".join(told)
@@ -88,7 +88,7 @@ def _fraction(step: float) -> str:
 
 
 def _code(steps: np.ndarray, size: tuple[int, int]) -> str:
-    """The encoding that has such steps, with its size; "" if none is known."""
+    """Return the encoding that has such steps, with its size, in words; "" if none is known."""
     for sides in (size, *_SIZES):
         for name, units in _CODES.items():
             expected = np.outer(sides, units).ravel()
@@ -108,7 +108,7 @@ def are_sums(motion: np.ndarray, static: np.ndarray, steps: np.ndarray) -> bool:
 
 
 def precision_notes(looks: list[Look], exposure: float) -> list[Finding]:
-    """Notes on depth of half floats and colors of 8 bits."""
+    """Return notes on depth of half floats and colors of 8 bits."""
     found = []
     depth = np.concatenate([look.depth for look in looks])
     depth = depth[np.isfinite(depth) & (depth > 0)]

@@ -1,4 +1,4 @@
-"""The quick form: whether the first frames fit at all, for those who are about to extrapolate them."""
+"""Quick form of the doctor: whether the first frames fit at all, before they are extrapolated."""
 
 from __future__ import annotations
 
@@ -42,8 +42,9 @@ _UPSIDE_DOWN = {(buffer,): f"{buffer} is upside down against the other buffers" 
 
 @dataclass
 class _Fit:
-    """`off` (N,): residuals in pixels; `share` of those that agree; `along`, `still`: color scores along the vectors
-    and without any motion, NaN without evidence; `edges`: agreement of colors with depth at silhouettes."""
+    """Fit of a reading. `off` (N,): residuals in pixels; `share` of those that agree; `along`, `still`: color scores
+    along the vectors and without any motion, NaN without evidence; `edges`: agreement of colors with depth at
+    silhouettes."""
 
     off: np.ndarray
     share: float
@@ -57,14 +58,14 @@ class _Fit:
 
 
 def check(frames: list[RenderedFrame], exposure: float = 1.0) -> str | None:
-    """A sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras, motion
-    vectors and colors, camera jitter in the vectors, or a buffer that is upside down. It names the likely cause where a
-    single buffer is misread. It is the quick form of `gffe check`: the first three frames count.
+    """Return a sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras,
+    motion vectors and colors, camera jitter in the vectors, or a buffer that is upside down. It names the likely cause
+    where a single buffer is misread. This is the quick form of `gffe check`: only the first three frames are examined.
 
         assert gffe.check([first, second, third]) is None
 
-    `frames`: in order of time, with NumPy arrays; `exposure`: factor on colors before display. GffeError for anything
-    that is no such frame.
+    `frames` are in order of time, with NumPy arrays. `exposure` is the factor on colors before display. Raises
+    GffeError for anything that is no such frame.
     """
     frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")
     warning = quick_warning(_InMemory(frames[:_FRAMES]), require_exposure(exposure))
@@ -72,7 +73,7 @@ def check(frames: list[RenderedFrame], exposure: float = 1.0) -> str | None:
 
 
 class _InMemory:
-    """A clip of frames in memory."""
+    """Clip of frames in memory."""
 
     def __init__(self, frames: list[RenderedFrame]):
         for frame in frames:
@@ -85,8 +86,8 @@ class _InMemory:
 
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
-    """A sentence if the first rendered frames of `clip` do not fit: motion vectors and depth with cameras, motion
-    vectors and colors, or a buffer that is upside down. Raises GffeError if a frame cannot be read."""
+    """Return a sentence if the first rendered frames of `clip` do not fit, else None: motion vectors and depth with
+    cameras, motion vectors and colors, or a buffer that is upside down. Raises GffeError if a frame cannot be read."""
     count = min(_FRAMES, len(clip.rendered))
     if not count:
         return None
@@ -123,7 +124,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
 
 def _likely_cause(looks: dict[int, Look], edges: float) -> tuple[str, float]:
     """Return the findings of the simplest reading of one buffer with which vectors, depth and cameras agree, and its
-    score; or that vectors lack the camera's part, or "", which have none."""
+    score. If there is none, return with score 0 that vectors lack the camera's part, or ""."""
     search = Search([look for look in looks.values() if look.neighbors])
     bench = search.full
 
@@ -167,7 +168,7 @@ def _has_jitter(looks: dict[int, Look]) -> bool:
 
 
 def _fit(looks: dict[int, Look], edges: float, reading: Reading = _GIVEN) -> _Fit | None:
-    """Return None if there is nothing to compare."""
+    """Return the fit of `reading`, None if there is nothing to compare."""
     step_to = reading.motion.step
     pairs = [look for look in looks.values() if step_to in look.neighbors and look.motion is not None]
     if not pairs:

@@ -1,4 +1,4 @@
-"""Repair of sequences (`gffe check --fix`): the sequence as the doctor reads it."""
+"""Repair of sequences (`gffe check --fix`): the sequence with the doctor's reading applied."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which p
 
 
 class Repair:
-    """Frames of `clip` as read by `diagnosis`, in their correct order."""
+    """Frames of `clip` with the reading of `diagnosis` applied, in their correct order."""
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
@@ -72,8 +72,9 @@ class Repair:
             before = made
 
     def refuse_harm(self) -> None:
-        """Raise GffeError if a frame that was made fits worse than as given, or, of a whole repair of vectors, depth or
-        cameras, if most of those that can tell do not fit better. What the user selected is not judged."""
+        """Raise GffeError if a repaired frame fits worse than as given. After a whole repair of vectors, depth or
+        cameras, raise it also if most of the frames that are evidence do not fit better. A selection by the user is not
+        judged."""
         best = self._diagnosis.best
         if best is not None and best.reading != self._reading:
             return
@@ -169,7 +170,7 @@ class Repair:
         return replace(frame, motion=np.asarray(motion, np.float32))
 
     def _converted(self, index: int, shape: tuple[int, ...]) -> np.ndarray | None:
-        """(H, W, 2) float64 pixels: the vectors in the file of the frame `index`; None where there are none."""
+        """Return the vectors (H, W, 2) float64 in the file of the frame `index`, pixels; None where there are none."""
         if not 0 <= index < len(self._clip.rendered):
             return None
         stored = self._read(index).motion
@@ -179,7 +180,8 @@ class Repair:
         return self._turned("motion", np.asarray(stored, np.float64)) @ self._reading.motion.matrix((width, height)).T
 
     def _from_the_one_before(self, index_before, static, frame, before) -> np.ndarray:
-        """The vectors of the frame before lead here: turned round where something moves, static elsewhere."""
+        """Return vectors made from those of the frame before, which lead here: reversed where something moves, static
+        elsewhere."""
         forward = self._converted(index_before, static.shape)
         if forward is None:
             return static
@@ -193,8 +195,8 @@ class Repair:
 
 
 def static_motion(frame: RenderedFrame, other: Camera, every: int = 1) -> np.ndarray:
-    """(H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, less where it is; of
-    `every` so many pixels of a row, and rows."""
+    """Return the motion (H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, minus
+    where it is. It has one of `every` pixels of a row, and one of `every` rows."""
     height, width = frame.depth.shape
     y, x = np.mgrid[:height:every, :width:every] + 0.5
     px = np.stack([x, y], -1)
@@ -205,8 +207,8 @@ def static_motion(frame: RenderedFrame, other: Camera, every: int = 1) -> np.nda
 
 
 def _turned_round(forward, own, depth_before, depth, static) -> np.ndarray:
-    """`static` with −`forward` (H, W, 2) where the pixels `own` (H, W) of the frame before land on their own surface;
-    the nearest one wins, and gaps of a pixel are closed."""
+    """Return `static` with −`forward` (H, W, 2) where the pixels `own` (H, W) of the frame before land on their own
+    surface; the nearest one wins, and gaps of a pixel are closed."""
     height, width = depth.shape
     y, x = np.nonzero(own & np.isfinite(forward).all(-1))
     to_x = np.floor(x + 0.5 + forward[y, x, 0]).astype(int)
@@ -231,7 +233,7 @@ def _turned_round(forward, own, depth_before, depth, static) -> np.ndarray:
 
 
 def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Return (2,) the common offset of most of `off` (H, W, 2)."""
+    """Return the common offset (2,) of most of `off` (H, W, 2)."""
     values = off[np.isfinite(depth) & np.isfinite(off).all(-1)]
     if not len(values):
         return np.zeros(2)
@@ -266,7 +268,7 @@ def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float
 
 
 def _rounded(value: float) -> float:
-    """`value` with few digits if that is nearly the same."""
+    """Return `value` with few digits if that is nearly the same."""
     for digits, tolerance in _TOLERANCES:
         near = float(f"{value:.{digits - 1}e}")
         if abs(near - value) <= tolerance * abs(value):
@@ -275,9 +277,9 @@ def _rounded(value: float) -> float:
 
 
 def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_frame=lambda: None) -> int:
-    """Write `sequence` as `diagnosis` reads it to the folder `output`; how many frames. Truth keeps its colors and
-    gets the new cameras; extrapolated frames are left out. Raises GffeError as `SequenceWriter`, and for a repair that
-    would do harm."""
+    """Write `sequence` with the reading of `diagnosis` applied to the folder `output`, and return how many frames it
+    has. Truth keeps its colors and gets the new cameras; extrapolated frames are left out. Raises GffeError as
+    `SequenceWriter` does, and for a repair that would do harm."""
     refuse_same_folder(output, sequence.path)
     repair = Repair(sequence, diagnosis)
     size = sequence.width, sequence.height

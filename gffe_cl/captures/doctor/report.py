@@ -1,4 +1,4 @@
-"""The doctor's report for people: text, and one HTML file with the pictures that convinced it."""
+"""The doctor's report for people: text, and one HTML file with the pictures that are its evidence."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ table { width: 100%; }
 
 
 def summary(diagnosis: Diagnosis) -> list[str]:
-    """Sentences on how well it fits as given and as read, and how sure that is."""
+    """Return sentences on how well the sequence fits as given and as read, and how sure that is."""
     r = diagnosis.residuals
     if not r:
         return []
@@ -65,7 +65,7 @@ def changes(chosen: Diagnosis) -> list[str]:
 
 
 def _example(chosen: Diagnosis, look: Look) -> list[str]:
-    """Of one sample of `look`: before → after."""
+    """Return an example in words: one sample of `look`, before → after; nothing if it does not change."""
     reading, lines = chosen.reading, []
     camera = reading.camera.read(look.camera)
     inverse = reading.depth.inverse(look.depth, rays(camera, look.px))
@@ -95,7 +95,7 @@ def _numbers(values) -> str:
 
 
 def as_json(diagnosis: Diagnosis) -> dict:
-    """Everything that was found, for programs."""
+    """Return all results for programs."""
     return {
         "verdict": diagnosis.verdict,
         "findings": [
@@ -123,8 +123,8 @@ def as_json(diagnosis: Diagnosis) -> dict:
 
 
 def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -> str:
-    """Return one self-contained page: the findings, how well all fits, and residuals of one frame as given and as
-    repaired."""
+    """Return one self-contained page: the findings, how well everything fits, and residuals of one frame as given and
+    as repaired."""
     lines = "".join(f"<p>{escape(line)}</p>" for line in summary(diagnosis))
     made_by = f"gffe check, gffe-cl {version('gffe-cl')}, {date.today().isoformat()}"
     return (
@@ -191,7 +191,7 @@ def _repaired_pair(clip: Clip, diagnosis: Diagnosis, file: str) -> tuple[Rendere
 
 
 def _residual(frame: RenderedFrame, before: RenderedFrame) -> np.ndarray:
-    """(H, W) pixels."""
+    """Return the residuals (H, W) in pixels."""
     if frame.motion is None:
         return np.zeros(frame.depth.shape)
     off = np.linalg.norm(frame.motion - static_motion(frame, before.camera), axis=-1)

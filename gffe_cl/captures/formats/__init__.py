@@ -1,4 +1,4 @@
-"""Captures of other people's programs, read as sequences of our own."""
+"""Captures of other programs, read as sequences of our own."""
 
 from gffe_cl.captures.formats.registry import FORMATS, Format, open_capture
 

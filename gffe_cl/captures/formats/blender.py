@@ -47,7 +47,7 @@ def is_blender(folder: Path) -> bool:
 
 
 def open_blender(folder: Path) -> Sequence:
-    """Open the capture in `folder`: JSON and the headers of all files are checked. Raises GffeError."""
+    """Open the capture in `folder` and return it: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
     reader, headers = HeaderReader(), []
@@ -75,7 +75,7 @@ def open_blender(folder: Path) -> Sequence:
 
 
 class BlenderPixels(ForeignPixels):
-    """Frames of the capture in `folder`."""
+    """Pixels of the capture in `folder`."""
 
     def __init__(self, folder: Path):
         super().__init__()
@@ -101,7 +101,7 @@ class BlenderPixels(ForeignPixels):
         return image
 
     def _read(self, entry: FrameEntry, size):
-        """R, G, B and depth; X and Y, if there are vectors."""
+        """Return R, G, B and depth, and X and Y if there are vectors."""
         path = self._folder / entry.place
         header = read_header(path, entry.file)
         passes = _passes(header, entry)
@@ -166,7 +166,8 @@ def _frame(one, index: int, size) -> FrameEntry:
 
 
 def _passes(header: ExrHeader, entry: FrameEntry) -> _Passes:
-    """The passes to take, under whichever view layers they are. GffeError if one is missing that the frame needs."""
+    """Return the passes to use, in whichever view layers they are. Raises GffeError if one is missing that the frame
+    needs."""
     layers = layers_of(header)
     depths = {layer: [c] for c in ("V", "Z") for layer in holding(layers, "Depth", c)}
     vectors = {layer: ["X", "Y"] for layer in holding(layers, "Vector", "XY")}
@@ -193,7 +194,8 @@ def _passes(header: ExrHeader, entry: FrameEntry) -> _Passes:
 
 
 def _exact(found: dict[str, list[str]]) -> str | None:
-    """Of several layers with a pass the one named Data, whose passes are no means over samples; else the last one."""
+    """Return, of several layers with a pass, the one named Data, whose passes are no means over samples; else the last
+    one."""
     named = [layer for layer in found if owner(layer).lower() == _DATA_LAYER]
     return (named or list(found) or [None])[-1]
 

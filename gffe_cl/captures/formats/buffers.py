@@ -63,8 +63,8 @@ class Buffer:
         return self.channels if self.valid is None else (*self.channels, self.valid)
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
-        """(H, W, components): float64, or float16 and float32 where they are just that in the file; NaN where nothing
-        was written."""
+        """Return (H, W, components) float64, or float16 and float32 where the file stores these unchanged; NaN where
+        nothing was written."""
         planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
         if self.bottom_up:
             planes = planes[::-1]
@@ -81,7 +81,8 @@ class Buffer:
         return (values - np.array(self.offset)) * np.array(self.scale)
 
     def _is_unknown(self, values: np.ndarray) -> np.ndarray | None:
-        """Return where `values` (H, W, components), before offset and scale, are what stands for unknown ones."""
+        """Return where `values` (H, W, components), before offset and scale, mark unknown ones; None if nothing marks
+        them."""
         found = None
         if self.unknown is not None:
             near = _EQUAL * np.abs(self.unknown)
@@ -104,8 +105,8 @@ class Buffer:
 
 
 def parse_buffer(keys: Keys, default: tuple[str, ...], unwritten: bool = False) -> Buffer:
-    """Common part of all buffers; `default` are the channels, one for each component. With `unwritten` keys may say
-    which values were never written."""
+    """Return the common part of all buffers; `default` are the channels, one for each component. With `unwritten` keys
+    may specify the values that were never written."""
     count = len(default)
     pattern = keys.text("file")
     if pattern is None or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):
@@ -140,7 +141,7 @@ def parse_buffer(keys: Keys, default: tuple[str, ...], unwritten: bool = False) 
 
 @dataclass(frozen=True)
 class ColorBuffer:
-    """Color: `buffer`, then the encoding is undone."""
+    """Description of color: `buffer`, and the encoding that is undone after it."""
 
     buffer: Buffer
     encoding: str
@@ -148,7 +149,7 @@ class ColorBuffer:
     told: bool = True  # by the description, not by default
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
-        """Linear RGB (H, W, 3), float16 as stored or float32."""
+        """Return linear RGB (H, W, 3), float16 as stored or float32."""
         color = self.buffer.read(folder, number, size)
         if self.encoding == "srgb":
             color = np.where(color <= 0.04045, color / 12.92, ((np.maximum(color, 0) + 0.055) / 1.055) ** 2.4)
@@ -167,7 +168,7 @@ def parse_color(document: Any, name: str = "color") -> ColorBuffer:
 
 @dataclass(frozen=True)
 class DepthBuffer:
-    """Depth: `buffer`, then the conversion by `encoding`."""
+    """Description of depth: `buffer`, and the conversion by `encoding` after it."""
 
     buffer: Buffer
     encoding: str
@@ -180,7 +181,7 @@ class DepthBuffer:
     convention: str
 
     def read(self, folder: Path, number: int, size: Size, found: FoundCamera) -> np.ndarray:
-        """Planar depth (H, W) float32 in world units, +inf for sky; `found` is the camera of that frame."""
+        """Return planar depth (H, W) float32 in world units, +inf for sky; `found` is the camera of that frame."""
         values = self.buffer.read(folder, number, size)[..., 0]
         nothing = np.zeros(values.shape, bool)
         if self.sky is not None:
@@ -199,8 +200,8 @@ class DepthBuffer:
         return np.where(nothing, np.inf, depth).astype(np.float32)
 
     def range_note(self, found: FoundCamera) -> str | None:
-        """Return a sentence where neither the description nor the projection tells the range of a depth buffer of
-        OpenGL."""
+        """Return a sentence where neither the description nor the projection determines the range of a depth buffer of
+        OpenGL, else None."""
         if self.encoding != "device" or self.near is not None or found.projection is None:
             return None
         if self.convention != "opengl" or self.opengl_buffer is not None or decides_depth_range(found.projection):
@@ -247,7 +248,7 @@ def parse_depth(document: Any, convention: str) -> DepthBuffer:
 
 @dataclass(frozen=True)
 class MotionBuffer:
-    """Motion: `buffer`, then unit, direction and y."""
+    """Description of motion: `buffer`, then unit, direction and y."""
 
     buffer: Buffer
     unit: str
@@ -261,7 +262,7 @@ class MotionBuffer:
         return self.direction == TO_NEXT
 
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
-        """(H, W, 2) float32, pixels, y down: (previous − here), or of `to_next` (next − here)."""
+        """Return motion (H, W, 2) float32, pixels, y down: (previous − here), or with `to_next` (next − here)."""
         motion = self.buffer.read(folder, number, size).astype(np.float64)
         return (motion * self.factors(size)).astype(np.float32)
 

@@ -44,8 +44,8 @@ class CameraRules:
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """The camera of a frame; its projection matrix for column vectors, if it was given, and how many of our world units
-    are one of that; its jitter (x, y) in pixels, y down."""
+    """Camera of a frame; its projection matrix for column vectors, if it was given, and the factor from its unit to our
+    world units; its jitter (x, y) in pixels, y down."""
 
     camera: Camera
     projection: np.ndarray | None
@@ -71,7 +71,7 @@ def parse_rules(keys: Keys) -> CameraRules:
 
 
 def parse_camera(document: Any, rules: CameraRules, size: Size, label: str) -> FoundCamera:
-    """The camera in the object `document` on an image of `size`. GffeError, beginning with `label`."""
+    """Return the camera in the object `document` on an image of `size`. Raises a GffeError that begins with `label`."""
     keys = Keys(document, label)
     view, projection = keys.take("view"), keys.take("projection")
     jitter = keys.numbers("jitter", 2, (0.0, 0.0))

@@ -67,8 +67,9 @@ def described(
 
 
 def camera_of(document: dict, matrix: str, size: tuple[int, int], label: str) -> Camera:
-    """The camera in a JSON object: `matrix`, 4×4 world → x right, y down, z forward, perhaps scaled, and fx, fy, cx, cy
-    in pixels; fy defaults to fx, cx and cy to the middle of the image."""
+    """Return the camera in a JSON object: `matrix`, 4×4 world → x right, y down, z forward, perhaps scaled, and fx, fy,
+    cx, cy in pixels; fy defaults to fx, cx and cy to the middle of the image. Raises a GffeError that begins with
+    `label`."""
     if document.get(matrix) is None or document.get("fx") is None:
         raise GffeError(f"{label}: no {matrix if document.get(matrix) is None else 'fx'} (expected a camera)")
     try:
@@ -85,9 +86,9 @@ def camera_of(document: dict, matrix: str, size: tuple[int, int], label: str) ->
 
 
 def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], label: str) -> None:
-    """Return the render size and camera of a rendered frame whose stored image (data window) differs from the
-    displayed one (display window); its display camera is in displayed pixels. Raises GffeError unless the stored
-    image has `size`."""
+    """Set the render size and camera of a rendered frame whose stored image (data window) differs from the displayed
+    one (display window); its display camera is in displayed pixels. Raises GffeError unless the displayed image has
+    `size`."""
     x0, y0, x1, y1 = part.display_window
     if (x1 - x0 + 1, y1 - y0 + 1) != tuple(size):
         raise GffeError(f"{label}: {x1 - x0 + 1}×{y1 - y0 + 1} pixels, expected {size[0]}×{size[1]}")
@@ -102,8 +103,8 @@ def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], labe
 
 
 def shown_part(image: np.ndarray, part: ExrPart, label: str) -> np.ndarray:
-    """Return the part of an image (H, W, …), stored in the data window of `part`, in its display window. GffeError if
-    some of that was not stored."""
+    """Return the part of an image (H, W, …), stored in the data window of `part`, in its display window. Raises
+    GffeError if some of that was not stored."""
     x0, y0, x1, y1 = part.display_window
     left, top = x0 - part.data_window[0], y0 - part.data_window[1]
     width, height = x1 - x0 + 1, y1 - y0 + 1

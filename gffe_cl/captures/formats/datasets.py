@@ -1,7 +1,7 @@
-"""Public data sets as captures: MPI Sintel, Spring, TartanAir.
+"""Readers of public data sets: MPI Sintel, Spring, TartanAir.
 
-Their colors are of displays (sRGB, 8 bits). Sintel and TartanAir have flow to the next frame, which is inverted with a
-depth test; Spring has flow to the previous one.
+Their colors are display values (sRGB, 8 bits). Sintel and TartanAir have flow to the next frame, which is inverted with
+a depth test; Spring has flow to the previous one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SKY = 1e4  # meters: farther pixels are sky
 
 
 class _Frame(NamedTuple):
-    """One frame; `flow` leads to the next number, or with `backward` from it to the previous one; None if it or that
+    """One frame. `flow` leads to the next number, or with `backward` from it to the previous one; None if it or that
     frame is missing."""
 
     number: int
@@ -50,7 +50,7 @@ class _Frame(NamedTuple):
 
 
 class DatasetPixels(ForeignPixels):
-    """`frames` by the names of their entries; colors in the display's encoding."""
+    """Pixels of `frames`, by the names of their entries; colors in the display's encoding."""
 
     def __init__(self, frames: dict[str, _Frame]):
         super().__init__()
@@ -75,7 +75,7 @@ class DatasetPixels(ForeignPixels):
 
 
 def _opened(folder: Path, frames: list[_Frame], size: Size, fps: float, notes: tuple[str, ...] = ()) -> Sequence:
-    """The sequence of `frames`; GffeError for files that are missing."""
+    """Return the sequence of `frames`. Raises GffeError for files that are missing."""
     if not 0 < len(frames) <= MOST_FRAMES:
         raise GffeError(f"{folder}: {len(frames)} frames (expected 1 to {MOST_FRAMES})")
     entries = {}
@@ -129,7 +129,7 @@ def is_sintel(folder: Path) -> bool:
 
 
 def open_sintel(folder: Path) -> Sequence:
-    """Open the scene whose colors are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
+    """Open and return the scene whose colors are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
     parts = _sintel_folders(folder)
     assert parts is not None  # `is_sintel` was asked
     images = _images(folder, "frame_*.png")
@@ -153,7 +153,7 @@ def open_sintel(folder: Path) -> Sequence:
 
 
 def _sintel_folders(folder: Path) -> tuple[Path, Path, Path] | None:
-    """Flow, depth and cameras of the scene."""
+    """Return the folders of flow, depth and cameras of the scene, None if it is no folder of Sintel."""
     folder = folder.absolute()
     root = folder.parent.parent
     flow, depth, cameras = (root / name / folder.name for name in ("flow", "depth", "camdata_left"))
@@ -161,7 +161,7 @@ def _sintel_folders(folder: Path) -> tuple[Path, Path, Path] | None:
 
 
 def _sintel_header(path: Path, channels: int, size: Size) -> None:
-    """GffeError unless the file at `path` holds an image of `size`, whole."""
+    """Raise GffeError unless the file at `path` holds an image of `size`, whole."""
     try:
         with open_regular(path) as file:
             start, length = file.read(12), path.stat().st_size
@@ -184,7 +184,8 @@ def _sintel_array(path: Path, channels: int, size: Size) -> np.ndarray:
 
 
 def _sintel_camera(path: Path) -> Camera:
-    """Tag, 3×3 intrinsics and 3×4 world → camera (x right, y down, z forward), float64."""
+    """Return the camera of a file of tag, 3×3 intrinsics and 3×4 world → camera (x right, y down, z forward),
+    float64."""
     try:
         with open_regular(path) as file:
             data = file.read(4 + 8 * 21)
@@ -213,7 +214,7 @@ def is_tartanair(folder: Path) -> bool:
 
 
 def open_tartanair(folder: Path) -> Sequence:
-    """Open the trajectory in `folder`, left camera. Raises GffeError."""
+    """Open and return the trajectory in `folder`, left camera. Raises GffeError."""
     images = _images(folder / "image_left", "*_left.png")
     depths = numbered_files(folder / "depth_left", "*_left_depth.npy")
     flows = _flows(folder / "flow")
@@ -244,7 +245,8 @@ def _flows(folder: Path) -> dict[str, Path]:
 
 
 def _from_ned(pose: np.ndarray) -> np.ndarray:
-    """(4, 4) world → right, down, forward, of tx ty tz qx qy qz qw: camera → world, x forward, y right, z down."""
+    """Return the matrix (4, 4) world → right, down, forward, of tx ty tz qx qy qz qw: camera → world, x forward, y
+    right, z down."""
     x, y, z, w = pose[3:] / max(np.linalg.norm(pose[3:]), 1e-12)
     made = np.eye(4)
     made[:3, :3] = (
@@ -278,7 +280,8 @@ def is_spring(folder: Path) -> bool:
 
 
 def open_spring(folder: Path) -> Sequence:
-    """Open the scene in `folder`, left camera, at the size of the colors. Raises GffeError, also without h5py."""
+    """Open and return the scene in `folder`, left camera, at the size of the colors. Raises GffeError, also without
+    h5py."""
     images = _images(folder / "frame_left", "frame_left_*.png")
     disparities = numbered_files(folder / "disp1_left", "disp1_left_*.dsp5")
     flows = numbered_files(folder / "flow_BW_left", "flow_BW_left_*.flo5")
@@ -321,7 +324,7 @@ def _inverse(camera: Camera) -> Camera:
 
 
 def _from_disparity(path: Path, fx: float, size: Size, follow_links: bool) -> np.ndarray:
-    """Depth in meters: fx · 0.065 / d."""
+    """Return depth in meters from disparity d: fx · 0.065 / d."""
     disparity = np.abs(read_hdf5(path, "disparity", size, 1, follow_links)[..., 0]).astype(np.float64)
     with np.errstate(divide="ignore"):
         return _within(fx * _SPRING_BASELINE / disparity)

@@ -1,4 +1,4 @@
-"""Folders of EXR, PNG, NPY or NPZ images that a short `sequence.json` of `"format": "gffe-folder"` describes.
+"""Reader of folders of EXR, PNG, NPY or NPZ images that a short `sequence.json` of `"format": "gffe-folder"` describes.
 
 The schema is in docs/formats.md.
 """
@@ -45,7 +45,7 @@ _BUFFERS = ("color", "depth", "motion")
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame: the number in the names of its files."""
+    """One frame, with the number in the names of its files."""
 
     number: int
     entry: FrameEntry
@@ -73,7 +73,8 @@ class FolderSettings:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether the `sequence.json` at `path` names this format, near its beginning; OSError if it cannot be read."""
+    """Return whether the `sequence.json` at `path` names this format, near its beginning. Raises OSError if it cannot
+    be read."""
     with open_regular(path) as file:
         start = file.read(_FIRST_BYTES)
     found = re.search(rb'"format"\s*:\s*"([^"]*)"', start)
@@ -81,8 +82,8 @@ def is_folder(path: Path) -> bool:
 
 
 def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
-    """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
-    need be described. Raises GffeError."""
+    """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. With `cameras`
+    "optional" none need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
     notes = _settle_view(folder, made) + _settle_colors(folder, made)
     for frame in made.frames.values():
@@ -102,7 +103,7 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
 
 def _settle_colors(folder: Path, made: FolderSettings) -> list[str]:
     """Take the encoding of colors from the headers of PNG files where the description has none. Return sentences on
-    that, and on headers that say something else than the description."""
+    that, and on headers that contradict the description."""
     notes = []
     for kind, name in (("rendered", "color"), ("ground_truth", "truth")):
         frame = next((one for one in made.frames.values() if one.entry.kind == kind), None)
@@ -174,7 +175,7 @@ def _settle_view(folder: Path, made: FolderSettings) -> list[str]:
 
 
 class FolderPixels(ForeignPixels):
-    """Frames of the capture in `folder`."""
+    """Pixels of the capture in `folder`."""
 
     def __init__(self, folder: Path, made: FolderSettings):
         super().__init__()
@@ -287,7 +288,7 @@ def _camera_files(keys: Keys) -> Buffer | None:
 
 
 def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, Any]]:
-    """Return number, entry without camera, and the camera's JSON of each frame, in order of time."""
+    """Yield number, entry without camera, and the camera's JSON of each frame, in order of time."""
     if isinstance(given, dict):
         keys = Keys(given, f"{FILE_NAME}, frames")
         first, step, count = (

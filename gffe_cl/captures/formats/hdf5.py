@@ -1,4 +1,4 @@
-"""Images in HDF5 files, as Spring has them."""
+"""Reader of images in HDF5 files, which Spring uses."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from gffe_cl.engine.core.files import require_moderate, require_readable
 
 
 def read_hdf5(path: Path, name: str, size: Size, components: int, follow_links: bool) -> np.ndarray:
-    """The data set `name` of the HDF5 file at `path`: (H, W, components) float32; it may have twice as many pixels as
-    `size` each way. GffeError, also without h5py, and unless `follow_links` where the data lie in another file."""
+    """Return the data set `name` of the HDF5 file at `path`: (H, W, components) float32; it may have twice as many
+    pixels as `size` each way. Raises GffeError, also without h5py, and unless `follow_links` where the data lie in
+    another file."""
     try:
         import h5py
     except ImportError:
@@ -42,7 +43,7 @@ def read_hdf5(path: Path, name: str, size: Size, components: int, follow_links: 
 
 
 def _check_link(link: Any, path: Path, name: str, follow_links: bool) -> None:
-    """Check a link in an HDF5 file. `link`: how the file refers to `name`."""
+    """Raise GffeError if a link in an HDF5 file is not allowed. `link`: how the file refers to `name`."""
     import h5py
 
     if isinstance(link, h5py.HardLink | None):
@@ -68,7 +69,7 @@ def _require_allowed(path: Path, name: str, what: str, follow_links: bool) -> No
 
 
 def _factor(stored: Any, size: Size, components: int, label: str) -> int:
-    """How many pixels of the data set are one of `size`, each way."""
+    """Return how many pixels of the data set are one of `size`, each way."""
     shape, plain = stored.shape, ((), (1,)) if components == 1 else ((components,),)
     for factor in (1, 2):
         if shape is not None and shape[:2] == (factor * size[1], factor * size[0]) and shape[2:] in plain:

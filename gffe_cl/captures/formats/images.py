@@ -1,5 +1,5 @@
-"""Images of foreign captures: EXR, PNG, NPY and NPZ, recognized by their first bytes. Sizes are checked before
-decoding."""
+"""Reader of images in foreign captures: EXR, PNG, NPY and NPZ, recognized by their first bytes. Sizes are checked
+before decoding."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _MOST_HEADER = 1 << 16
 def read_planes(
     path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
 ) -> np.ndarray:
-    """Channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ file,
-    `view` that of an EXR file with several.
+    """Return the channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ
+    file, `view` that of an EXR file with several.
 
-    Of PNG the channels are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first
-    four. GffeError, beginning with `label`, for a missing file or channel, another size than `size`, and damage.
+    Channels of PNG are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first four.
+    Raises a GffeError that begins with `label` for a missing file or channel, another size than `size`, and damage.
     """
     return _read(path, names, label, size, array, view, decode=True)
 
@@ -42,7 +42,7 @@ def read_planes(
 def check_planes(
     path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
 ) -> None:
-    """Check as `read_planes`, by headers only: no pixel is decoded."""
+    """Check an image as `read_planes` does, by headers only: no pixel is decoded."""
     _read(path, names, label, size, array, view, decode=False)
 
 
@@ -53,8 +53,8 @@ def views_of(path: Path, label: str) -> list[str]:
 
 
 def header_notes(path: Path, label: str, exact: Ordered[str], view: str | None, fps: float) -> list[str]:
-    """Return sentences about what the header of an EXR file says and nothing here can use. `exact`: channels that hold
-    depth or motion; `fps`: as the description has it."""
+    """Return sentences about contents of the header that are not supported. `exact`: channels that hold depth or
+    motion; `fps`: as in the description."""
     header = _exr_header(path, label)
     return reported(header, label, _places(header, exact, label, view), fps) if header else []
 
@@ -105,7 +105,8 @@ def _exr(path, names, label, size, view, decode):
 
 
 def _places(header: ExrHeader, names, label, view) -> list[Place]:
-    """Where channels are, by their whole name, or by `part.name`; of files with a single channel that one."""
+    """Return the places of channels, given by their whole name, or by `part.name`; in files with a single channel that
+    one."""
     layers, places = layers_of(header, view), []
     for name in names:
         layer, _, component = name.rpartition(".")
@@ -157,7 +158,7 @@ def _npz(path, names, label, size, array, decode):
 
 
 def _array(file: IO[bytes], names, label, size, decode):
-    """Return the array of an NPY stream; no more is read than an image of `size` has."""
+    """Return the array of an NPY stream; no more is read than the pixels of an image of `size`."""
     shape, fortran, dtype = _array_header(file, label)
     if len(shape) not in (2, 3) or dtype.kind not in "fiub" or dtype.itemsize > 8:
         raise GffeError(f"{label}: an array of {dtype} and shape {shape} (expected numbers, (H, W) or (H, W, C))")

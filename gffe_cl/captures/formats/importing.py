@@ -1,4 +1,4 @@
-"""Captures of any form into sequences of our own (`gffe import`)."""
+"""Import of captures of any form into sequences of our own (`gffe import`)."""
 
 from __future__ import annotations
 
@@ -36,12 +36,14 @@ def import_capture(
     compression: str = DEFAULT_COMPRESSION,
     on_frame: Callable[[], None] = lambda: None,
 ) -> ImportReport:
-    """Write the rendered frames and the truth of `sequence` into the folder `output`, in our own form.
+    """Write the rendered frames and the truth of `sequence` into the folder `output`, in our own form, and return the
+    counts.
 
     Of the rendered frames after a reset every `every`-th one stays rendered, the others become ground truth; motion
     then reaches over the frames in between, m₂(x) = m(x) + m′(x + m(x)), and `fps` is that of the frames that stay.
-    Those are stored by `encoding`; if that looks up twice, each frame's motion is, and x + m(x) is the nearest pixel.
-    `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after every frame.
+    Frames that stay are stored by `encoding`. If that looks motion up twice, each frame's motion is stored, and x +
+    m(x) is the nearest pixel. `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after
+    every frame.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
@@ -81,7 +83,7 @@ def import_capture(
 
 
 def _thinned(sequence: Sequence, every: int, encoding: Encoding) -> Iterator[tuple[FrameEntry, RenderedFrame, bool]]:
-    """Each rendered frame, and whether it stays; then it is stored, with motion to the one before that stays."""
+    """Yield each rendered frame, and whether it stays; then it is stored, with motion to the one before that stays."""
     since: list[RenderedFrame] = []  # the last one that stays, and those after it
     for entry, frame in sequence.prefetch(sequence.rendered):
         if entry.reset:
@@ -100,7 +102,8 @@ def _thinned(sequence: Sequence, every: int, encoding: Encoding) -> Iterator[tup
 
 
 def _over(frame: RenderedFrame, since: list[RenderedFrame]) -> np.ndarray | None:
-    """Motion of `frame` to the first of the frames `since`, each of which has it to the one before."""
+    """Return the motion of `frame` to the first of the frames `since`, each of which has it to the one before; None
+    without motion."""
     motion = frame.motion
     for steps, k in enumerate(range(len(since) - 1, 0, -1), 1):
         between, before = since[k], since[k - 1]
@@ -111,7 +114,7 @@ def _over(frame: RenderedFrame, since: list[RenderedFrame]) -> np.ndarray | None
 
 
 def _fitted(entry: FrameEntry, encoding: Encoding) -> FrameEntry:
-    """`entry` with cameras as `encoding` has them."""
+    """Return `entry` with cameras in the precision of `encoding`."""
     render, display = encoding.cameras(entry.time, entry.render_camera or entry.display_camera, entry.display_camera)
     return replace(entry, render_camera=entry.render_camera and render, display_camera=display)
 
@@ -122,7 +125,7 @@ def _add_truth(writer: SequenceWriter, entry: FrameEntry, color: np.ndarray) -> 
 
 
 def _truth_name(file: str, taken: set[str]) -> str:
-    """A name for a rendered frame that becomes truth."""
+    """Return a name for a rendered frame that becomes truth."""
     path = Path(file)
     name = path.with_name("truth_" + path.name.removeprefix("frame_")).as_posix()
     while name in taken:

@@ -1,4 +1,4 @@
-"""Objects of JSON documents, taken apart: every key is known, every value of its kind."""
+"""Parser of objects in JSON documents: every key must be known, and every value of its kind."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from gffe_cl.engine.core.validation import require_number, shown
 
 
 class Keys:
-    """Keys of the object `document`; `label` names it in errors. Keys that nobody has taken before `done` are
-    unknown ones."""
+    """Keys of the object `document`; `label` names it in errors. Keys that were not taken before `done` are unknown
+    ones."""
 
     def __init__(self, document: Any, label: str):
         if not isinstance(document, dict):
@@ -35,7 +35,7 @@ class Keys:
     @overload
     def numbers(self, key: str, count: int, default: None) -> tuple[float, ...] | None: ...
     def numbers(self, key: str, count: int, default: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        """`count` numbers; a single one stands for all of them."""
+        """Return `count` numbers; a single one stands for all of them. Raises GffeError for others."""
         value = self.take(key)
         if value is None:
             return default
@@ -63,6 +63,6 @@ class Keys:
         return value
 
     def done(self) -> None:
-        """GffeError if there are keys that were not taken."""
+        """Raise GffeError if there are keys that were not taken."""
         for key in self._left:
             raise GffeError(f"{self.label}: unknown key {shown(key)} (expected some of {', '.join(self._known)})")

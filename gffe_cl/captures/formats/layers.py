@@ -11,8 +11,8 @@ Place = tuple[int, str]  # part, channel in it
 
 
 def layers_of(header: ExrHeader, view: str | None = None) -> dict[str, dict[str, Place]]:
-    """Layer (all but the last word, "" for plain channels) → component → place, in the order of the file. Of several
-    views one is taken, by default the first of `header.views`."""
+    """Return a map of layer (all but the last word, "" for plain channels) → component → place, in the order of the
+    file. Of several views one is taken, by default the first of `header.views`."""
     found: dict[str, dict[str, Place]] = defaultdict(dict)
     chosen = view or next(iter(header.views), "")
     for index, channel, name in header.seen(view):
@@ -26,7 +26,7 @@ def layers_of(header: ExrHeader, view: str | None = None) -> dict[str, dict[str,
 
 
 def holding(layers: dict[str, dict[str, Place]], name: str, components: Ordered[str]) -> list[str]:
-    """Layers whose last word is `name` and that have all `components`."""
+    """Return the layers whose last word is `name` and that have all `components`."""
     return [
         layer
         for layer, places in layers.items()
@@ -35,5 +35,5 @@ def holding(layers: dict[str, dict[str, Place]], name: str, components: Ordered[
 
 
 def owner(layer: str) -> str:
-    """The view layer of a pass: `ViewLayer` of `ViewLayer.Combined`."""
+    """Return the view layer of a pass: `ViewLayer` of `ViewLayer.Combined`."""
     return layer.rpartition(".")[0]

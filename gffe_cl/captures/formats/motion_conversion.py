@@ -1,6 +1,6 @@
-"""Computed motion vectors: from forward flow, over two frames, of static surfaces.
+"""Computation of motion vectors: from forward flow, over two frames, of static surfaces.
 
-All of it is in our conventions: images (H, W), pixels, y down, depth planar and +inf for sky.
+Arrays are in our conventions: images (H, W), pixels, y down, depth planar and +inf for sky.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ def static_motion(depth: np.ndarray, camera: Camera, before: Camera) -> tuple[np
 def inverted_flow(
     flow: np.ndarray, depth_before: np.ndarray, camera_before: Camera, depth: np.ndarray, camera: Camera
 ) -> np.ndarray:
-    """Motion (H, W, 2) float32 of a frame from the flow (H, W, 2) that leads to it from the frame before.
+    """Return the motion (H, W, 2) float32 of a frame from the flow (H, W, 2) that leads to it from the frame before.
 
-    The flow is splatted, and then V = −flow(x + V) is solved; both keep to pixels whose depth fits what is seen at x.
-    What no flow leads to came into view: it moves as what stands still.
+    The flow is splatted, and then V = −flow(x + V) is solved; both keep to pixels whose depth fits the surface at x.
+    Pixels to which no flow leads came into view: they move like static surfaces.
     """
     still, expected = static_motion(depth, camera, camera_before)
     flow = without_long(flow)
@@ -59,12 +59,12 @@ def composed(
     motion: np.ndarray, depth: np.ndarray, camera: Camera,
     between: np.ndarray, depth_between: np.ndarray, camera_between: Camera, before: Camera, steps: int = 1,
 ) -> np.ndarray:  # fmt: skip
-    """Motion over one frame more (H, W, 2) float32: m₂(x) = m(x) + m′(x + m(x)).
+    """Return the motion over one more frame (H, W, 2) float32: m₂(x) = m(x) + m′(x + m(x)).
 
     `motion`, over so many `steps`, `depth`, `camera` are of the frame itself; `between`, `depth_between`,
     `camera_between` of the frame that `motion` leads to; `before` is the camera of the one that `between` leads to. m′
-    is interpolated between pixels of the same surface. What was hidden in between moves as what stands still, if it did
-    until there, else on as it did.
+    is interpolated between pixels of the same surface. Surfaces that were hidden in between move like static ones if
+    they did until then, otherwise they continue their motion.
     """
     still, depth_still = static_motion(depth, camera, camera_between)
     motion, between = without_long(motion), without_long(between)
@@ -86,8 +86,8 @@ def without_long(vectors: np.ndarray) -> np.ndarray:
 def sampled(
     values: np.ndarray, depths: np.ndarray, motion: np.ndarray, expected: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`values` (H, W, 2) at x + `motion` (H, W, 2), bilinear over those of the four pixels whose depth fits `expected`
-    (H, W), and whether there are any. Sky fits sky."""
+    """Return `values` (H, W, 2) at x + `motion` (H, W, 2), bilinear over those of the four pixels whose depth fits
+    `expected` (H, W), and whether there are any. Sky fits sky."""
     height, width = depths.shape
     at = centers(*motion.shape[:2]) + motion - 0.5
     at = np.where(np.isfinite(at), at, -1e9)
@@ -110,19 +110,19 @@ def sampled(
 
 
 def same_surface(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Whether depths are those of one surface, to 5%; sky is one, too."""
+    """Return whether depths are those of one surface, to 5%; sky is one, too."""
     with np.errstate(invalid="ignore"):
         return (np.isinf(a) & np.isinf(b)) | (np.abs(a - b) <= _SAME_SURFACE * np.minimum(a, b))
 
 
 def centers(height: int, width: int) -> np.ndarray:
-    """(H, W, 2): x, y of pixel centers."""
+    """Return the pixel centers (H, W, 2): x, y."""
     y, x = np.mgrid[:height, :width]
     return np.stack([x + 0.5, y + 0.5], -1)
 
 
 def _depth_seen(depth: np.ndarray, camera: Camera, other: Camera, flow: np.ndarray) -> np.ndarray:
-    """Depth (H, W) that pixels have in `other`, if they moved across the view only."""
+    """Return the depth (H, W) that pixels have in `other`, if they moved across the view only."""
     _, seen = static_motion(depth, camera, other)
     return np.where(np.isfinite(flow).all(-1), seen, np.nan)
 

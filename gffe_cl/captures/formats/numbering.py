@@ -1,4 +1,4 @@
-"""Numbers of frames in file names: a frame is its number, not its place in a list."""
+"""Numbers of frames in file names: a frame is identified by its number, not by its place in a list."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
     """Return the files in `folder` whose names fit `pattern`, such as "frame_*.png", by their frames' numbers in
     ascending order. The case of letters is ignored, and so are hidden files.
 
-    `*` is the number and other words before it; where the pattern has text behind `*`, names end with it. GffeError for
-    names without number and for two files of one number.
+    `*` is the number and other words before it; where the pattern has text behind `*`, names end with it. Raises
+    GffeError for names without number and for two files of one number.
     """
     before, _, after = pattern.partition("*")
     fits = re.compile(f"{re.escape(before)}(.*){re.escape(after)}", re.IGNORECASE | re.DOTALL)
@@ -73,7 +73,8 @@ def missing_numbers(pairs: Iterable[tuple[int, int]], step: int = 1) -> str | No
 
 def mark_gaps(frames: list[tuple[int, FrameEntry]]) -> str | None:
     """Make resets of the rendered `frames`, given with their numbers in order of time, that follow a gap: both their
-    number and their time are more than the usual step after the frame before. Return a sentence about the gaps."""
+    number and their time are more than the usual step after the frame before. Return a sentence about the gaps, None if
+    there are none."""
     rendered = [one for one in frames if one[1].kind == "rendered"]
     pairs = list(zip(rendered, rendered[1:], strict=False))
     steps = [after[0] - before[0] for before, after in pairs]
@@ -93,8 +94,8 @@ def mark_gaps(frames: list[tuple[int, FrameEntry]]) -> str | None:
 def lines_of(table: np.ndarray, numbers: Sequence[int], first: int, name: str) -> list[np.ndarray]:
     """Return the lines of a `table` for frames with these `numbers`: its first line is that of the number `first`.
 
-    Where the numbers leave that range the lines are those of the frames in order, if nothing is missing. GffeError,
-    beginning with `name`, otherwise.
+    Where the numbers leave that range the lines are those of the frames in order, if nothing is missing. Otherwise it
+    raises a GffeError that begins with `name`.
     """
     if numbers[0] >= first and numbers[-1] - first < len(table):
         return [table[number - first] for number in numbers]

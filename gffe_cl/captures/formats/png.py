@@ -1,4 +1,4 @@
-"""PNG files: sizes from the header before anything is decoded, and 16 bits per channel.
+"""Reader of PNG files: sizes from the header before anything is decoded, and 16 bits per channel.
 
 Pillow keeps 8 of 16 bits in color: its decoder is asked for the upper bytes, then for the lower ones.
 Layout: https://www.w3.org/TR/png-3/
@@ -27,9 +27,9 @@ _SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 
 
 class PngColors(NamedTuple):
-    """What a PNG's header says about its colors: `transfer` "linear", "srgb" or "gamma" with `gamma`, None if nothing;
-    `words` for messages; `chromaticities` as in EXR headers: x, y of red, green, blue and white; and whether there is
-    a `profile` that nothing here applies."""
+    """Color information in the header of a PNG: `transfer` "linear", "srgb" or "gamma" with `gamma`, None if missing;
+    `words` for messages; `chromaticities` as in EXR headers: x, y of red, green, blue and white; and whether there is a
+    `profile`, which is not applied."""
 
     transfer: str | None = None
     gamma: float = 1.0
@@ -38,7 +38,7 @@ class PngColors(NamedTuple):
     profile: bool = False
 
     def contradicts(self, encoding: str, gamma: float) -> bool:
-        """Return whether colors are stored in another way than by this `encoding`."""
+        """Return whether the header specifies another encoding than this `encoding`."""
         if self.transfer is None:
             return False
         powers = {"linear": 1.0, "srgb": 2.2, "gamma": gamma}
@@ -58,7 +58,7 @@ class PngHeader(NamedTuple):
 
 
 def read_png_header(path: Path, label: str) -> PngHeader:
-    """Read a PNG's header. Raises GffeError if the file at `path` is no PNG, or of an unsupported kind."""
+    """Return a PNG's header. Raises GffeError if the file at `path` is no PNG, or of an unsupported kind."""
     with open_regular(path) as file:
         start = file.read(29)
     if len(start) < 29 or not start.startswith(MAGIC) or start[12:16] != b"IHDR":
@@ -70,7 +70,7 @@ def read_png_header(path: Path, label: str) -> PngHeader:
 
 
 def read_png_colors(path: Path) -> PngColors:
-    """Return what the header of a PNG says about its colors; nothing for files of other kinds."""
+    """Return the color information in the header of a PNG; nothing for files of other kinds."""
     try:
         with open_regular(path) as file:
             chunks = dict(_chunks(file))
@@ -102,7 +102,7 @@ def read_png_colors(path: Path) -> PngColors:
 
 
 def _chunks(file) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the chunks before the pixels, by their names, with their first bytes."""
+    """Yield the names of the chunks before the pixels, with their first bytes."""
     if file.read(8) != MAGIC:
         return
     for _ in range(_MOST_CHUNKS):
@@ -116,7 +116,8 @@ def _chunks(file) -> Iterator[tuple[bytes, bytes]]:
 
 
 def read_png(path: Path, header: PngHeader, label: str) -> np.ndarray:
-    """(H, W, C) uint8, or uint16 where the file has 16 bits per channel. GffeError if it is damaged."""
+    """Return the pixels (H, W, C) uint8, or uint16 where the file has 16 bits per channel. Raises GffeError if it is
+    damaged."""
     try:
         if header.bits < 16 or header.channels == ("Y",):
             array = _decoded(path, "RGBA" if header.color_type == _PALETTE else "L" if header.bits == 1 else None)
@@ -135,7 +136,8 @@ def read_png(path: Path, header: PngHeader, label: str) -> np.ndarray:
 
 
 def _decoded(path: Path, mode: str | None = None, raw: str | None = None) -> np.ndarray:
-    """Decode the file, converted to Pillow's `mode`, or with `raw` in place of the raw mode by which it unpacks."""
+    """Return the decoded pixels, converted to Pillow's `mode`, or with `raw` in place of the raw mode by which it
+    unpacks."""
     with open_regular(path) as file, Image.open(file, formats=["PNG"]) as image:
         if raw:
             image.tile = [image.tile[0]._replace(args=raw)]

@@ -18,7 +18,7 @@ from gffe_cl.engine.core.validation import require_choice, require_path
 
 @dataclass(frozen=True)
 class Format:
-    """A form of captures on disk."""
+    """A form of captures on disk, with its name, description and example."""
 
     name: str
     sentence: str
@@ -90,13 +90,13 @@ FORMATS = {
 def open_capture(
     path: str | os.PathLike[str], *, cameras: str = "needed", follow_links: bool | None = None
 ) -> Sequence:
-    """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`:
-    which one it is follows from its files.
+    """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`, and return
+    it as a `Sequence`. The form is recognized by the files.
 
-    Everything that can be checked without decoding pixels is. Frames are read in our own conventions, whatever theirs
-    are: a `Sequence` as `open_sequence` gives it. With `cameras` "optional" those of our own form and of `gffe-folder`
-    may lack cameras, as there. With `follow_links` files of the capture may refer to files outside the folder; by
-    default they may not. Raises GffeError, also for a folder of no known form.
+    Everything that can be checked without decoding pixels is checked. Frames are converted to our own conventions, so
+    the result is like that of `open_sequence`. With `cameras` "optional" sequences of our own form and of `gffe-folder`
+    may lack cameras. With `follow_links` files of the capture may refer to files outside the folder; by default they
+    may not. Raises GffeError, also for a folder of no known form.
     """
     path = require_path(path, "open_capture: path")
     require_choice(cameras, CAMERAS, "open_capture: cameras")

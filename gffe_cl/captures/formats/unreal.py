@@ -1,7 +1,7 @@
-"""Captures of Unreal's Movie Render Queue: multilayer EXR, the camera in the header, centimeters.
+"""Reader of captures of Unreal's Movie Render Queue: multilayer EXR, the camera in the header, centimeters.
 
 World depth is in centimeters and motion around ½, but documentation, decoders and versions disagree on the factor, and
-depth is planar or along the rays: what stands still tells, reprojected.
+depth is planar or along the rays. Reprojecting static surfaces decides.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _GRID = 4  # every so many pixels
 
 
 class _Meaning(NamedTuple):
-    """Return the meaning of the numbers: motion's factor, and whether depth is along the rays."""
+    """Meaning of the numbers: motion's factor, and whether depth is along the rays."""
 
     scale: float
     along_rays: bool
@@ -55,8 +55,8 @@ def is_unreal(folder: Path) -> bool:
 
 
 def open_unreal(folder: Path) -> Sequence:
-    """Open the frames in `folder`. The headers of all files are checked, and a few frames are read to determine the
-    meaning of motion and depth. Raises GffeError."""
+    """Open the frames in `folder` and return them as a sequence. The headers of all files are checked, and a few frames
+    are read to determine the meaning of motion and depth. Raises GffeError."""
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
     headers = []
     size = fps = before = None
@@ -90,7 +90,7 @@ def open_unreal(folder: Path) -> Sequence:
 
 
 class UnrealPixels(ForeignPixels):
-    """Frames in `folder`."""
+    """Pixels of the frames in `folder`."""
 
     def __init__(self, folder: Path):
         super().__init__()
@@ -133,7 +133,7 @@ class UnrealPixels(ForeignPixels):
         return depth_from_distance(depth, camera) if along_rays else depth
 
     def _raw(self, entry: FrameEntry, size):
-        """Color (H, W, 3), depth (H, W) and motion (H, W, 2) as stored, and the header."""
+        """Return color (H, W, 3), depth (H, W) and motion (H, W, 2) as stored, and the header."""
         path = self._folder / entry.file
         header = read_header(path, entry.file)
         places = _places(header, entry.file)
@@ -156,7 +156,7 @@ def _said(file: str, meaning: _Meaning, residuals: dict) -> str:
 
 
 def _numbered(folder: Path) -> list[tuple[int, str]]:
-    """The frames' numbers and files, in order. GffeError if they are of several shots."""
+    """Return the frames' numbers and files, in order. Raises GffeError if they are of several shots."""
     found: dict[int, str] = {}
     shots = set()
     for path in visible_files(folder, ".exr"):
@@ -208,7 +208,7 @@ def _camera(texts: dict[str, str], size: tuple[int, int], file: str) -> Camera:
 
 
 def _number(texts: dict[str, str], name: str, file: str) -> float:
-    """The camera's number `name`, whichever layer's it is: all of a file are alike."""
+    """Return the camera's number `name` from any layer: all layers of a file have the same."""
     for key, text in texts.items():
         if key.startswith((_CAMERA, _LAYER_DATA)) and key.endswith(f"/{name}"):
             try:
@@ -222,7 +222,7 @@ def _number(texts: dict[str, str], name: str, file: str) -> float:
 
 
 def _frame_rate(part: ExrPart) -> float | None:
-    """Of the standard attribute, or of Unreal's."""
+    """Return the frame rate of the standard attribute, or of Unreal's; None without either."""
     for name in ("framesPerSecond", "unreal/frameRate", "unreal/framerate"):
         if rate := frame_rate(part, name):
             return rate

@@ -1,1 +1,1 @@
-"""Whole sequences through the pipeline (`gffe run`)."""
+"""Extrapolation of whole sequences (`gffe run`)."""

@@ -15,10 +15,10 @@ from gffe_cl.engine.frame.rendered_frame import display_camera_of, host_arrays
 
 
 def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -> int:
-    """Write the first `count` rendered frames of `source` into a folder, and that a frame is to be made `alpha`
-    intervals after each, seen by the camera that is known for it, else by the predicted one.
+    """Write the first `count` rendered frames of `source` into a folder, with the request of a new frame `alpha`
+    intervals after each, seen by the camera that is known for it, else by the predicted one. Return how many there are.
 
-    Returns how many there are. Raises GffeError for frames with faults, and where the folder cannot be written.
+    Raises GffeError for frames with faults, and where the folder cannot be written.
     """
     lines = [f"gffe-raw 1 {source.width} {source.height} {' '.join(map(str, source.render_size))} {source.fps!r}"]
     try:

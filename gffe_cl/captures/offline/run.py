@@ -1,4 +1,4 @@
-"""Extrapolating a sequence, on disk or rendered meanwhile, into another one (`gffe run`)."""
+"""Extrapolation of a sequence, on disk or rendered meanwhile, into another one (`gffe run`)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class RunReport:
 
 
 def alphas_for(n: int) -> list[float]:
-    """α = j/(n+1), j = 1 … n (paper: 'Position estimation')."""
+    """Return α = j/(n+1) for j = 1 … n (paper: 'Position estimation')."""
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 extrapolated frames per rendered frame, got {n}")
     return [j / (n + 1) for j in range(1, n + 1)]
@@ -64,10 +64,10 @@ def run_sequence(
     compression: str = DEFAULT_COMPRESSION,
     on_frame: Callable[[], None] = lambda: None,
 ) -> RunReport:
-    """Extrapolate after every rendered frame of `source` and write the result to `output`.
+    """Extrapolate after every rendered frame of `source`, write the result to `output`, and return a summary.
 
-    The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
-    one, or `predicted_camera` asks for it, all of them are C̄. `compression` is that of new EXRs (see `SequenceWriter`).
+    The cameras after a rendered frame come from `source`, for the times of all new frames there; if it lacks one, or
+    with `predicted_camera`, all of them are predicted (C̄). `compression` is that of new EXRs (see `SequenceWriter`).
     `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts become resets in
     `output`.
 
@@ -147,7 +147,7 @@ def run_sequence(
 
 
 def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
-    """Return the channels of an upscaled rendered frame: as displayed, with motion between displayed images."""
+    """Return entry and channels of an upscaled rendered frame: as displayed, with motion between displayed images."""
     entry = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
     dtype = np.float32 if color_dtype == np.float32 else np.float16
     color = shown.numpy("color").astype(dtype, copy=False)
@@ -171,7 +171,7 @@ def _network_warnings(pipeline: Pipeline) -> list[str]:
 def output_channels(
     extrapolated: ExtrapolatedFrame, render_camera: Camera, display_camera: Camera, color_dtype=np.float16
 ) -> dict[str, np.ndarray]:
-    """EXR channels of an extrapolated frame: R G B, Z, motion.x motion.y, mask.*, and `motion.display.*`
+    """Return the EXR channels of an extrapolated frame: R G B, Z, motion.x motion.y, mask.*, and `motion.display.*`
     (pixels, into the source frame as displayed) where it was rendered through another window. Motion is rounded to
     1/1024 px: the bits below are noise, which no compression shrinks."""
     motion = _rounded(extrapolated.numpy("motion"))
@@ -192,7 +192,7 @@ def output_channels(
 
 
 def _rounded(motion: np.ndarray) -> np.ndarray:
-    """`motion` itself, to the next 1/1024 px."""
+    """Return `motion` itself, rounded in place to 1/1024 px."""
     np.multiply(motion, _MOTION_STEPS, out=motion)
     np.rint(motion, out=motion)
     return np.multiply(motion, 1 / _MOTION_STEPS, out=motion)
@@ -216,7 +216,7 @@ def dump_buffers(pipeline: Pipeline, folder: Path) -> None:
 
 
 def _dump_channels(spec: Any, array: np.ndarray) -> dict[str, np.ndarray]:
-    """Channels of a dumped buffer: its components ("Y" for a single one), numbered "1.x" … per plane."""
+    """Return the channels of a dumped buffer: its components ("Y" for a single one), numbered "1.x" … per plane."""
     channels = {}
     for k, plane in enumerate(array if spec.planes > 1 else array[None]):
         prefix = f"{k + 1}." if spec.planes > 1 else ""
@@ -227,7 +227,8 @@ def _dump_channels(spec: Any, array: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _suffixes(alphas: list[float]) -> dict[float, str]:
-    """Return α in thousandths (0.5 → `0500`), in smaller units where thousandths would be equal."""
+    """Return suffixes of file names by α: in thousandths (0.5 → `0500`), in smaller units where thousandths would be
+    equal."""
     for digits in range(3, 18):
         suffixes = {alpha: f"{round(alpha * 10**digits):0{digits + 1}d}" for alpha in alphas}
         if len(set(suffixes.values())) == len(alphas):

@@ -30,7 +30,7 @@ from gffe_cl.engine.stages.presentation import present
 
 
 class Source(Protocol):
-    """Rendered frames by number, and what is known of the times between them.
+    """Source of rendered frames by number, and of what is known about the times between them.
 
     `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
     `resets`: numbers of those that are known to be one, in order; `attributes`: of EXR headers, which new frames get.
@@ -47,13 +47,13 @@ class Source(Protocol):
     attributes: dict[str, Any]
 
     def rendered(self, k: int) -> RenderedFrame:
-        """Return frame `k`. If it is rendered for the caller, it follows frame `k` − 1 if that was asked for last; else
-        it is a reset. Raises GffeError."""
+        """Return frame `k`. A frame of a built-in scene follows frame `k` − 1 if that was the last one asked for;
+        otherwise it is a reset. Raises GffeError."""
         ...
 
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
-        """Return all frames in order. `alphas` are the times that will be extrapolated after each, in intervals. With
-        `strict` GffeError for bad pixels."""
+        """Yield each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
+        `strict` bad pixels raise GffeError."""
         for k in range(self.count):
             frame = self.rendered(k)
             entry = rendered_entry(k, frame, (self.width, self.height))
@@ -82,26 +82,27 @@ class Source(Protocol):
         is known: predicted and known cameras do not mix within an interval."""
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
-        """Put a rendered frame into an output."""
+        """Write a rendered frame to an output."""
         writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def number_of(self, entry: FrameEntry) -> str:
-        """Return the identity of the rendered frame's file."""
+        """Return a text that identifies a rendered frame in names of files: the number in its own file's name, or its
+        index."""
         return Path(entry.file).stem.removeprefix("frame_")
 
     def refuse(self, output: Path) -> None:
         """Raise GffeError if `output` must not be written to."""
 
     def warnings(self) -> list[str]:
-        """Return legal but suspicious things met so far."""
+        """Return legal but suspicious properties of the input so far, as sentences."""
         return []
 
 
 class Recorded(Source):
-    """A sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts as rendered
-    through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is the factor
-    from rendered to displayed size. Without a display camera, a principal point within a pixel of the center is then
-    taken for jitter. `windowed`: whether frames are rendered through a window, or of another size than the display's.
+    """Source from a sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts
+    as rendered through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is
+    the factor from rendered to displayed size. Without a display camera, a principal point within a pixel of the center
+    is then taken for jitter. `windowed`: whether a window, or another size than the display's, makes such parts differ.
 
     Raises GffeError for other windows than that, and for a sequence without rendered frames.
     """
@@ -118,7 +119,7 @@ class Recorded(Source):
             self._enlarge(self.render_size, upscale)
 
     def _take(self, sequence: Sequence) -> None:
-        """Use the frames of `sequence`, which may be longer than before."""
+        """Take the frames of `sequence`, which may be longer than before."""
         self.sequence, self.entries = sequence, sequence.rendered
         if not self.entries:
             raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
@@ -131,7 +132,7 @@ class Recorded(Source):
         self.choose(self._window)
 
     def choose(self, window: str | None) -> bool:
-        """Use another window from now on. Returns whether the frames change by that."""
+        """Use another window from now on, and return whether the frames change by that."""
         if window not in (None, "off"):
             raise GffeError(
                 f"--window {window}: only built-in scenes are rendered through a chosen window, {self.sequence.path} is"
@@ -142,8 +143,8 @@ class Recorded(Source):
         return self._cut != before
 
     def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
-        """Give the display, where it has the size of the rendered frames, that of upscaling. Otherwise it must have
-        it."""
+        """Enlarge the display by `upscale` if it has the size of the rendered frames. Otherwise raise GffeError unless
+        it is so many times larger already."""
         sequence, recorded = self.sequence, (self.sequence.width, self.sequence.height)
         if self._cut:
             raise GffeError(f"--upscale {upscale:g} and --window off exclude each other for {sequence.path}")
@@ -173,7 +174,7 @@ class Recorded(Source):
         return self._upscaled(frame) if self._upscale else frame
 
     def _display_part(self, k: int, frame: RenderedFrame) -> RenderedFrame:
-        """Return what frame `k` shows; bad pixels are those of the whole."""
+        """Return the display part of frame `k`; its bad pixels are those of the whole frame."""
         last = self.entries[max(k - 1, 0)]
         before = replace(frame, camera=last.render_camera, display_camera=last.display_camera)
         return present(frame, before if k else None, size=self.render_size, device=self._device)
@@ -229,7 +230,7 @@ class Recorded(Source):
 
 
 class Live(Source):
-    """`count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
+    """Source of `count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
 
     With `upscale` the frames are so many times smaller than the display, and jittered.
     """
@@ -246,7 +247,7 @@ class Live(Source):
         self.choose(window, [], upscale)
 
     def choose(self, window: str, alphas: list[float], upscale: float = 0.0) -> bool:
-        """Render through `window`, for new frames at `alphas`, and for upscaling by `upscale` from now on. Returns
+        """Render through `window`, for new frames at `alphas`, and for upscaling by `upscale` from now on. Return
         whether the frames change by that."""
         way = (window, upscale, *(alphas if window == "adaptive" else ()))
         if way == self._way:
@@ -266,7 +267,7 @@ class Live(Source):
         return SceneFrames(SceneRenderer(self._device, self.scene, *size))
 
     def restart(self) -> None:
-        """The next frame has none before it."""
+        """Make the next frame a reset."""
         self._frames.windows = WindowChooser(self._way[0], (self.width, self.height), self._alphas)
         self._last = -1, None
 

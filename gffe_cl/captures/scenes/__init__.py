@@ -67,7 +67,7 @@ __all__ = [
 
 
 def is_scene(target: str) -> bool:
-    """Whether this names a built-in scene, not a sequence: a folder of that name comes first."""
+    """Return whether `target` names a built-in scene, not a sequence: a folder of that name takes precedence."""
     return is_scene_name(target) and not Path(target).exists()
 
 
@@ -77,13 +77,13 @@ def is_scene_name(name: str) -> bool:
 
 
 def scene_names() -> str:
-    """All of them, for messages."""
+    """Return the names of all scenes, for messages."""
     return f"{', '.join(SCENES)}; {', '.join(SITUATIONS)}"
 
 
 def load_scene(name: str, seed: int = 0) -> Scene:
-    """Build the scene `name` of `SCENES` or `SITUATIONS` for `seed`, 0 to 2³² − 1. Raises GffeError for an unknown name
-    and for other seeds."""
+    """Return the scene `name` of `SCENES` or `SITUATIONS`, built for `seed`, 0 to 2³² − 1. Raises GffeError for an
+    unknown name and for other seeds."""
     if not is_scene_name(name):
         raise GffeError(f"unknown scene '{name}': expected one of {scene_names()}")
     seed = require_seed(seed, f"scene '{name}': seed")

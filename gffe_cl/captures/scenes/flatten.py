@@ -1,4 +1,5 @@
-"""Scene → the arrays that kernels/scenes/scene.cl reads; float64 transforms, relative to the camera."""
+"""Conversion of a scene to the arrays that kernels/scenes/scene.cl reads; float64 transforms, relative to the
+camera."""
 
 from __future__ import annotations
 
@@ -46,17 +47,18 @@ class FlatScene:
         self._still = {i: g.motion(0.0) for i, g in enumerate(scene.groups) if not g.motion.moves}
 
     def materials(self, time: float) -> np.ndarray:
-        """(M, 5, 4) float32."""
+        """Return the materials at `time` as (M, 5, 4) float32."""
         return np.array([_material_rows(m, time) for m in self._materials], np.float32)
 
     def poses(self, time: float) -> np.ndarray:
-        """(N, 4, 4) float64: local → world of every object."""
+        """Return the poses at `time`, local → world of every object, as (N, 4, 4) float64."""
         return np.stack(
             [self._still[i] if i in self._still else group.motion(time) for i, group in enumerate(self.scene.groups)]
         )
 
     def objects(self, poses, camera: Camera, other_poses, other_camera: Camera, offset) -> np.ndarray:
-        """(N, 7, 4) float32: bound; rel → local; rel → view space of the other camera at the other time."""
+        """Return the objects as (N, 7, 4) float32: bound; rel → local; rel → view space of the other camera at the
+        other time."""
         to_rel, to_other_rel = offset - camera.position, offset - other_camera.position
         rotation, origin = poses[:, :3, :3], poses[:, :3, 3] + to_rel
         inverse = np.swapaxes(rotation, 1, 2)  # rel → local: p ↦ Rᵀ (p − origin)
@@ -73,7 +75,7 @@ class FlatScene:
         return records.astype(np.float32)
 
     def rel_boxes(self, objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 3) float64 each: lower and upper corners of the objects' boxes in rel, slightly grown."""
+        """Return (N, 3) float64 each: lower and upper corners of the objects' boxes in rel, slightly grown."""
         rotation = np.swapaxes(objects[:, 1:4, :3], 1, 2).astype(np.float64)
         center = np.einsum("nij,nj->ni", rotation, self.boxes[:, 0] - objects[:, 1:4, 3])
         half = np.einsum("nij,nj->ni", np.abs(rotation), self.boxes[:, 1])
@@ -81,13 +83,13 @@ class FlatScene:
         return center - half, center + half
 
     def lights(self, time: float, camera: Camera, offset) -> np.ndarray:
-        """(L, 3, 4) float32."""
+        """Return the lights at `time` as (L, 3, 4) float32."""
         to_rel = offset - camera.position
         rows = [_light_rows(light, time, to_rel) for light in self.scene.lights]
         return np.array(rows, np.float64).astype(np.float32).reshape(-1, 3, 4)
 
     def frame(self, camera: Camera, other_camera: Camera) -> np.ndarray:
-        """(15, 4) float32: the rows that kernels/scenes/geometry.h names."""
+        """Return the rows that kernels/scenes/geometry.h names, (15, 4) float32."""
         air = self.scene.air
         suns = [light for light in self.scene.lights if light.kind == "sun"]
         rows = np.zeros((GEOMETRY["HAZE"] + 1, 4), np.float64)
@@ -114,13 +116,13 @@ class FlatScene:
 
 
 def nearest_first(objects: np.ndarray) -> np.ndarray:
-    """Indices of objects (N, 7, 4) by the distance of their bounding spheres from the camera."""
+    """Return the indices of objects (N, 7, 4), sorted by the distance of their bounding spheres from the camera."""
     distance = np.linalg.norm(objects[:, 0, :3], axis=-1) - objects[:, 0, 3]
     return np.argsort(distance, kind="stable").astype(np.int32)
 
 
 def build_tree(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A tree over boxes (N, 3): nodes (M, 2, 4) float32 in depth-first order, and each box's leaf (N,) int32.
+    """Return a tree over boxes (N, 3): nodes (M, 2, 4) float32 in depth-first order, and each box's leaf (N,) int32.
 
     A node is (min, next node when missed), (max, box or −1); the integers are stored as their bits. The
     larger half comes first, so that big occluders are met early.
@@ -147,7 +149,7 @@ def build_tree(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _split(members: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two parts at the cheapest place along any axis by the surface area heuristic; the larger part first."""
+    """Return two parts at the cheapest place along any axis by the surface area heuristic; the larger part first."""
     low, high = low[members], high[members]
     center = low + high
     best: tuple[float, Any] = (np.inf, None)
@@ -165,7 +167,7 @@ def _split(members: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.n
 
 
 def _areas(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Surface areas of the boxes around the first 1, 2, … of the boxes (N, 3)."""
+    """Return the surface areas of the boxes around the first 1, 2, … of the boxes (N, 3)."""
     size = np.maximum.accumulate(high) - np.minimum.accumulate(low)
     return size[:, 0] * size[:, 1] + size[:, 1] * size[:, 2] + size[:, 2] * size[:, 0]
 

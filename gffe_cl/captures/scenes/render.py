@@ -1,4 +1,4 @@
-"""Rendering built-in scenes to sequences on disk (`gffe render`)."""
+"""Rendering of built-in scenes to sequences on disk (`gffe render`)."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def render_sequence(
     cluster: Cluster | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> int:
-    """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
+    """Render `frames` frames of `scene` at `fps` into the folder `output`, and return how many were written.
 
     With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the rendered frame
     before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
     `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
     display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
-    exact but for its camera. `compression` is that of the EXRs (see
-    `SequenceWriter`). With a `cluster` its workers render what is written here, each on the device that GFFE_DEVICE
-    chooses there; `device` may be None, and windows not adaptive, because these follow from frame to frame. `on_frame`
-    is called after every frame. Raises GffeError.
+    exact but for its camera. `compression` is that of the EXRs (see `SequenceWriter`). With a `cluster` its workers
+    render the frames that are written here, each on the device that GFFE_DEVICE chooses there; `device` may be None,
+    and windows not adaptive, because these follow from frame to frame. `on_frame` is called after every frame. Raises
+    GffeError.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -121,7 +121,7 @@ def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
 def _written(
     job: _Job, made: SceneFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
 ) -> Iterator[tuple[FrameEntry, dict]]:
-    """Return the written frames for frame `k`, rendered after `before`: the frame and the truth after it."""
+    """Yield the written frames for frame `k`, rendered after `before`: the frame and the truth after it."""
     halves = made.half_motions(frame, before) if before and job.encoding.looks_up_twice else None
     stored = job.encoding.frame(frame, job.scene.exposure, halves)
     yield rendered_entry(k, stored, job.size), named_channels(stored.color, stored.depth, stored.motion)

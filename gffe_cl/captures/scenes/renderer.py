@@ -1,4 +1,4 @@
-"""Rendering a built-in scene on an OpenCL device."""
+"""Renderer of a built-in scene on an OpenCL device."""
 
 from __future__ import annotations
 
@@ -66,18 +66,18 @@ class SceneImage:
     queue: cl.CommandQueue
 
     def read(self, name: str) -> np.ndarray:
-        """A copy on the host of the buffer `name`, as in `SceneArrays`."""
+        """Return a copy on the host of the buffer `name`, as in `SceneArrays`."""
         channels, dtype = _LAYOUT[name]
         out = np.empty((self.height, self.width, *channels), dtype)
         cl.enqueue_copy(self.queue, out, getattr(self, name))
         return np.ascontiguousarray(out[..., :3]) if name == "color" else out
 
     def numpy(self) -> SceneArrays:
-        """Copies on the host."""
+        """Return copies of all buffers on the host."""
         return SceneArrays(**{name: self.read(name) for name in _LAYOUT})
 
     def copy_to(self, buffers: tuple[cl.Buffer, cl.Buffer, cl.Buffer]) -> None:
-        """Color, depth and motion into device buffers of just their size."""
+        """Enqueue copies of color, depth and motion into device buffers of exactly their size."""
         for buffer, made in zip(buffers, (self.color, self.depth, self.motion), strict=True):
             cl.enqueue_copy(self.queue, buffer, made, byte_count=buffer.size)
 
@@ -131,18 +131,18 @@ class SceneRenderer:
         phase: int = 0,
         motion_step: float = 0.0,
     ) -> SceneImage:
-        """Render at `time` through `camera` (pixels of this renderer's image, any principal point).
+        """Render at `time` through `camera` (pixels of this renderer's image, any principal point), and return the
+        image.
 
         Parameters
         ----------
         other_time, other_camera
-            What motion and other_position refer to: normally the previous rendered frame, but any time
-            before or
-            after will do. None: the same time; the same camera.
+            The frame that motion and other_position refer to: normally the previous rendered frame, but any time before
+            or after will do. None: the same time; the same camera.
         offset : (3,) world units
             The whole world is moved by it; `camera` and `other_camera` stand in the moved world.
         phase : int
-            Of the directions in which rough surfaces reflect: frames of different phases average to more of them.
+            Phase of the directions in which rough surfaces reflect: frames of different phases average to more of them.
         motion_step : float
             Pixels to multiples of which motion is rounded; 0: exact.
         """

@@ -1,4 +1,4 @@
-"""The words a scene is described with: primitives, materials, groups, lights, air, camera path, scene.
+"""Types that describe a scene: primitives, materials, groups, lights, air, camera path, scene.
 
 World axes: x right, y up, z towards the viewer; meters, seconds. Colors are linear RGB; light colors are
 intensities (radiance at one meter) for lamps and irradiance for the sun, scaled so that a white surface
@@ -63,7 +63,7 @@ class Material:
     seed : int
         Varies the texture.
     flicker : time → factor, or None
-        Of the emission.
+        Factor on the emission.
     """
 
     color: tuple = (0.5, 0.5, 0.5)
@@ -100,7 +100,7 @@ class Primitive:
 
 
 def Box(center, size, material) -> Primitive:
-    """Axis-aligned box of full edge lengths `size`."""
+    """Return an axis-aligned box of full edge lengths `size`."""
     return Primitive(BOX, (*center, 0.0), (*(0.5 * s for s in size), 0.0), material)
 
 
@@ -121,7 +121,7 @@ def Cylinder(start, end, radius, material) -> Primitive:
 
 
 def Cone(start, end, start_radius, end_radius, material) -> Primitive:
-    """Truncated cone with flat caps."""
+    """Return a truncated cone with flat caps."""
     return Primitive(CONE, (*start, start_radius), (*end, end_radius), material)
 
 
@@ -199,13 +199,14 @@ class Scene:
     motion_step: float = 0.0
 
     def camera(self, time: float, width: int, height: int) -> Camera:
-        """The camera at `time` for an image of the given size, principal point in its middle."""
+        """Return the camera at `time` for an image of the given size, principal point in its middle."""
         focal = self.focal * height
         return Camera.look_at(self.eye(time), self.target(time), (0.0, 1.0, 0.0), focal, focal, width / 2, height / 2)
 
 
 def wave(center, amplitude, period, phase: ArrayLike = 0.0) -> Callable[[float], np.ndarray]:
-    """Smooth wandering: center + amplitude · sin(2π (time / period + phase)), per coordinate."""
+    """Return a smoothly wandering function of time: center + amplitude · sin(2π (time / period + phase)), per
+    coordinate."""
     center, amplitude = np.asarray(center, np.float64), np.asarray(amplitude, np.float64)
     period, phase = np.broadcast_to(period, 3), np.broadcast_to(phase, 3)
 
@@ -216,16 +217,16 @@ def wave(center, amplitude, period, phase: ArrayLike = 0.0) -> Callable[[float],
 
 
 def tint(color, factor) -> tuple:
-    """`color` times a factor or a color."""
+    """Return `color` times a factor or a color."""
     return tuple(float(c) for c in np.asarray(color) * np.asarray(factor))
 
 
 def vary(rng: np.random.Generator, color, amount=0.15) -> tuple:
-    """`color` with each channel and the whole scaled by up to ± `amount`."""
+    """Return `color` with each channel and the whole scaled by up to ± `amount`."""
     scale = (1 + amount * rng.uniform(-1, 1)) * (1 + 0.6 * amount * rng.uniform(-1, 1, 3))
     return tuple(float(c) for c in np.clip(np.asarray(color) * scale, 0.0, None))
 
 
 def pick(rng: np.random.Generator, *choices) -> Any:
-    """One of `choices`."""
+    """Return one of `choices`, at random."""
     return choices[int(rng.integers(len(choices)))]

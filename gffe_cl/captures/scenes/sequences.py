@@ -1,4 +1,4 @@
-"""Frames of a built-in scene at any times, as an engine would hand them over."""
+"""Frames of a built-in scene at any times, as an engine would submit them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
 
 
 def require_frames(count: int, fps: float) -> None:
-    """GffeError unless a scene can be asked for `count` rendered frames at `fps`."""
+    """Raise GffeError unless a scene can be asked for `count` rendered frames at `fps`."""
     if count < 1 or not (0 < fps < float("inf") and 1.0 / fps < float("inf")):
         raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
 
@@ -30,11 +30,11 @@ class SceneFrames:
     Parameters
     ----------
     windows : WindowChooser or None
-        Chooses what each rendered frame is rendered through. None: what is shown.
+        Chooses the window of each rendered frame. None: no windows.
     size : (width, height) or None
-        Of the display, pixels; that of the renderer's image if None.
+        Size of the display, pixels; that of the renderer's image if None.
     jitter : Jitter or None
-        Of rendered frames. None: none.
+        Jitter of rendered frames. None: none.
     truths : SceneRenderer or None
         Renders truth; its image has the display's size. None: `renderer`, where that has it.
     """
@@ -76,14 +76,15 @@ class SceneFrames:
         return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
 
     def image(self, time: float, camera: Camera, before: RenderedFrame | None = None, number: int = 0) -> SceneImage:
-        """On the device, until the next one is rendered. Motion refers to `before`, rounded as the scene's is;
-        None: to the frame itself. `number`: for jitter."""
+        """Return the image at `time` seen by `camera`, on the device until the next one is rendered. Motion refers to
+        `before`, rounded as the scene's is; None: to the frame itself. `number`: for jitter."""
         phase = number % self.jitter.length
         other = before and before.time, before and before.camera
         return self.renderer.render(time, camera, *other, phase=phase, motion_step=self.scene.motion_step)
 
     def rendered(self, time: float, before: RenderedFrame | None = None, number: int = 0) -> RenderedFrame:
-        """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for jitter."""
+        """Return the rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for
+        jitter."""
         shown = self.display_camera(time)
         camera = self.render_camera(shown, before, number)
         image = self.image(time, camera, before, number).numpy()
@@ -112,8 +113,8 @@ class SceneFrames:
         return self._truths.render(time, self.display_camera(time), before and before.time, before and before.camera)
 
     def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
-        """`count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's) apart;
-        the first is a reset."""
+        """Yield `count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's)
+        apart; the first is a reset."""
         fps = fps or self.scene.fps
         require_frames(count, fps)
         step = 1.0 / fps

@@ -1,4 +1,4 @@
-"""Input that is legal but suspicious (warnings), and bad pixels where they are not wanted (strict)."""
+"""Checks of input that is legal but suspicious (warnings), and of bad pixels in strict mode."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _SEEN_MOVING = 0.5  # pixels
 
 
 def require_clean(file: str, bad: BadPixels) -> None:
-    """Strict mode: GffeError if a frame holds bad pixels."""
+    """Raise GffeError if a frame holds bad pixels (strict mode)."""
     if bad:
         raise GffeError(f"{file}: {bad} (strict)")
 
 
 def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:
-    """Sentences about frame times that look wrong; `frames` are the rendered ones, by time."""
+    """Return sentences about frame times that look wrong; `frames` are the rendered ones, by time."""
     steps = np.diff([entry.time for entry in frames])
     steps = [step for step, entry in zip(steps, frames[1:], strict=True) if not entry.reset]
     if not steps:
@@ -34,7 +34,8 @@ def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:
 
 
 def zero_motion_warning(motion, depth, camera: Camera, previous: Camera) -> str | None:
-    """A sentence if `motion` (H, W, 2) is zero everywhere although the camera moved since the frame before.
+    """Return a sentence if `motion` (H, W, 2) is zero everywhere although the camera moved since the frame before, else
+    None.
 
     The camera moved if the center or a corner of the image, at the median of `depth` (H, W), moved by more
     than half a pixel.

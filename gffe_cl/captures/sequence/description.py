@@ -48,16 +48,16 @@ class FrameEntry:
     file : str
         EXR file, relative to the sequence's folder.
     time : float
-        Seconds.
+        Time of the frame, seconds.
     kind : "rendered", "ground_truth" or "extrapolated"
     reset : bool
-        Nothing before this rendered frame may be used; always true for the first one.
+        Whether frames before this rendered one must not be used; always true for the first one.
     render_size : (width, height) or None
-        Pixels of the stored images; None means the display size.
+        Size of the stored images in pixels; None means the display size.
     render_camera : Camera or None
-        In render pixels. None for frames that are not rendered.
+        Render camera, in render pixels. None for frames that are not rendered.
     display_camera : Camera or None
-        In display pixels. For rendered frames None means the frustum of the render camera; in an opened
+        Display camera, in display pixels. For rendered frames None means the frustum of the render camera; in an opened
         sequence it is always set for them, and None elsewhere if neither JSON nor EXR header has one.
     source : str or None
         The rendered frame that an extrapolated one was made from.
@@ -80,7 +80,7 @@ class FrameEntry:
 
     @property
     def place(self) -> str:
-        """Path of the file, seen from the folder."""
+        """Path of the file, relative to the folder."""
         return self.elsewhere or self.file
 
 
@@ -100,7 +100,8 @@ class Description:
 
 @contextmanager
 def without_collections() -> Iterator[None]:
-    """Without Python's search for garbage, which many objects make several times as long and which finds none."""
+    """Disable Python's cyclic garbage collector during the block. With many objects it takes several times as long as
+    the work, and finds none."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -112,7 +113,8 @@ def without_collections() -> Iterator[None]:
 
 @without_collections()
 def parse_description(text: str, name: str = FILE_NAME) -> Description:
-    """Check everything in the JSON `text`. Raises GffeError naming the file `name` and the frame."""
+    """Check everything in the JSON `text` and return its content. Raises a GffeError that names the file `name` and the
+    frame."""
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -165,7 +167,7 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
 
 
 def _require_names(frames: list[FrameEntry], name: str) -> None:
-    """GffeError if two files of different folders would be called the same."""
+    """Raise GffeError if two files of different folders would have the same name."""
     places: dict[str, str] = {}
     for index, entry in enumerate(frames):
         other = places.setdefault(entry.file, entry.place)
@@ -179,8 +181,8 @@ def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
 
 
 def check_times(frames: list[FrameEntry], name: str = FILE_NAME) -> None:
-    """GffeError unless times increase. Extrapolated frames may coincide with others: with α ≥ 1 they reach
-    the time of the next rendered frame."""
+    """Raise GffeError unless times increase. Extrapolated frames may coincide with others: with α ≥ 1 they reach the
+    time of the next rendered frame."""
     last = {"any": -math.inf, "given": -math.inf}
     for index, entry in enumerate(frames):
         given = entry.kind != "extrapolated"
@@ -209,7 +211,8 @@ def require_one_size(frames: Iterable[FrameEntry], size: tuple[int, int], label:
 
 
 def check_file_name(file, label: str) -> str:
-    """`file`, as Python calls it on disk, if it is a relative path inside the sequence's folder, else GffeError."""
+    """Return `file` as Python's name of it on disk. Raises GffeError unless it is a relative path inside the sequence's
+    folder."""
     if isinstance(file, str) and _PLAIN_NAME.fullmatch(file) and file != FILE_NAME:
         return file
     name = _on_disk(file) if isinstance(file, str) and file.strip() and "\0" not in file else None
@@ -221,8 +224,8 @@ def check_file_name(file, label: str) -> str:
 
 
 def reference(file, label: str) -> tuple[str, str | None]:
-    """As `check_file_name`, for a file that is read: its name, and its path if that leaves the folder, which is a
-    GffeError unless links are followed (`gffe_cl.engine.core.files.following_links`)."""
+    """Return the name of a file that is read, as `check_file_name` does, and its path if that leaves the folder. Raises
+    GffeError if it leaves the folder unless links are followed (`gffe_cl.engine.core.files.following_links`)."""
     if not isinstance(file, str) or not _leaves(file):
         return check_file_name(file, label), None
     if not following_links():
@@ -249,8 +252,8 @@ def _on_disk(name: str) -> str | None:
 
 
 def read_text(path: Path, most: int = _MAX_BYTES) -> str:
-    """Text of a `sequence.json` in UTF-8, also after a byte order mark; GffeError if it cannot be read or has more than
-    `most` bytes."""
+    """Return the text of a `sequence.json` in UTF-8, also after a byte order mark. Raises GffeError if it cannot be
+    read or has more than `most` bytes."""
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size
@@ -266,7 +269,7 @@ def read_text(path: Path, most: int = _MAX_BYTES) -> str:
 
 
 def describe(description: Description, generator: str) -> str:
-    """The JSON text of a sequence; parse_description's inverse."""
+    """Return the JSON text of a sequence: the inverse of `parse_description`."""
     document = {
         "format": FORMAT,
         "version": VERSION,

@@ -54,14 +54,16 @@ PRESETS = {"engine": ("half-uv", TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAME
 
 @dataclass(frozen=True)
 class Encoding:
-    """`parts`: names of PARTS; `size`: (width, height), pixels, of the image in whose sides motion is stored."""
+    """Encoding of a frame's buffers. `parts`: names of PARTS; `size`: (width, height), pixels, of the image in whose
+    sides motion is stored."""
 
     parts: frozenset[str] = frozenset()
     size: tuple[int, int] = CODE_SIZE
 
     @classmethod
     def parse(cls, text: str, size: tuple[int, int] = CODE_SIZE) -> Encoding:
-        """PART[,PART…] → Encoding; the names of PRESETS stand for several parts. Raises GffeError."""
+        """Return the encoding of a text PART[,PART…]; the names of PRESETS stand for several parts. Raises
+        GffeError."""
         parts: set[str] = set()
         for name in text.split(","):
             if name not in PARTS and name not in PRESETS:
@@ -78,7 +80,7 @@ class Encoding:
         return TWO_LOOKUPS in self.parts
 
     def motion(self, motion: np.ndarray) -> np.ndarray:
-        """Motion (H, W, 2) float32, pixels, as it is after being stored. NaN stays NaN."""
+        """Return motion (H, W, 2) float32, pixels, after being stored. NaN stays NaN."""
         code = next((MOTION_CODES[name][1] for name in self.parts if name in MOTION_CODES), None)
         if code is None:
             return motion
@@ -92,7 +94,7 @@ class Encoding:
         exposure: float = 1.0,
         half_motions: Iterable[np.ndarray] | None = None,
     ) -> RenderedFrame:
-        """`frame`, of host arrays, as it is after being stored. `half_motions`: see `looked_up`; None: its motion is
+        """Return `frame`, of host arrays, after being stored. `half_motions`: see `looked_up`; None: its motion is
         looked up once."""
         motion = frame.motion
         if motion is not None:
@@ -106,8 +108,8 @@ class Encoding:
         return replace(frame, color=color, depth=depth, motion=motion, camera=camera, display_camera=shown)
 
     def looked_up(self, motions: Iterable[np.ndarray]) -> np.ndarray:
-        """Motion (H, W, 2) over as many intervals as there are `motions` (H, W, 2), in pixels, each stored for itself:
-        the first one leads one interval back, and there the second one, of the nearest pixel, goes on."""
+        """Return motion (H, W, 2) over as many intervals as there are `motions` (H, W, 2), in pixels, each stored for
+        itself: the first one leads one interval back, and there the second one, of the nearest pixel, goes on."""
         first, *others = motions
         height, width = first.shape[:2]
         y, x = np.mgrid[:height, :width] + 0.5
@@ -118,14 +120,14 @@ class Encoding:
         return total
 
     def color(self, color: np.ndarray, exposure: float = 1.0) -> np.ndarray:
-        """Linear color (H, W, 3) as it is after being stored."""
+        """Return linear color (H, W, 3) after being stored."""
         if COLOR_8BIT not in self.parts:
             return color
         return linear_values(np.round(to_display(color, exposure) * 255) / 255, exposure).astype(np.float16)
 
     def cameras(self, time: float, camera: Camera | None, *others: Camera | None) -> tuple[Camera | None, ...]:
-        """Cameras of the frame at `time` (seconds) as a fit finds them: all of them turn alike, by pixels of the
-        first one. None stays None."""
+        """Return the cameras of the frame at `time` (seconds) with the error of a camera fit: all of them turn alike,
+        by pixels of the first one. None stays None."""
         if NOISY_CAMERA not in self.parts or camera is None:
             return camera, *others
         rng = np.random.default_rng(np.float64(time).view(np.uint64))
@@ -134,7 +136,7 @@ class Encoding:
 
 
 def _turn(x: float, y: float, z: float) -> np.ndarray:
-    """(4, 4) rotation by small angles about the view axes, radians: the nearest rotation to 1 + [v]ₓ."""
+    """Return the rotation (4, 4) by small angles about the view axes, radians: the nearest rotation to 1 + [v]ₓ."""
     turn = np.eye(4)
     u, _, v = np.linalg.svd(np.eye(3) + np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
     turn[:3, :3] = u @ v

@@ -1,4 +1,4 @@
-"""Pixels of OpenEXR files: reading those of any writer, writing our own."""
+"""Reader and writer of the pixels of OpenEXR files: it reads those of any writer, and writes our own."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ DEFAULT_COMPRESSION = "zip"
 
 
 def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndarray]:
-    """Channels `names` of the EXR file at `path` as (H, W) arrays, float16, float32 or uint32 as stored.
+    """Return the channels `names` of the EXR file at `path` as (H, W) arrays, float16, float32 or uint32 as stored.
 
     `size` is the expected (width, height). Raises GffeError, beginning with `label`, for missing channels,
     another size, and files that are truncated or damaged.
@@ -50,7 +50,7 @@ def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndar
 
 
 def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label: str) -> list[np.ndarray]:
-    """The channels at `places`, (part, name), of the EXR file at `path`, as `read_channels` gives them."""
+    """Return the channels at `places`, (part, name), of the EXR file at `path`, as `read_channels` does."""
     sides = [part.size for part in header.parts]
     nbytes = sum(
         width * height * sum(_BYTES[kind] for kind in part.channels.values())
@@ -94,7 +94,8 @@ def view_note(header: ExrHeader, label: str, view: str | None = None) -> list[st
 
 
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
-    """(part, channel) for each of `names`; GffeError for the first that is not there, or in several parts."""
+    """Return (part, channel) for each of `names`. Raises GffeError for the first that is not there, or in several
+    parts."""
     places = []
     for name in names:
         place = place_of(header, name, label)
@@ -106,12 +107,13 @@ def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, st
 
 
 def require_size(header: ExrHeader, names, size, label: str) -> None:
-    """GffeError if a part that holds one of `names` is subsampled or not `size` = (width, height)."""
+    """Raise GffeError if a part that holds one of `names` is subsampled or not `size` = (width, height)."""
     require_parts(header, [index for index, _ in require_channels(header, names, label)], size, label)
 
 
 def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
-    """Require one size and one place of parts, by their numbers, as `require_size` does of channels."""
+    """Raise GffeError unless parts, given by their numbers, have one place and the size `size`, as `require_size` does
+    for channels."""
     indices = set(indices)
     if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
         windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))
@@ -126,8 +128,8 @@ def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -
 
 
 def stored_type(name: str, array, copy: bool = True) -> np.ndarray:
-    """A copy of `array`, or with `copy` off perhaps itself, in the type that channel `name` is stored in: half stays
-    half, small integers and masks become half, Z, motion and everything else float32."""
+    """Return `array` in the type in which channel `name` is stored: half stays half, small integers and masks become
+    half, Z, motion and everything else float32. It is a copy, or with `copy` off perhaps `array` itself."""
     array = np.asarray(array)
     floats = name.startswith(_FLOAT_CHANNELS)
     if not floats and array.dtype in (np.uint8, np.bool_):
@@ -138,7 +140,7 @@ def stored_type(name: str, array, copy: bool = True) -> np.ndarray:
 
 
 def require_compression(name: str) -> str:
-    """`name` if it is one of `COMPRESSIONS` that the installed library has, else GffeError."""
+    """Return `name`. Raises GffeError unless it is one of `COMPRESSIONS` that the installed library has."""
     require_choice(name, COMPRESSIONS, "compression")
     if not hasattr(OpenEXR, _constant(name)):
         raise GffeError(f"compression '{name}' needs a newer OpenEXR than {OpenEXR.OPENEXR_VERSION} (expected another)")
@@ -146,7 +148,7 @@ def require_compression(name: str) -> str:
 
 
 def codec_seconds() -> float:
-    """CPU time that all threads of this process have spent in the OpenEXR library so far."""
+    """Return the CPU time that all threads of this process have spent in the OpenEXR library so far, seconds."""
     return _spent[0]
 
 
@@ -200,7 +202,7 @@ def write_channels(
 
 
 def partial_name(path: Path) -> Path:
-    """Where `path` is kept until it is whole."""
+    """Return the path at which `path` is kept until it is whole."""
     return path.with_name(f".{path.name}.part")
 
 

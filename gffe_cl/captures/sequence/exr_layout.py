@@ -1,9 +1,8 @@
-"""Headers of OpenEXR files, read without the OpenEXR library.
+"""Reader of OpenEXR headers that does not use the OpenEXR library.
 
-The library prints to the console and hands back a file without parts where a file is cut off, and writes to a
-full disk without a word. So the header and the chunk offset table are looked at here first: cheap (no pixels
-are touched), and everything that a truncated file can do is found before the library sees it.
-Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
+For a truncated file the library prints to the console and returns a file without parts. On a full disk it reports no
+error. So the header and the chunk offset table are checked here first. That is cheap (no pixels are read), and finds
+every truncated file before the library opens it. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class ExrPart:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of the data window."""
+        """Width and height of the data window."""
         x0, y0, x1, y1 = self.data_window
         return x1 - x0 + 1, y1 - y0 + 1
 
@@ -65,7 +64,7 @@ class ExrPart:
         return part
 
     def matrix(self, name: str) -> np.ndarray:
-        """(4, 4) float64, as stored, of `matrices`."""
+        """Return the matrix `name` of `matrices`, (4, 4) float64, as stored."""
         form, data = self.matrices[name]
         return np.frombuffer(data, "<f4" if form == "m44f" else "<f8", 16).astype(np.float64).reshape(4, 4)
 
@@ -146,7 +145,7 @@ def _view_of(part: ExrPart, channel: str) -> tuple[str | None, str]:
 
 
 class _Short(Exception):
-    """The bytes at hand end inside the header."""
+    """Exception: the bytes at hand end inside the header."""
 
 
 class _Cursor:
@@ -171,14 +170,14 @@ class _Cursor:
 
 
 class HeaderReader:
-    """Reads headers, quicker those that are like one read before but for their matrices, as in a sequence."""
+    """Reads headers. It is faster for those that equal one read before except for their matrices, as in a sequence."""
 
     def __init__(self):
         self._known: list[_Known] = []
 
     def read(self, path: str | Path, label: str, matrices: bool = True) -> ExrHeader:
-        """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors. Without
-        `matrices` those may be another file's.
+        """Return the header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
+        Without `matrices` those may be another file's.
 
         Raises GffeError if the file is missing, no EXR, deep, or ends before its last chunk of pixels.
         """
@@ -214,7 +213,7 @@ class HeaderReader:
 
 
 def read_header(path: Path, label: str) -> ExrHeader:
-    """As `HeaderReader.read`, of a single file."""
+    """Return the header of a single EXR file, checked as by `HeaderReader.read`. Raises GffeError as it does."""
     return HeaderReader().read(path, label)
 
 
@@ -240,7 +239,7 @@ class _Known:
 
 
 class _Span(NamedTuple):
-    """Where in a file the values of a matrix are."""
+    """Position in a file of the values of a matrix."""
 
     part: int
     name: str
@@ -301,7 +300,7 @@ def _check_part(part: ExrPart, label: str) -> None:
 
 
 def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
-    """The next header, of part `index`; None for the empty one that ends a multi-part list."""
+    """Return the next header, of part `index`; None for the empty one that ends a multi-part list."""
     part, kind = ExrPart(), ""
     name = cursor.text()
     if not name:
@@ -390,7 +389,8 @@ def _chunk_count(part: ExrPart) -> int | None:
 
 
 def _check_chunks(file, data, size, header, label):
-    """Every chunk must have been written, and the last one must end inside the file. `data`: its first bytes."""
+    """Raise GffeError unless every chunk has been written, and the last one ends inside the file. `data`: its first
+    bytes."""
     table = header.end
     for part, chunks in zip(header.parts, header.chunk_tables, strict=True):
         if chunks is None:

@@ -1,7 +1,7 @@
 """Standard attributes of EXR headers: which are carried on to new frames, and which are reported because nothing here
 can use them. docs/formats.md lists all of them.
 
-Those that say how pixels are stored and where (windows, compression, tiles, views, cameras) are used by the readers.
+Attributes about the storage of pixels (windows, compression, tiles, views, cameras) are used by the readers.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _is_sound(name: str, value: Any) -> bool:
 def reported(
     header: ExrHeader, label: str, exact: Iterable[tuple[int, str]] = (), fps: float | None = None
 ) -> list[str]:
-    """Return sentences about what a header says and nothing here can use: `exact` channels, which hold depth or motion,
+    """Return sentences about contents of a header that are not supported: `exact` channels, which hold depth or motion,
     that were approximated, pixels that are not square, panoramas, and another frame rate than `fps`."""
     exact = list(exact)
     lossy = [(header.parts[index], name) for index, name in exact if _is_approximated(header.parts[index], name)]
@@ -94,7 +94,7 @@ def reported(
 
 
 def frame_rate(part: ExrPart, name: str = "framesPerSecond") -> float | None:
-    """Return the frame rate in the attribute `name`, None if it is missing or none."""
+    """Return the frame rate in the attribute `name`, None if it is missing or invalid."""
     above, _, below = part.texts.get(name, "").partition("/")
     try:
         rate = float(above) / float(below or 1)

@@ -18,7 +18,7 @@ _TOLERANCE = 1e-3
 
 
 def camera_attributes(camera: Camera, width: int, height: int) -> dict[str, np.ndarray]:
-    """Header attributes of `camera` for a display window of `width` × `height` pixels: (4, 4) float32, v·M.
+    """Return the header attributes of `camera` for a display window of `width` × `height` pixels: (4, 4) float32, v·M.
 
     NDC depth is 1 − 1/z (z in world units); the standard leaves it open.
     """
@@ -39,7 +39,7 @@ def has_camera(part: ExrPart) -> bool:
 
 
 def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
-    """(render camera, display camera) of a part with both attributes, in pixels of its data window and of its
+    """Return (render camera, display camera) of a part with both attributes, in pixels of its data window and of its
     display window; the data window may be larger (overscan) or lie elsewhere.
 
     Raises GffeError if the matrices are not finite, singular or do not belong together.
@@ -70,7 +70,7 @@ def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
 
 
 def _decompose(world_to_camera, world_to_ndc):
-    """Column-vector matrices → (how far from a pinhole, world_to_view, (3, 3) projection to NDC)."""
+    """Return (how far from a pinhole, world_to_view, (3, 3) projection to NDC) of column-vector matrices."""
     world_to_view = _FLIP_Y @ world_to_camera
     left, scale, right = np.linalg.svd(world_to_view[:3, :3])
     if np.abs(world_to_view[3] - (0, 0, 0, 1)).max() > 1e-5 or np.abs(scale - 1).max() > 1e-2:

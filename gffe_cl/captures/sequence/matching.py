@@ -1,4 +1,4 @@
-"""Lookup of a sequence's frames by time. The only definition of the tolerance."""
+"""Lookup of a sequence's frames by time. No other module defines the tolerance."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Timeline:
         self._times = {kind: [entry.time for entry in entries] for kind, entries in self._of_kind.items()}
 
     def tolerance(self, time: float) -> float:
-        """Seconds around `time` that count as the same time: 1/50 of the interval between the rendered frames around
-        it; after the last one, or before a reset, of the interval before that frame; else of 1/fps."""
+        """Return the seconds around `time` that count as the same time: 1/50 of the interval between the rendered
+        frames around it; after the last one, or before a reset, of the interval before that frame; else of 1/fps."""
         rendered, times = self._of_kind["rendered"], self._times["rendered"]
         k = max(bisect_right(times, time) - 1, 0)
         interval = 1 / self._fps

@@ -1,8 +1,8 @@
 """Calls of the OpenEXR library without its messages on standard error.
 
-It prints to Python's standard output and, from C, to descriptors 1 and 2, and cannot be told otherwise. On Linux a
-thread can have descriptors of its own: the library works on such a thread, while those of the process stay what they
-are, for drivers and all other threads. Elsewhere what it prints from C reaches the console.
+It prints to Python's standard output and, from C, to descriptors 1 and 2, and has no option against it. On Linux a
+thread can have descriptors of its own. The library works on such a thread, while those of the process stay unchanged
+for drivers and all other threads. Elsewhere its output from C reaches the console.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class _Call:
 
 
 def _own_descriptors() -> tuple[int | None, int | None]:
-    """Give this thread file descriptors of its own. Returns the files behind 1 and 2, None if the system cannot do
+    """Give this thread file descriptors of its own. Return the files behind 1 and 2, None if the system cannot do
     it."""
     if not sys.platform.startswith("linux") or not hasattr(os, "memfd_create"):
         return None, None

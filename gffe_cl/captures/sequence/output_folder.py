@@ -1,8 +1,8 @@
 """Output folder of a sequence: rules for files that may be replaced.
 
 Files are written into the folder `gffe-unfinished` within it and moved to their places when all of them are whole:
-until then an earlier output stays what it was. A journal in there is locked while a run is writing; the lock ends with
-its process, however that ends. What a killed process leaves is cleared away by the next run.
+until then an earlier output stays unchanged. A journal in there is locked while a run is writing; the lock ends with
+its process, however that ends. The next run removes files that a killed process left.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ _TRIES = 20  # at entering a folder that another run is just leaving
 
 
 def refuse_same_folder(output, source) -> None:
-    """GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder, or if writing to the
-    one would clear away the other."""
+    """Raise GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder, or if writing to
+    the one would remove the other."""
     output_folder, folder = (os.path.realpath(_folder_of(path)) for path in (output, source))
     if folder == output_folder or Path(folder).is_relative_to(os.path.join(output_folder, STAGING)):
         raise GffeError(f"{output}: the output would overwrite its input (expected another folder)")
 
 
 def why_unfinished(folder: Path) -> str | None:
-    """Where `folder` has no `sequence.json`, because it is still being written or was never finished: a sentence."""
+    """Return a sentence if `folder` has no `sequence.json` because it is still being written or was never finished,
+    else None."""
     journal = folder / STAGING / _JOURNAL
     with contextlib.suppress(OSError), open_regular(journal) as file:
         if not lock(file, shared=True):
@@ -89,16 +90,17 @@ class OutputFolder:
         return self._place(name)
 
     def folder(self, name: str) -> Path:
-        """Where to write files that are not frames and go into the folder `name` with them."""
+        """Return the folder for files that are not frames and go into the folder `name` with them."""
         path = self._place(name)
         path.mkdir(exist_ok=True)
         return path
 
     def keep(self, document: str, files: list[str], interrupted: bool) -> Path:
-        """Finish: own files are replaced or go, and `sequence.json` with the text `document` appears at once.
+        """Finish the output, and return the folder of the sequence. Own files are replaced or removed, and
+        `sequence.json` with the text `document` appears at once.
 
-        Of an `interrupted` run that found an earlier output, that stays as it is, and the new frames stay beside it.
-        Returns the folder of the sequence.
+        If the run was `interrupted` and found an earlier output, that stays unchanged, and the new frames stay beside
+        it.
         """
         path = self.path / FILE_NAME
         try:
@@ -147,7 +149,7 @@ class OutputFolder:
     # ---- one run at a time -----------------------------------------------------------------------------
 
     def _enter(self) -> TextIO:
-        """The journal, locked."""
+        """Return the journal, locked. Raises GffeError if another run is writing into the folder."""
         journal = self.staging / _JOURNAL
         for _ in range(_TRIES):
             self._make_folder(self.path)
@@ -247,7 +249,7 @@ class OutputFolder:
                     path.unlink()
 
     def _is_inside(self, path: Path) -> bool:
-        """Whether no link leads out of the folder."""
+        """Return whether no link leads out of the folder."""
         return Path(os.path.realpath(path.parent)).is_relative_to(os.path.realpath(self.path))
 
     def _make_folder(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Where the pixels of a sequence come from: EXR files of our own form, or a foreign capture's."""
+"""Sources of a sequence's pixels: EXR files of our own form, or a foreign capture's."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ OVERLAY_CHANNELS = {
 class Pixels(Protocol):
     """Pixels of frames, by their entries. `size` is (width, height) of the image. All methods raise GffeError that
     names the file if it is missing or damaged. `notes`: warnings; `attributes`: of EXR headers, which new frames get;
-    `settings`: buffer settings in the capture's
-    description, for formats with an editable description."""
+    `settings`: buffer settings in the capture's description, for formats with an editable description."""
 
     notes: list[str]
     attributes: dict[str, Any]
@@ -46,11 +45,11 @@ class Pixels(Protocol):
         ...
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
-        """Linear RGB (H, W, 3), float16 or float32, of any frame."""
+        """Return linear RGB (H, W, 3), float16 or float32, of any frame."""
         ...
 
     def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
-        """Channels of our own form by name, (H, W) each."""
+        """Return channels of our own form by name, (H, W) each."""
         ...
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
@@ -59,7 +58,7 @@ class Pixels(Protocol):
 
 
 class OwnPixels:
-    """One EXR file per frame, in our own form, in `folder`."""
+    """Pixels of our own form: one EXR file per frame, in `folder`."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -102,11 +101,11 @@ class ForeignPixels:
         return *self.rendered(entry, size), None
 
     def rendered(self, entry, size) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """color, depth and motion as `read` gives them."""
+        """Return color, depth and motion as `read` does."""
         raise NotImplementedError
 
     def color(self, entry, size) -> np.ndarray:
-        """As of `Pixels`."""
+        """Return linear RGB (H, W, 3), float16 or float32, as `Pixels.color` does."""
         raise NotImplementedError
 
     def channels(self, entry, names, size):
@@ -132,8 +131,8 @@ def has_motion(header: ExrHeader) -> bool:
 
 
 def require_whole_overlays(header: ExrHeader, file: str, shown: bool) -> None:
-    """GffeError if only some channels of an overlay are there, or a user interface that cannot be in display pixels:
-    unless the image is `shown` as it is."""
+    """Raise GffeError if only some channels of an overlay are there, or a user interface that cannot be in display
+    pixels, unless the image is `shown` unchanged."""
     for field, names in OVERLAY_CHANNELS.items():
         missing = [name for name in names if not header.find(name)]
         if missing and len(missing) < len(names):
@@ -147,7 +146,7 @@ def require_whole_overlays(header: ExrHeader, file: str, shown: bool) -> None:
 
 
 def stack_color(channels: dict[str, np.ndarray]) -> np.ndarray:
-    """(H, W, 3), float16 or float32, of the channels R, G, B."""
+    """Return color (H, W, 3), float16 or float32, from the channels R, G, B."""
     if all(channels[name].dtype == np.float16 for name in COLOR):
         return color_of_planes(channels[name] for name in COLOR)
     color = np.stack([channels[name] for name in COLOR], -1)

@@ -1,4 +1,4 @@
-"""Work on the next few items of a series while the consumer has the current one."""
+"""Parallel work on the next few items of a series while the consumer has the current one."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from itertools import islice
 
 
 def usable_cores() -> int:
-    """Processor cores that this process may use."""
+    """Return how many processor cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def read_ahead(items: Iterable, function: Callable, ahead: int = 2) -> Iterator[tuple]:
     """Yield (item, function(item)) in order, `function` running on threads for the next `ahead`, from now on.
 
-    An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception,
-    Ctrl-C) drops what was not started and waits for what was.
+    An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception, Ctrl-C) drops
+    items that were not started and waits for the others.
     """
     ahead = max(1, ahead)
     items = iter(items)

@@ -1,4 +1,4 @@
-"""Reading a sequence: everything about its files is checked on opening, pixels are read on demand."""
+"""Reader of a sequence: everything about its files is checked on opening, pixels are read on demand."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ CAMERAS = ("needed", "optional")  # of rendered frames
 
 
 class Sequence:
-    """An opened sequence; made by `open_sequence`, or of another form by `open_capture`.
+    """An opened sequence. It is made by `open_sequence`, or from a capture in another form by `open_capture`.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Sequence:
         Display size in pixels.
     fps, exposure : float
     frames : list[FrameEntry]
-        By time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
+        All frames by time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
     known_cameras : list[FrameEntry]
         Times without a picture whose camera is known, of kind "camera_only".
     unfinished : bool
@@ -69,8 +69,8 @@ class Sequence:
     Raises
     ------
     GffeError
-        If rendered frames have several sizes. By methods: for arguments of other types, for files that changed for the
-        worse since opening, and for frames of another kind than expected.
+        If rendered frames have several sizes. Methods raise it for arguments of other types, for files that were
+        damaged since opening, and for frames of another kind than expected.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):
@@ -85,7 +85,7 @@ class Sequence:
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
 
     def __iter__(self) -> Iterator[RenderedFrame]:
-        """The rendered frames in order, the next ones read meanwhile on threads:
+        """Return an iterator over the rendered frames in order. The next ones are read meanwhile on threads.
 
         for frame in gffe.open_sequence(folder):
             pipeline.submit(frame)
@@ -97,63 +97,69 @@ class Sequence:
 
     @property
     def rendered(self) -> list[FrameEntry]:
-        """By time."""
+        """Entries of the rendered frames, by time."""
         return [entry for entry in self.frames if entry.kind == "rendered"]
 
     @property
     def ground_truth(self) -> list[FrameEntry]:
-        """By time."""
+        """Entries of the ground-truth frames, by time."""
         return [entry for entry in self.frames if entry.kind == "ground_truth"]
 
     @property
     def extrapolated(self) -> list[FrameEntry]:
-        """By time."""
+        """Entries of the extrapolated frames, by time."""
         return [entry for entry in self.frames if entry.kind == "extrapolated"]
 
     def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
-        """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. All
-        matching of frames uses this. `source`: only frames that were extrapolated from this one."""
+        """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. The
+        result is None if there is no such frame. All matching of frames uses this method. `source`: only frames that
+        were extrapolated from this one."""
         if source is not None:
             require_kind(source, str, "sequence: source", "a file name or None")
         return self._timeline.at(*_moment(kind, time), source)
 
     def camera_at(self, time: float) -> Camera | None:
-        """The display camera at `time` (seconds), matched as in `at`, from ground truth or a known camera."""
+        """Return the display camera at `time` (seconds), matched as in `at`, from ground truth or a known camera; None
+        without one."""
         return self._timeline.camera_at(require_number(time, "sequence: time"))
 
     def nearest(self, kind: str, time: float) -> FrameEntry | None:
-        """The frame of `kind` that is nearest in time, however far: for messages about a miss of `at`."""
+        """Return the frame of `kind` that is nearest in time, however far: for messages about a miss of `at`. None
+        without any."""
         return self._timeline.nearest(*_moment(kind, time))
 
     def near_miss(self, kind: str, time: float) -> str | None:
-        """A sentence if `at` finds nothing, but something is so near that it was probably meant: rounded times."""
+        """Return a sentence if `at` finds nothing, but a frame is so near that it was probably meant: rounded times.
+        Else None."""
         return self._timeline.near_miss(*_moment(kind, time))
 
     @property
     def settings(self) -> Any:
-        """Return the buffers' part of the capture's description, for formats with an editable one; or None."""
+        """The buffers' part of the capture's description, for formats with an editable one; else None."""
         return self._pixels.settings
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Return attributes of EXR headers that frames made of these get as well, such as the colors' primaries."""
+        """Attributes of EXR headers that frames made of these get as well, such as the colors' primaries."""
         return dict(self._pixels.attributes)
 
     @property
     def notes(self) -> list[str]:
-        """Return what the reader of the capture's form remarked when it was opened."""
+        """Remarks of the reader of the capture's form on opening it."""
         return [printable(text) for text in self._pixels.notes]
 
     def rendered_before(self, time: float) -> int | None:
-        """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
+        """Return the index in `rendered` of the last frame before `time`, None without one. A frame that is `at` it is
+        not before it."""
         return self._timeline.rendered_before(require_number(time, "sequence: time"))
 
     def size_of(self, entry: FrameEntry) -> tuple[int, int]:
-        """(width, height) of the images of `entry`, in pixels."""
+        """Return (width, height) of the images of `entry`, in pixels."""
         return _entry(entry).render_size or (self.width, self.height)
 
     def warnings(self) -> list[str]:
-        """Legal but suspicious: an unfinished sequence, frame times, and findings in the frames read so far."""
+        """Return sentences about legal but suspicious input: an unfinished sequence, frame times, and findings in the
+        frames read so far."""
         met = [f"{file}: {text}" for text, file in self._suspicions.items()]
         outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
         cut = [f"{outside[0]}: the display reaches beyond the rendered area (display_camera)"] if outside else []
@@ -163,7 +169,8 @@ class Sequence:
         return [printable(text) for text in said]
 
     def _covers_display(self, entry: FrameEntry) -> bool:
-        """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
+        """Return whether everything displayed was rendered, to half a pixel of the display; and of the frame, for
+        jitter."""
         width, height = self.size_of(entry)
         display, render = entry.display_camera, entry.render_camera
         if render is None or display is None:
@@ -174,9 +181,8 @@ class Sequence:
         return bool((at >= -0.5).all() and (at <= (width + 0.5, height + 0.5)).all())
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
-        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
-        (H, W, 2) float32 or None; and the overlays that it brings. Raises GffeError if the file changed for the worse
-        since opening."""
+        """Return the rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
+        (H, W, 2) float32 or None; and its overlays. Raises GffeError if the file has been damaged since opening."""
         if _entry(entry).kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
@@ -200,16 +206,16 @@ class Sequence:
         )
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:
-        """Channels of any frame by name, (H, W) each, in the type stored (float16, float32 or uint32)."""
+        """Return channels of any frame by name, (H, W) each, in the type stored (float16, float32 or uint32)."""
         size = self.size_of(entry)
         return self._pixels.channels(entry, require_list(names, str, "sequence: names", "a list of texts"), size)
 
     def read_color(self, entry: FrameEntry) -> np.ndarray:
-        """Linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
+        """Return linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
         return self._pixels.color(entry, self.size_of(entry))
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
-        """The EXR file that holds the frame in our own form; None in captures of another one."""
+        """Return the EXR file that holds the frame in our own form; None in captures of another one."""
         return self._pixels.exr_file(_entry(entry))
 
     def prefetch(self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2) -> Iterator[tuple]:
@@ -238,12 +244,12 @@ def open_sequence(
     mend: Callable[[str], str] | None = None,
     follow_links: bool | None = None,
 ) -> Sequence:
-    """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
+    """Open the sequence in the folder `path` (or whose `sequence.json` is `path`), and return it.
 
-    JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
-    channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
-    None then), which nothing but calibration can work on. `mend` converts the JSON text before it is used. With
-    `follow_links` the JSON may name files outside the folder; by default it may not. Raises GffeError.
+    JSON, cameras and the headers of all files are checked here, so that no later work meets a missing channel or file,
+    a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack a camera (then it is None);
+    only calibration accepts such frames. `mend` converts the JSON text before it is used. With `follow_links` the JSON
+    may name files outside the folder; by default it may not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
     require_choice(cameras, CAMERAS, "open_sequence: cameras")
@@ -312,12 +318,12 @@ def _check_channels(entry, header):
 
 
 def _lacks_camera(entry) -> bool:
-    """Whether the JSON leaves out the camera that the EXR header may have."""
+    """Return whether the JSON leaves out the camera that the EXR header may have."""
     return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
 
 
 def _complete_cameras(entry, header, description, index, json_name, needed):
-    """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
+    """Set cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
     part = header.parts[header.find("R")[0]]
     rendered = entry.kind == "rendered"
@@ -352,8 +358,8 @@ def _take_header_cameras(entry, part, size):
 
 
 def _complete_overscan(entry, part, size):
-    """Render size and display camera that the JSON leaves out, where the stored image is more or less than the display
-    window of its EXR header."""
+    """Set render size and display camera that the JSON leaves out, where the stored image is more or less than the
+    display window of its EXR header."""
     x0, y0, x1, y1 = part.display_window
     shown = (x1 - x0 + 1, y1 - y0 + 1)
     left, top = part.data_window[0] - x0, part.data_window[1] - y0

@@ -1,4 +1,4 @@
-"""Writing a sequence: all of it, or nothing new after an error; after Ctrl-C the frames that were finished."""
+"""Writer of a sequence: all of it, or nothing new after an error; after Ctrl-C the frames that were finished."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _MOST_BYTES = 2 << 30  # of frames under way
 
 
 class SequenceWriter:
-    """Writes a sequence into the folder `path`; a context manager.
+    """Context manager that writes a sequence into the folder `path`.
 
     Parameters
     ----------
@@ -64,21 +64,20 @@ class SequenceWriter:
         EXRs are compressed on so many threads, by default one for each processor core; `add` waits while many more
         frames than that are under way.
     generator : str
-        Who writes; only an earlier output of the same generator is replaced.
+        Name of the writing program; only an earlier output of the same generator is replaced.
     attributes : dict or None
         Further attributes of the EXRs' headers, such as `Sequence.attributes`.
     compression : str
-        Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
+        Compression of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
     Notes
     -----
-    Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
-    until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
-    finished and marks it as unfinished; where there was an earlier output that stays, and the new frames are in
-    `path`/gffe-unfinished until the next run; a note of the exception names them. Left by any other exception,
-    everything is as before. Errors of the threads surface in the next `add`, `link`, or on leaving.
-    All of them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is
-    writing to.
+    Frames are written into a folder of their own and moved to `path`, with `sequence.json`, when the context ends:
+    until then an earlier output stays unchanged. If it ends by KeyboardInterrupt, `sequence.json` lists the finished
+    frames and is marked as unfinished. If there was an earlier output, that stays, and the new frames are in
+    `path`/gffe-unfinished until the next run; a note of the exception names them. After any other exception everything
+    is as before. Errors of the threads are raised by the next `add` or `link`, or at the end of the context. All of
+    them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is writing to.
     """
 
     def __init__(
@@ -117,12 +116,12 @@ class SequenceWriter:
         return self
 
     def add(self, entry: FrameEntry, channels: dict[str, np.ndarray], *, owned: bool = False) -> None:
-        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns, or later
-        if they, and the dict, are `owned` by the writer from now on, which empties it.
+        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before the call returns. With
+        `owned` the writer takes over the dict and its arrays, copies them later, and empties the dict.
 
-        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
-        entry's render size, else the display size. Raises GffeError for another shape or type, and entries that could
-        not be read again.
+        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` become float32. (H, W) is the entry's
+        render size, else the display size. Raises GffeError for another shape or type, and entries that could not be
+        read again.
         """
         entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
         require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
@@ -149,12 +148,12 @@ class SequenceWriter:
         self._submit(entry, write, nbytes)
 
     def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
-        """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
+        """Add the existing EXR file `source_path` as the frame `entry`: a hard link, or else a copy."""
         source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
         self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
 
     def folder(self, name: str) -> Path:
-        """Where to write other files of this run, which come to `path`/name together with the frames."""
+        """Return the folder for other files of this run, which come to `path`/name together with the frames."""
         return self._folder.folder(check_file_name(name, str(self.path)))
 
     def __exit__(self, kind, error, trace) -> None:
@@ -241,8 +240,8 @@ class SequenceWriter:
         return entry.render_size or (self._description.width, self._description.height)
 
     def _attributes(self, entry) -> dict:
-        """Camera and windows. The display window is the display where the stored image is a crop or an
-        overscan of it in whole pixels; else both windows are the stored image."""
+        """Return the attributes of camera and windows. The display window is the display where the stored image is a
+        crop or an overscan of it in whole pixels; else both windows are the stored image."""
         size = (self._description.width, self._description.height)
         stored = self._size_of(entry)
         if entry.render_camera is None:
@@ -265,8 +264,8 @@ def named_channels(
     motion: ArrayLike | None = None,
     overlays: Overlays | None = None,
 ) -> dict[str, np.ndarray]:
-    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays. Raises
-    GffeError for other shapes."""
+    """Return the channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and
+    overlays. Raises GffeError for other shapes."""
     color = require_array(color, "color", None, None, (3, 4))
     channels = dict(zip("RGB", np.moveaxis(color[..., :3], -1, 0), strict=True))
     if depth is not None:

@@ -1,4 +1,4 @@
-"""The one exception users meet, how names of theirs are shown, and how parts that are not installed are installed."""
+"""The one exception that users meet, the form of the user's values in messages, and the text on missing extras."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _LONG_NUMBER = re.compile(r"(\d{12})\d{48,}")
 
 
 class GffeError(Exception):
-    """A structural fault in the caller's input: bad file, size, camera, device, option.
+    """Error for a structural fault in the caller's input: bad file, size, camera, device, option.
 
-    The message is one line with the fault, its place, and the expected input; control characters in it, of file
-    names perhaps, are escaped, and numbers of 60 digits and more are cut. The command line prints it and exits with
+    The message is one line with the fault, its place, and the expected input; control characters in it, for example
+    from file names, are escaped, and numbers of 60 digits and more are cut. The command line prints it and exits with
     code 2. Bad *pixels* never raise it, except in strict mode.
     """
 
@@ -37,13 +37,13 @@ def shortened(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """`text` with everything that is no visible character (line breaks, terminal controls, halves of surrogate pairs)
-    as an escape: `\\n`, `\\x1b`."""
+    """Return `text`, with everything that is no visible character (line breaks, terminal controls, halves of surrogate
+    pairs) as an escape: `\\n`, `\\x1b`."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def how_to_install(extra: str) -> str:
-    """How to install an extra of the package, which is on no package index."""
+    """Return the text that explains how to install an extra of this package, which is on no package index."""
     return f"pip install '.[{extra}]' in a checkout of gffe-cl, or 'THE-WHEEL.whl[{extra}]'"

@@ -1,4 +1,5 @@
-"""Files that are whole or not there at all, files that are files, and which files other files may refer to."""
+"""File handling: files that are written whole or not at all, opened only if regular, and the files that other files may
+refer to."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ _anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=Non
 
 
 def following_links() -> bool:
-    """Whether references inside the files that are opened now may leave their folder; docs/formats.md has the rules.
+    """Return whether references inside the files that are opened now may leave their folder; docs/formats.md has the
+    rules.
 
     Paths in JSON files and HDF5 links are references. Links of the file system are always followed: the user made them.
     """
@@ -36,7 +38,7 @@ def following_links() -> bool:
 
 @contextmanager
 def follow_links(allowed: bool | None) -> Iterator[None]:
-    """Settle `following_links` for this block and thread; None leaves it as it is."""
+    """Set `following_links` for this block and thread; None leaves it as it is."""
     token = _anywhere_here.set(following_links() if allowed is None else allowed)
     try:
         yield
@@ -45,19 +47,20 @@ def follow_links(allowed: bool | None) -> Iterator[None]:
 
 
 def follow_links_everywhere(allowed: bool) -> None:
-    """Settle `following_links` for this process, wherever `follow_links` does not."""
+    """Set `following_links` for this process, wherever `follow_links` does not."""
     global _anywhere
     _anywhere = allowed
 
 
 def open_regular(path: Path | str) -> BinaryIO:
-    """Open for reading; OSError unless it is a regular file. Pipes and devices, which may never end or never begin, are
-    not waited for."""
+    """Open a file for reading and return it. Raises OSError unless it is a regular file. Pipes and devices, which may
+    never end or never begin, are not waited for."""
     return open(path, "rb", buffering=0, opener=lambda path, flags: descriptor_of(path, flags)[0])
 
 
 def descriptor_of(path: Path | str, flags: int = os.O_RDONLY) -> tuple[int, int]:
-    """As `open_regular`: a file descriptor and the size in bytes."""
+    """Open a file as `open_regular` does, and return its file descriptor and its size in bytes. Raises OSError unless
+    it is a regular file."""
     descriptor = os.open(path, flags | _OPENING)
     status = os.fstat(descriptor)
     try:
@@ -78,7 +81,7 @@ def read_bounded(path: Path | str, most: int) -> bytes:
 
 
 def require_readable(path: Path, label: str) -> None:
-    """GffeError, beginning with `label`, unless the file at `path` is there and a regular one."""
+    """Raise a GffeError that begins with `label` unless the file at `path` exists and is a regular one."""
     try:
         _require_regular(os.stat(path))
     except FileNotFoundError:
@@ -148,8 +151,8 @@ def made_folder(path: Path) -> Iterator[None]:
 
 @contextmanager
 def only_process(folder: Path) -> Iterator[None]:
-    """Keep other processes that ask for it out of `folder`, which is made, during the block. GffeError if one is there,
-    or if nothing can be written. The lock ends with its process."""
+    """Make `folder` and keep other processes that call this function out of it during the block. Raises GffeError if
+    one is there, or if nothing can be written. The lock ends with its process."""
     path = folder / ".lock"
     with ExitStack() as stack:
         try:
@@ -180,8 +183,8 @@ def lock(file, shared: bool = False) -> bool:
 
 
 def require_output_file(path: Path, option: str) -> Path:
-    """`path`; GffeError, naming the `option`, unless a report or picture may be written there: into a folder that
-    exists, and not over a file of a sequence."""
+    """Return `path`. Raises a GffeError that names the `option` unless a report or picture may be written there: into a
+    folder that exists, and not over a file of a sequence."""
     if path.is_dir() or not path.absolute().parent.is_dir():
         raise GffeError(f"{option} {path}: must be a file in a folder that exists")
     if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _is_exr(path):
@@ -196,8 +199,8 @@ def _is_exr(path: Path) -> bool:
 
 
 def require_moderate(nbytes: int, pixels: int, label: str) -> None:
-    """GffeError, beginning with `label`, where decoding would take more than an image of so many pixels can need: 512
-    bytes for each, as in 128 channels of floats, but 64 MiB for small ones and 4 GiB at most."""
+    """Raise a GffeError that begins with `label` where decoding would take more memory than an image of so many pixels
+    can need: 512 bytes for each, as in 128 channels of floats, but 64 MiB for small ones and 4 GiB at most."""
     most = min(max(_MOST_SMALL, _MOST_PER_PIXEL * pixels), _MOST)
     if nbytes > most:
         raise GffeError(

@@ -1,5 +1,5 @@
-"""Checks of input values: from files, scripts, the command line and Python callers. Each range is defined once, and
-all messages have one form: the name, the expected value, and the actual one."""
+"""Checks of input values: from files, scripts, the command line and Python callers. Each range is defined once. All
+messages have one form: the name, the expected value, and the actual one."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ NUMBERS = (int, float, np.integer, np.floating)
 
 
 def scalar(value: Any) -> Any:
-    """Return `value`; NumPy scalars and arrays without dimensions as Python numbers."""
+    """Return `value`. NumPy scalars and arrays without dimensions become Python numbers."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     return value.item() if isinstance(value, np.generic) else value
 
 
 def is_number(value: Any) -> bool:
-    """Whether `value` is a finite number: no bool, no text, nothing over 1e300."""
+    """Return whether `value` is a finite number: no bool, no text, nothing over 1e300."""
     value = scalar(value)
     return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-LARGEST < value < LARGEST)
 
@@ -53,27 +53,28 @@ def require_positive(value: Any, what: str, *, infinite: bool = False) -> float:
 
 
 def require_exposure(value: Any, what: str = "exposure") -> float:
-    """The factor on linear color before display as a float; GffeError unless it is a number from 1e-6 to 1e6.
+    """Return the exposure, the factor on linear color before display, as a float. Raises GffeError unless it is a
+    number from 1e-6 to 1e6.
 
-    Beyond that everything is black or white, and what is measured on display values means nothing.
+    Beyond that everything is black or white, and measurements of display values mean nothing.
     """
     return require_within(value, what, *EXPOSURES)
 
 
 def require_frame_rate(value: Any, what: str = "fps") -> float:
-    """Frames per second as a float; GffeError unless it is a number from 1e-6 to 1e6."""
+    """Return a rate in frames per second as a float. Raises GffeError unless it is a number from 1e-6 to 1e6."""
     return require_within(value, what, *FRAME_RATES)
 
 
 def require_within(value: Any, what: str, low: float, high: float) -> float:
-    """`value` as a float; GffeError unless it is a number from `low` to `high`."""
+    """Return `value` as a float. Raises GffeError unless it is a number from `low` to `high`."""
     if is_number(value) and low <= float(value) <= high:
         return float(value)
     raise GffeError(f"{what} must be a finite number from {low:g} to {high:g}, got {_shown_number(value)}")
 
 
 def require_whole(value: Any, what: str, low: float = -math.inf, high: float = math.inf) -> int:
-    """`value` as an int; GffeError unless it is an integer, of Python or NumPy, from `low` to `high`."""
+    """Return `value` as an int. Raises GffeError unless it is an integer, of Python or NumPy, from `low` to `high`."""
     number = scalar(value)
     if isinstance(number, int) and not isinstance(number, bool) and low <= number <= high:
         return number
@@ -87,8 +88,8 @@ def require_size(value: Any, what: str = "size", *, whole: Literal[True]) -> tup
 @overload
 def require_size(value: Any, what: str = "size", *, whole: Literal[False] = False) -> tuple[float, float]: ...
 def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tuple[float, float]:
-    """Width and height of an image in pixels; GffeError unless they are two positive numbers, or `whole` ones, up to
-    65536."""
+    """Return width and height of an image in pixels. Raises GffeError unless they are two positive numbers, or `whole`
+    ones, up to 65536."""
     try:
         width, height = value
         if whole:
@@ -105,7 +106,7 @@ def require_seed(value: Any, what: str = "seed") -> int:
 
 
 def require_bool(value: Any, what: str) -> bool:
-    """`value` as a bool; GffeError for everything but the truth values of Python and NumPy."""
+    """Return `value` as a bool. Raises GffeError for everything but the truth values of Python and NumPy."""
     given = scalar(value)
     if isinstance(given, bool):
         return given
@@ -113,7 +114,7 @@ def require_bool(value: Any, what: str) -> bool:
 
 
 def require_choice(value: Any, choices: Iterable[str], what: str) -> str:
-    """`value`; GffeError unless it is one of the texts `choices`."""
+    """Return `value`. Raises GffeError unless it is one of the texts `choices`."""
     choices = tuple(choices)
     if isinstance(value, str) and value in choices:
         return value
@@ -128,7 +129,7 @@ def require_kind(value: Any, kind: Any, what: str, expected: str = "") -> Any:
 
 
 def require_path(value: Any, what: str) -> Path:
-    """`value` as a path; GffeError unless it is a text or path-like, and one that a file can have."""
+    """Return `value` as a path. Raises GffeError unless it is a text or path-like, and one that a file can have."""
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and "\0" not in os.fspath(value):
         return Path(value)
     raise GffeError(f"{what} must be a path, got {shown(value)}")
@@ -146,8 +147,9 @@ def require_list(value: Any, kind: type, what: str, expected: str) -> list:
 
 
 def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.ndarray:
-    """`value` as an array of real numbers (of the `kinds` of NumPy's types). GffeError unless that has the `shape`: of
-    each axis its length, several lengths or None for any; with an ellipsis in front, of the last axes only."""
+    """Return `value` as an array of real numbers (of the `kinds` of NumPy's types). Raises GffeError unless it has the
+    `shape`: for each axis its length, several lengths, or None for any. With an ellipsis in front, only the last axes
+    are checked."""
     try:
         array = np.asarray(value)
     except (ValueError, TypeError, RuntimeError):  # rows of several lengths, or no array at all
@@ -169,7 +171,7 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
 
 
 def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
-    """(count,) float64; GffeError unless `value` holds so many finite numbers."""
+    """Return `value` as an array (count,) float64. Raises GffeError unless it holds so many finite numbers."""
     array = require_array(value, what, count).astype(np.float64)
     if not (np.abs(array) < LARGEST).all():
         bounds = f" from {-LARGEST:g} to {LARGEST:g}" if np.isfinite(array).all() else ""
@@ -185,7 +187,7 @@ def as_float32(array: np.ndarray) -> np.ndarray:
 
 
 def _shape_words(shape: tuple) -> str:
-    """A shape of `require_array` as it is written in docstrings: (4, 6, 3 or 4)."""
+    """Return a shape of `require_array` as it is written in docstrings: (4, 6, 3 or 4)."""
     axes = iter(("N",) * 9 if len(shape) != 2 else ("H", "W"))
     words = []
     for want in shape:

@@ -62,7 +62,7 @@ class Operation:
     source: str = ""
 
     def buffers(self) -> set[str]:
-        """The names of all that it reads or writes."""
+        """Return the names of all buffers that the operation reads or writes."""
         return {name for name in (self.buffer, self.source, *(given.buffer for given in self.arguments)) if name}
 
 
@@ -82,7 +82,7 @@ class Plan:
 
 
 class _Tape:
-    """The `Recorder` of one rehearsal's stages."""
+    """`Recorder` of the stages' commands in one rehearsal."""
 
     def __init__(self):
         self.operations: list[Operation] = []
@@ -128,7 +128,7 @@ class _Rehearsal:
             name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
             for name, stage in chosen.items()
         }
-        self.board.lend()
+        self.board.memory.place()
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
@@ -183,7 +183,7 @@ class _Rehearsal:
             detection.rendered(step)
 
     def _step(self, number: int, first: bool) -> Step:
-        """Circumstances of which no two have a number in common."""
+        """Return a step with random cameras, times and numbers, so that no two rehearsals have a number in common."""
         rng = np.random.default_rng([number, first])
         frame, previous = (self._frame(rng) for _ in range(2))
         times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
@@ -214,7 +214,7 @@ class _Rehearsal:
 
 
 def record(device: Device, options: Options, int64: bool) -> Plan:
-    """Return the operations of a pipeline with these options; `int64`: with 64-bit atomics.
+    """Return the operations of a pipeline with these options. `int64`: whether keys take 64-bit atomics.
 
     Raises GffeError where that depends on the size of images or changes from frame to frame.
     """
@@ -231,12 +231,13 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         for owner in (rehearsal.board.frame, *rehearsal.all.values())
         for spec in owner.buffers
     }
-    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
+    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.memory.lent}
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
 def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
-    """The operations that every rehearsal enqueues, but for those on buffers that images of its size do not have."""
+    """Return the operations that every rehearsal enqueues, but for those on buffers that images of its size do not
+    have. Raises GffeError where rehearsals differ."""
     whole = max(takes, key=len)
     for take, rehearsal in zip(takes, rehearsals, strict=True):
         has = set(rehearsal.tape.names.values())
@@ -250,7 +251,7 @@ def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal
 
 
 def _difference(take: list[Operation], expected: list[Operation]) -> str:
-    """Where two lists differ: operations that only one of them has; else an argument."""
+    """Return where two lists of operations differ: the operations that only one of them has, else an argument."""
     taken, wanted = ([replace(operation, arguments=()) for operation in each] for each in (take, expected))
     if taken != wanted:
         taken, wanted = Counter(taken), Counter(wanted)

@@ -114,7 +114,7 @@ def config(options: Options) -> str:
 
 
 class Tables:
-    """gffe_tables.c of two plans: without and with 64-bit atomics."""
+    """Text of gffe_tables.c from two plans: without and with 64-bit atomics."""
 
     def __init__(self, plans: tuple[Plan, Plan]):
         self.plans = plans
@@ -221,7 +221,7 @@ class Tables:
         return f"GFFE_CONSTANT, {self._constant(given.constant)}, {len(given.constant)}"
 
     def _constant(self, content: bytes) -> int:
-        """Where `content` is among the constants, in words."""
+        """Return where `content` is among the constants, in words. It is appended if it is not there yet."""
         content = content.ljust(-(-len(content) // 4) * 4, b"\0")
         for start in range(0, len(self.constants) - len(content) + 1, 4):
             if self.constants[start : start + len(content)] == content:
@@ -231,7 +231,7 @@ class Tables:
 
 
 def _part(operation: Operation, occasion: str, plan: Plan) -> str:
-    """Return whether an operation belongs to shading correction, which C may omit, or depends on it."""
+    """Return the C name of an operation's part: of shading correction, which C may omit, dependent on it, or "0"."""
     name, stages = correction.ShadingCorrection.name, list(plan.stages)
     if operation.stage == name:
         return "GFFE_OF_CORRECTION"
@@ -242,7 +242,8 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
 
 
 def _grid(name: str) -> tuple[str, int]:
-    """The C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c has its size."""
+    """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its size.
+    Raises GffeError for a grid that C does not have."""
     if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
@@ -276,7 +277,7 @@ class _Buffers:
         return str(2 * self.names.index(name.removesuffix("'")) + name.endswith("'"))
 
     def row(self, name: str) -> str:
-        """Of C's table."""
+        """Return the buffer's row of the C table."""
         if name in GIVEN:
             grid, nbytes = GIVEN[name]
             return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
@@ -296,8 +297,8 @@ class _Buffers:
         return 1 + self._depth(whole) if whole else 0
 
     def _use(self, name: str) -> str:
-        """The numbers of the first and the last stage that use a buffer within an extrapolation, if it holds nothing
-        else: the last of all, if it is of interest afterwards."""
+        """Return the numbers of the first and the last stage that use a transient buffer within an extrapolation, "-1,
+        -1" for other buffers. The last is the number of stages if the buffer is of interest afterwards."""
         spec, stages = self.specs[name], list(self.plan.stages)
         if not spec.transient:
             return "-1, -1"
@@ -308,12 +309,12 @@ class _Buffers:
 
 
 def _whole(name: str, spec: BufferSpec) -> str | None:
-    """The buffer in which one lies."""
+    """Return the name of the buffer that contains this one, None if it is no part of another."""
     return f"{name.partition('.')[0]}.{spec.part_of}" if spec.part_of else None
 
 
 def _lines(name: str, text: str, static: bool = False) -> str:
-    """A text as an array of lines: long literals are not for every compiler."""
+    """Return C code for a text as an array of lines: not every compiler takes long literals."""
     rows = [json.dumps(line + "\n", ensure_ascii=True) for line in text.splitlines()]
     kind = "static const char *const" if static else "const char *const"
     count = "" if static else f"const int {name}_count = {len(rows)};\n"
@@ -335,7 +336,7 @@ def _facts(plan: Plan) -> bytes:
 
 
 def _frame_block() -> str:
-    """The struct of frame.h in C."""
+    """Return the struct of frame.h in C."""
     lines = []
     for name in FRAME.names or ():
         dtype = FRAME[name]

@@ -1,4 +1,4 @@
-"""Writing the exported folder."""
+"""Writer of the exported folder."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ MARK = "gffe_config.h"  # a folder that has it was made here
 def export(folder: Path, device: Device, options: Options) -> list[str]:
     """Write the pipeline of `options` as C into a folder: new, empty, or written by an export before.
 
-    `device` is only needed to make the stages; what is written suits all. The options are fixed then, sizes are not.
-    Returns the names of what was written. Raises GffeError for options that cannot be exported, and for folders that
+    `device` is only needed to make the stages; the files suit every device. The options are fixed then, sizes are not.
+    Returns the names of the files written. Raises GffeError for options that cannot be exported, and for folders that
     cannot be written or hold something else.
     """
     tables = Tables((record(device, options, False), record(device, options, True)))
@@ -64,7 +64,7 @@ def _replace(folder: Path, part: Path) -> None:
 
 
 def _require_own(folder: Path) -> None:
-    """GffeError if the folder holds anything but an export."""
+    """Raise GffeError if the folder holds anything but an export."""
     if folder.exists() and not folder.is_dir():
         raise GffeError(f"{folder}: is a file (expected a folder, new or empty)")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / MARK).is_file():

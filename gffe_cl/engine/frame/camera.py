@@ -1,4 +1,4 @@
-"""Poses and pinholes.
+"""Cameras: poses and pinholes.
 
 Conventions: `world_to_view` is a rigid 4×4 matrix for column vectors; the view axes are x right, y down,
 z forward; the projection is an off-center pinhole in pixels, the center of pixel (i, j) being
@@ -35,7 +35,7 @@ class Camera:
     Parameters
     ----------
     world_to_view : (4, 4) float64
-        Rigid transform (a mirrored one too: left-handed worlds); x right, y down, z forward.
+        Rigid transform from world to view space; mirrored for left-handed worlds; x right, y down, z forward.
     fx, fy : float
         Focal lengths in pixels, > 0.
     cx, cy : float
@@ -63,8 +63,8 @@ class Camera:
 
     @classmethod
     def many(cls, world_to_views: list, intrinsics: list) -> list[Camera]:
-        """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy). Faster than one by one. Raises GffeError
-        if any is invalid, without naming it."""
+        """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy), faster than one by one. Raises GffeError if
+        any is invalid, without naming it."""
         try:
             types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
             types |= set(map(type, chain.from_iterable(intrinsics)))
@@ -98,8 +98,8 @@ class Camera:
     def look_at(
         cls, position: ArrayLike, target: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
-        """Return the camera at `position` that looks at `target` (world units). `up` is a world direction. Raises
-        GffeError if no such camera exists."""
+        """Return the camera at `position` that looks at `target` (world units). `up` is a world direction; `fx`, `fy`,
+        `cx`, `cy` are in pixels. Raises GffeError if no such camera exists."""
         position = validation.require_vector(position, "camera: position")
         return cls.from_pose(
             position, validation.require_vector(target, "camera: target") - position, up, fx, fy, cx, cy
@@ -110,8 +110,8 @@ class Camera:
     def from_pose(
         cls, position: ArrayLike, direction: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
-        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalized. Raises GffeError
-        unless each is three finite numbers, and for `up` parallel to `direction`."""
+        """Return the camera of the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalized. Raises GffeError
+        unless each is three finite numbers, and if `up` is parallel to `direction`."""
         place = validation.require_vector(position, "camera: position").tolist()
         forward = _normalized(validation.require_vector(direction, "camera: direction"), "direction")
         right = vectors.cross(forward, validation.require_vector(up, "camera: up").tolist())
@@ -126,12 +126,13 @@ class Camera:
     def from_opengl(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from OpenGL's matrices; off-center projections, jitter, reversed and infinitely far planes included.
+        """Return the camera of OpenGL's matrices. Off-center projections, jitter, reversed and infinitely far planes
+        are supported.
 
         Parameters
         ----------
         view : (4, 4), or 16 numbers
-            World → view space, as handed to the shaders.
+            World → view space, as given to the shaders.
         projection : (4, 4), or 16 numbers
             View → clip space. Which way the view axes point follows from it; normalized device coordinates go up.
         size : (width, height) of the image, pixels
@@ -139,7 +140,7 @@ class Camera:
             "row-major": `view[0]` is the first row of the matrix that column vectors are multiplied with, and the
             translation is in the last column. "column-major": `view[0]` is its first column, as OpenGL and glm keep it
             in memory; the same thing is a matrix for row vectors (v·M) written in rows, as of DirectXMath and Unreal.
-            "auto" tells them by the row or column 0 0 0 1 of the view and 0 0 ±1 0 of the projection.
+            "auto" recognizes them by the row or column 0 0 0 1 of the view and 0 0 ±1 0 of the projection.
 
         Raises
         ------
@@ -157,9 +158,11 @@ class Camera:
     def from_direct3d(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from Direct3D's matrices, left- or right-handed; parameters and formula of `from_opengl`.
+        """Return the camera of Direct3D's matrices, left- or right-handed. Parameters and formula are those of
+        `from_opengl`.
 
-        DirectXMath's row-vector matrices are "column-major". It is also for Vulkan with a viewport of negative height.
+        DirectXMath's row-vector matrices are "column-major". Use it, too, for Vulkan with a viewport of negative
+        height.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
 
@@ -167,9 +170,11 @@ class Camera:
     def from_vulkan(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from Vulkan's matrices, whose normalized device coordinates go down; parameters of `from_opengl`.
+        """Return the camera of Vulkan's matrices, whose normalized device coordinates go down. Parameters are those of
+        `from_opengl`.
 
-        cy = (1 + P₁₂/P₃₂) H/2, the rest as there. OpenGL-like views with `projection[1][1] *= -1` are right, too.
+        cy = (1 + P₁₂/P₃₂) H/2; the other formulas are those of `from_opengl`. OpenGL-like views with `projection[1][1]
+        *= -1` are right, too.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=False))
 
@@ -177,11 +182,13 @@ class Camera:
     def from_unity(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from Unity's `camera.worldToCameraMatrix` and `camera.projectionMatrix`; parameters of `from_opengl`.
+        """Return the camera of Unity's `camera.worldToCameraMatrix` and `camera.projectionMatrix`. Parameters are those
+        of `from_opengl`.
 
-        `GL.GetGPUProjectionMatrix(…)` is as good: that it may be upside down, for textures, is seen. `m.GetRow(0)`
-        first is "row-major", the memory of a `Matrix4x4` "column-major". `projectionMatrix` holds the jitter,
-        `nonJitteredProjectionMatrix` does not. Unity's world is left-handed, so `world_to_view` is mirrored.
+        `GL.GetGPUProjectionMatrix(…)` is accepted, too; if it is upside down, for textures, that is detected. Matrices
+        that begin with `m.GetRow(0)` are "row-major", the memory of a `Matrix4x4` is "column-major". `projectionMatrix`
+        holds the jitter, `nonJitteredProjectionMatrix` does not. Unity's world is left-handed, so `world_to_view` is
+        mirrored.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
@@ -189,10 +196,11 @@ class Camera:
     def from_unreal(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from Unreal's `FViewMatrices`, view and projection (jittered or not); parameters of `from_opengl`.
+        """Return the camera of Unreal's `FViewMatrices`: view and projection, jittered or not. Parameters are those of
+        `from_opengl`.
 
-        An `FMatrix` is for row vectors, so `M[0]` first is "column-major". World units stay centimeters: take depth in
-        centimeters, too. Unreal's world is left-handed, so `world_to_view` is mirrored.
+        An `FMatrix` is for row vectors, so matrices that begin with `M[0]` are "column-major". World units stay
+        centimeters: take depth in centimeters, too. Unreal's world is left-handed, so `world_to_view` is mirrored.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
@@ -201,8 +209,9 @@ class Camera:
     def from_unreal_pose(
         cls, location: ArrayLike, rotation: ArrayLike, fov: float, size: tuple[float, float]
     ) -> Camera:
-        """Camera from an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal field of
-        view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). The unit stays.
+        """Return the camera of an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal
+        field of view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). World units
+        are those of the location.
 
         Raises GffeError for fields of view that are not between 0° and 180°.
         """
@@ -216,7 +225,7 @@ class Camera:
 
     @property
     def intrinsics(self) -> tuple[float, float, float, float]:
-        """fx, fy, cx, cy in pixels."""
+        """Focal lengths fx, fy and principal point cx, cy in pixels."""
         return (self.fx, self.fy, self.cx, self.cy)
 
     @cached_property
@@ -226,35 +235,35 @@ class Camera:
 
     @cached_property
     def inverse(self) -> tuple[list[list[float]], list[float]]:
-        """Rotation and translation, view → world space."""
+        """Rotation (3, 3) and translation (3,) from view space to world space."""
         return vectors.view_inverse(self.rows)
 
     @property
     def position(self) -> np.ndarray:
-        """(3,) world position."""
+        """The camera's position in the world, (3,) float64."""
         return np.array(self.inverse[1])
 
     @property
     def direction(self) -> np.ndarray:
-        """(3,) world direction of view."""
+        """The world direction in which the camera looks, (3,) float64."""
         return self.world_to_view[2, :3].copy()
 
     @property
     def up(self) -> np.ndarray:
-        """(3,) world direction of the top of the image."""
+        """The world direction of the top of the image, (3,) float64."""
         return -self.world_to_view[1, :3]
 
     @property
     def view_to_world(self) -> np.ndarray:
-        """(4, 4) float64, the inverse of `world_to_view`."""
+        """The inverse of `world_to_view`, (4, 4) float64."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = vectors.view_inverse(self.world_to_view.tolist())
         return matrix
 
     @_QUIETLY
     def project(self, world_pos: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """World positions (..., 3) → pixel positions (..., 2) and view depths (...). Raises GffeError for another
-        shape."""
+        """Return pixel positions (..., 2) and view depths (...) of world positions (..., 3). Raises GffeError for
+        another shape."""
         world_pos = validation.require_array(world_pos, "camera: world_pos", ..., 3).astype(np.float64)
         view_pos = world_pos @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
         depth = view_pos[..., 2]
@@ -264,8 +273,8 @@ class Camera:
 
     @_QUIETLY
     def unproject(self, px: ArrayLike, depth: ArrayLike) -> np.ndarray:
-        """Pixel positions (..., 2) and view depths (...) → world positions (..., 3). Raises GffeError for other
-        shapes."""
+        """Return the world positions (..., 3) of pixel positions (..., 2) and view depths (...). Raises GffeError for
+        other shapes."""
         px = validation.require_array(px, "camera: px", ..., 2).astype(np.float64)
         depth = validation.require_array(depth, "camera: depth", *px.shape[:-1]).astype(np.float64)
         view_pos = np.stack(
@@ -275,10 +284,11 @@ class Camera:
         return view_pos @ matrix[:3, :3].T + matrix[:3, 3]
 
     def view_matrix(self, api: str) -> np.ndarray:
-        """(4, 4) float64, column vectors: world → the view space that `projection_matrix` of the same `api` takes.
+        """Return the matrix (4, 4) float64, for column vectors, from world space to the view space that
+        `projection_matrix` of the same `api` takes.
 
         "opengl": x right, y up, z backward; "direct3d": x right, y up, z forward; "vulkan": x right, y down, z forward.
-        For row vectors (v·M) transpose it. Raises GffeError for an unknown api.
+        For row vectors (v·M) transpose it. Raises GffeError for an unknown API.
         """
         validation.require_choice(api, _VIEW_AXES, "camera: api")
         return np.diag([*_VIEW_AXES[api], 1.0]) @ self.world_to_view
@@ -286,13 +296,14 @@ class Camera:
     def projection_matrix(
         self, api: str, width: float, height: float, near: float, far: float = np.inf, reverse_depth: bool = False
     ) -> np.ndarray:
-        """(4, 4) float64, column vectors: view space of `view_matrix(api)` → clip space.
+        """Return the matrix (4, 4) float64, for column vectors, from the view space of `view_matrix(api)` to clip
+        space.
 
-        Off-center (jitter and windows included), for an image of `width` × `height` pixels. Depth from `near` to
+        It is off-center (jitter and windows included), for an image of `width` × `height` pixels. Depth from `near` to
         `far` (world units, `far` may be infinite) becomes, after division by w, −1 … 1 for "opengl" and 0 … 1 for
         "direct3d" and "vulkan"; with `reverse_depth` 1 … 0 for all (OpenGL: glClipControl(…, GL_ZERO_TO_ONE)).
 
-        Raises GffeError for an unknown api, an empty image, or planes not within 0 < near < far.
+        Raises GffeError for an unknown API, an empty image, or planes not within 0 < near < far.
         """
         validation.require_choice(api, _VIEW_AXES, "camera: api")
         near = validation.require_number(near, "camera: near")
@@ -317,33 +328,34 @@ class Camera:
         return matrix @ np.diag([*_VIEW_AXES[api], 1.0])
 
     def to_view_of(self, other: Camera) -> np.ndarray:
-        """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
+        """Return the matrix (4, 4) float64 from the view space of this camera to that of `other`. For equal poses it is
+        exactly the identity."""
         validation.require_kind(other, Camera, "camera: other")
         rows = vectors.view_to_view(self.rows, self.inverse, other.rows)
         return np.array([*rows, [0.0, 0.0, 0.0, 1.0]])
 
     def scaled(self, scale_x: float, scale_y: float) -> Camera:
-        """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels. Raises GffeError
-        for factors that are not positive."""
+        """Return the camera of the same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels.
+        Raises GffeError for factors that are not positive."""
         scale_x, scale_y = (
             validation.require_positive(s, f"camera: scale_{a}") for s, a in ((scale_x, "x"), (scale_y, "y"))
         )
         return replace(self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y)
 
     def moved(self, offset: ArrayLike) -> Camera:
-        """The same camera after the whole world has moved by `offset` (3,) world units."""
+        """Return the same camera after the whole world has moved by `offset` (3,) world units."""
         matrix = self.world_to_view.copy()
         matrix[:3, 3] -= matrix[:3, :3] @ validation.require_vector(offset, "camera: offset")
         return replace(self, world_to_view=matrix)
 
 
 def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
-    """C̄ = C_t + α (C_t − C_{t−1}), the predicted camera at t + α.
+    """Return the predicted camera at t + α: C̄ = C_t + α (C_t − C_{t−1}).
 
-    Per pose vector (position, direction, up), re-orthonormalized; fx and fy are predicted in the same way; cx and cy
-    stay. Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give
-    cameras without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up
-    to a million, either way.
+    Each pose vector (position, direction, up) is predicted by itself and the pose is re-orthonormalized. fx and fy are
+    predicted in the same way; cx and cy stay. Paper: 'Adaptive rendering window'. `alpha` is in intervals between
+    rendered frames and may exceed 1. Give cameras without jitter: its next value is known to the renderer only. Raises
+    GffeError unless `alpha` is a number up to a million, either way.
     """
     validation.require_kind(previous, Camera, "camera: previous")
     validation.require_kind(current, Camera, "camera: current")
@@ -376,7 +388,7 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
 
 
 def _matrix(given) -> np.ndarray:
-    """(4, 4) float64, a copy of `given`; GffeError unless that is of numbers."""
+    """Return a copy of `given` as (4, 4) float64. Raises GffeError unless it is a matrix of numbers."""
     array = validation.require_array(given, "camera: world_to_view", 4, 4)
     if not _all_numbers(given):
         raise GffeError("camera: world_to_view must be real numbers, got truth values")
@@ -384,14 +396,14 @@ def _matrix(given) -> np.ndarray:
 
 
 def _all_numbers(given) -> bool:
-    """Whether rows given as lists hold no truth values, which arrays take for numbers."""
+    """Return whether rows given as lists hold no truth values, which arrays take for numbers."""
     if isinstance(given, np.ndarray):
         return True
     return bool not in {type(value) for row in given if isinstance(row, list | tuple) for value in row}
 
 
 def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
-    """Raise GffeError if any camera is invalid: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
+    """Raise GffeError if any camera is invalid: matrices (N, 4, 4) and intrinsics (N, 4) (fx, fy, cx, cy), float64."""
     if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
         raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
     rotations = matrices[:, :3, :3]

@@ -1,4 +1,4 @@
-"""The predicted camera from more than two rendered frames: how a camera speeds up, slows down and swings."""
+"""Prediction of the camera from more than two rendered frames: how a camera speeds up, slows down and swings."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ RIDGE = 0.03  # share of the squared inputs that regularizes a regression
 def predict_camera_at(
     time: float, cameras: Sequence[Camera], times: Sequence[float], order: int | None = None
 ) -> Camera:
-    """The predicted camera C̄ at `time` from the last rendered frames.
+    """Return the predicted camera C̄ at `time` from the cameras of the last rendered frames.
 
     All orders add a change of velocity to the linear prediction (`predict_camera`), of position and of rotation each:
 
-    - Order 1 adds none.
-    - Order 2 adds the change of velocity between the last three poses, scaled by as much as the change before has gone
-      on: fully where it did, not at all where it turned round or came out of rest. After a jump, a step over four
+    - Order 1 adds none. - Order 2 adds the change of velocity between the last three poses, scaled by the share of the
+    change before that continued: fully where all of it did, not at all where it reversed or began from rest. After a
+    jump, a step over four
       times the one before, it adds none.
     - None, automatic, corrects order 2 by an autoregressive model. Ridge regression with exponential forgetting
       predicts the next change of velocity from the velocity, its change, and the change's change. It is refitted at
@@ -45,13 +45,13 @@ def predict_camera_at(
     Parameters
     ----------
     time : float
-        Seconds, not before the last frame.
+        Time of the prediction in seconds, not before the last frame.
     cameras, times
-        Of rendered frames since the last reset, newest first, and their times in seconds; what is beyond the
-        twelfth does not count. With one camera the prediction is that, with two it is linear, and up to four are too
-        few to learn from: None is order 2.
+        The cameras of rendered frames since the last reset, newest first, and their times in seconds; those after the
+        twelfth are ignored. One camera is its own prediction, two are continued linearly. Up to four are too few to
+        learn from: then None is order 2.
     order : 1, 2 or None
-        1 is the paper's.
+        Order of the prediction; 1 is the paper's, None is automatic.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def predict_camera_at(
 
 
 def _next_change(motion: Vectors, steps: list[float]) -> Vector:
-    """Predict the next second divided difference from the past `motion`, newest first, in `steps` of time.
+    """Return the next second divided difference, predicted from the past `motion`, newest first, in `steps` of time.
 
     With up to three motions it is `_lasting_change` of the last; beyond, that and a learned correction.
     """
@@ -119,7 +119,7 @@ def _is_jump(motion: Vectors, k: int) -> bool:
 
 
 def _lasting_change(motion: Vectors, steps: list[float], changes: Vectors, k: int) -> Vector:
-    """The part of `changes[k]` that lasts."""
+    """Return the part of `changes[k]` that lasts, 0 after a jump."""
     if _is_jump(motion, k):
         return [0.0, 0.0, 0.0]
     now, before = changes[k], changes[k + 1]
@@ -143,7 +143,7 @@ class _NextChange:
         self.gained = self.moved = 0.0  # correction · error of the usual prediction, and squared correction
 
     def correction(self, inputs: Vectors, usual: Vector) -> Vector:
-        """By how much the model's prediction differs from `usual`."""
+        """Return the difference between the model's prediction and the `usual` one."""
         matrix = [list(row) for row in self.products]
         for i in range(3):
             scale = self.products[i][i] + vectors.dot(inputs[i], inputs[i])
@@ -155,12 +155,12 @@ class _NextChange:
         ]
 
     def trust(self, correction: Vector) -> float:
-        """The share of `correction`, 0 to 1, that would have made the errors so far least."""
+        """Return the share of `correction`, 0 to 1, that would have minimized the errors so far."""
         moved = self.moved + RIDGE * vectors.dot(correction, correction)
         return min(self.gained / moved, 1.0) if self.gained > 0 and moved > 0 else 0.0
 
     def learn(self, inputs: Vectors, usual: Vector, correction: Vector, change: Vector) -> None:
-        """Take the change that came after `inputs`, for which `correction` was predicted."""
+        """Add the `change` that came after `inputs`, for which `correction` was predicted, to the regression."""
         error = [a - b for a, b in zip(change, usual, strict=True)]
         wanted = [a - b for a, b in zip(change, inputs[1], strict=True)]
         self.gained = FORGETTING * self.gained + vectors.dot(correction, error)
@@ -173,7 +173,7 @@ class _NextChange:
 
 
 def _solved(matrix: Vectors, right: Vector) -> Vector:
-    """x of matrix · x = right, for a symmetric matrix; 0 where rounding leaves none."""
+    """Return x of matrix · x = right for a symmetric matrix, or 0 where rounding leaves no solution."""
     a, b, c = matrix
     columns = vectors.cross(b, c), vectors.cross(c, a), vectors.cross(a, b)
     scale = vectors.dot(a, columns[0])
@@ -181,7 +181,8 @@ def _solved(matrix: Vectors, right: Vector) -> Vector:
 
 
 def rotation_vector(rotation: vectors.Matrix) -> Vector:
-    """Axis times angle, radians, of a rotation matrix (3, 3); 0 for half a turn, whose axis has no direction."""
+    """Return the axis times the angle, radians, of a rotation matrix (3, 3); 0 for half a turn, whose axis has no
+    direction."""
     r = rotation
     doubled = [r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
     sine, cosine = vectors.length(doubled) / 2, (r[0][0] + r[1][1] + r[2][2] - 1) / 2
@@ -192,7 +193,7 @@ def rotation_vector(rotation: vectors.Matrix) -> Vector:
 
 
 def rotation_matrix(vector: Sequence[float]) -> np.ndarray:
-    """(3, 3), the inverse of `rotation_vector` (Rodrigues' formula)."""
+    """Return the rotation matrix (3, 3) of a rotation vector: the inverse of `rotation_vector` (Rodrigues' formula)."""
     angle = vectors.length(vector)
     if angle < 1e-15:
         return np.eye(3)

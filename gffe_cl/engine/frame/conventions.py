@@ -1,4 +1,4 @@
-"""From graphics APIs' and engines' conventions to ours: matrices, depth buffers and motion vectors.
+"""Conversion of matrices, depth buffers and motion vectors from the conventions of graphics APIs and engines to ours.
 
 Ours: column vectors, view axes x right, y down, z forward, pixels from the top left corner, planar depth in world
 units, motion = (position in the previous rendered frame) − (position here) in pixels, y down.
@@ -29,7 +29,8 @@ _SLACK = 1e-3  # by which infinitely far planes are moved against rounding error
 
 
 class Pinhole(NamedTuple):
-    """Return the camera of a view and a projection matrix: (4, 4) world → x right, y down, z forward; pixels."""
+    """Pinhole camera of a view and a projection matrix: (4, 4) from world space to view axes x right, y down, z
+    forward; intrinsics in pixels."""
 
     world_to_view: np.ndarray
     fx: float
@@ -39,7 +40,8 @@ class Pinhole(NamedTuple):
 
 
 def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, view_up: bool = False) -> Pinhole:
-    """The camera of an API whose normalized device coordinates go up (`ndc_up`) or down, on an image of `size` pixels.
+    """Return the camera of an API whose normalized device coordinates go up (`ndc_up`) or down, on an image of `size`
+    pixels. Raises GffeError for matrices that are no rigid view and pinhole.
 
     Which way the view axes point follows from the projection P (column vectors): w = P₃₂ z, so z is forward where P₃₂
     is positive, and x, y agree with those of the device where P₀₀, P₁₁ are positive. With `view_up` the view's y is
@@ -66,8 +68,8 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
 
 
 def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarray, np.ndarray]:
-    """Both as (4, 4) float64 for column vectors; see `layout` of `Camera.from_opengl`. GffeError if they are no such
-    matrices, or contradict the layout."""
+    """Return both matrices as (4, 4) float64 for column vectors; `layout` is that of `Camera.from_opengl`. Raises
+    GffeError if they are no such matrices, or contradict the layout."""
     v, p = square(view, "view"), square(projection, "projection")
     turned = (v, p), (v.T, p.T)
     fits = [_is_view(a) and _is_projection(b) for a, b in turned]
@@ -96,7 +98,8 @@ def _chosen_layout(layout: str, fits: list[bool], symmetric: bool, what: str) ->
 
 
 def _perspective(p: np.ndarray) -> np.ndarray:
-    """`p` for column vectors, scaled so that w = ±z; GffeError if it is no perspective projection along z."""
+    """Return the projection `p`, for column vectors, scaled so that w = ±z. Raises GffeError if it is no perspective
+    projection along z."""
     if np.abs(p[3, [0, 1, 3]]).max() > _ZERO * abs(p[3, 2]) or p[3, 2] == 0:
         _refuse_projection([p])
     return p / abs(p[3, 2])
@@ -131,7 +134,8 @@ def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
 
 
 def square(given: Any, name: str) -> np.ndarray:
-    """(4, 4) float64, finite, of rows or of 16 numbers; GffeError naming `name`."""
+    """Return the matrix (4, 4) float64 of rows or of 16 numbers. Raises a GffeError with `name` unless it is that, and
+    finite."""
     array = require_array(given, f"camera: {name}", ...).astype(np.float64)
     if array.shape not in ((4, 4), (16,)):
         raise GffeError(f"camera: {name} must have shape (4, 4), or be 16 numbers, got shape {array.shape}")
@@ -143,7 +147,7 @@ def square(given: Any, name: str) -> np.ndarray:
 def rigid(matrix: np.ndarray, name: str, tolerance: float = 1e-2) -> np.ndarray:
     """Return (4, 4) `matrix` without rounding errors and uniform scale of its rotation. The camera's position stays.
 
-    GffeError unless it is a rotation (mirrored or not), a scale and a translation within `tolerance`.
+    Raises GffeError unless it is a rotation (mirrored or not), a scale and a translation within `tolerance`.
     """
     made = np.eye(4)
     try:
@@ -160,7 +164,8 @@ def rigid(matrix: np.ndarray, name: str, tolerance: float = 1e-2) -> np.ndarray:
 
 
 def unreal_view(location: Any, pitch: float, yaw: float, roll: float) -> np.ndarray:
-    """(4, 4) world → x right, y down, z forward, of a camera of Unreal at `location` (world units), angles in degrees.
+    """Return the matrix (4, 4) from the world to x right, y down, z forward of a camera of Unreal at `location` (world
+    units); angles are in degrees.
 
     Unreal's world is left-handed: x forward, y right, z up; a positive pitch looks up, yaw turns to the right, roll
     leans to the right. The result is mirrored accordingly.
@@ -187,14 +192,14 @@ def depth_from_device(
         Depth after division by w, as `projection` makes it: 0 … 1 in Direct3D, Vulkan, Unity and Unreal, 1 … 0 where
         depth is reversed, −1 … 1 in OpenGL.
     projection : (4, 4)
-        The matrix that was rendered with, of any API; reversed and infinitely far planes follow from it.
+        The projection matrix used for rendering, of any API; reversed and infinitely far planes follow from it.
     layout : "auto", "row-major" or "column-major"
-        See `Camera.from_opengl`.
+        Layout of the matrix, as in `Camera.from_opengl`.
     opengl_buffer : bool
-        `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1. It is not used where `projection`
-        gives reversed depth from 1 to 0, which OpenGL has with `glClipControl` only.
+        Whether `z` is the result of `glReadPixels` without `glClipControl`: 0 … 1 for −1 … 1. It is not used where
+        `projection` gives reversed depth from 1 to 0, which OpenGL has with `glClipControl` only.
     sky : bool
-        What has the far plane's depth exactly, as a cleared buffer has, becomes infinite.
+        Whether pixels with exactly the far plane's depth, as in a cleared buffer, become infinite.
 
     Returns
     -------
@@ -229,8 +234,8 @@ def depth_from_device(
 
 
 def decides_depth_range(projection: np.ndarray) -> bool:
-    """Return whether a perspective projection (4, 4) for column vectors tells if depth buffers hold its device depth as
-    it is. Planes that are not reversed can be meant for 0 … 1 and for −1 … 1."""
+    """Return whether a perspective projection (4, 4), for column vectors, determines the range of the values in its
+    depth buffer. Planes that are not reversed can be meant for 0 … 1 and for −1 … 1."""
     return _reversed_to_zero(*_depth_terms(_perspective(projection)))
 
 
@@ -246,7 +251,7 @@ def _reversed_to_zero(a: float, b: float) -> bool:
 
 
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
-    """Planar depth (H, W) float32 from distances along the rays, as ray tracers give them, in the same unit.
+    """Return planar depth (H, W) float32 from distances along the rays, as ray tracers write them, in the same unit.
 
     depth = distance / √(1 + ((x − cx)/fx)² + ((y − cy)/fy)²), x and y at pixel centers; `camera` is the `Camera` of
     these pixels. Infinite distances stay. Raises GffeError for another shape.
@@ -260,7 +265,7 @@ def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
 
 
 def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: str = "up") -> np.ndarray:
-    """Motion in pixels (H, W, 2) float32 from motion in normalized device coordinates, −1 … 1 across the image.
+    """Return motion in pixels (H, W, 2) float32 from motion in normalized device coordinates, −1 … 1 across the image.
 
     (x, y) becomes (x · W/2, −y · H/2); with `y` "down", as in Vulkan, (x · W/2, y · H/2). `size` is (W, H) in pixels.
     `direction` "to_previous": the given vectors are (previous − here); "from_previous": (here − previous).
@@ -269,7 +274,7 @@ def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: s
 
 
 def motion_from_uv(motion: Any, size: Any, direction: str = "to_previous", y: str = "down") -> np.ndarray:
-    """Motion in pixels (H, W, 2) float32 from motion in texture coordinates, 0 … 1 across the image.
+    """Return motion in pixels (H, W, 2) float32 from motion in texture coordinates, 0 … 1 across the image.
 
     (x, y) becomes (x · W, y · H); with `y` "up", as in OpenGL, (x · W, −y · H). `size` is (W, H) in pixels.
     `direction` "to_previous": the given vectors are (previous − here); "from_previous", as of Unity: (here − previous).
@@ -278,11 +283,11 @@ def motion_from_uv(motion: Any, size: Any, direction: str = "to_previous", y: st
 
 
 def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
-    """Motion in pixels (H, W, 2) float32 from the red and green channels (H, W, 2) of Movie Render Queue's motion
-    vectors, around ½.
+    """Return motion in pixels (H, W, 2) float32 from the red and green channels (H, W, 2) of Movie Render Queue's
+    motion vectors, around ½.
 
-    (R, G) becomes (−s W (R − ½), s H (G − ½)); s is 2 by default, and 1 for what Epic's own example says: reproject
-    what stands still to see which one it is. `size` is (W, H) in pixels.
+    (R, G) becomes (−s W (R − ½), s H (G − ½)); s is 2 by default, and 1 in Epic's own example. Reproject static objects
+    to see which one it is. `size` is (W, H) in pixels.
     """
     rg = _vectors(rg)
     width, height = require_size(size)

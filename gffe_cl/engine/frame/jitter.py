@@ -4,7 +4,7 @@ Before rendering frame k an engine does this:
 
     camera = jitter.camera(shown.scaled(0.5, 0.5), k)  # the render camera: its cx and cy carry the jitter
 
-and hands over what it shows without jitter as `display_camera`. Motion vectors connect the images as rendered, jitter
+and passes the camera without jitter as `display_camera`. Motion vectors connect the images as rendered, jitter
 included. Generated frames have none: they are seen through display cameras.
 """
 
@@ -23,9 +23,11 @@ _MOST = 1024
 
 @dataclass(frozen=True)
 class Jitter:
-    """Halton's sequence of bases 2 and 3, its first `length` points over and over; 1: the middle of the pixel.
+    """Camera jitter by Halton's sequence of bases 2 and 3, its first `length` points over and over. A length of 1 is
+    the middle of the pixel.
 
-    Raises GffeError unless `length` is a whole number from 1 to 1024."""
+    Raises GffeError unless `length` is a whole number from 1 to 1024.
+    """
 
     length: int = 1
 
@@ -34,7 +36,7 @@ class Jitter:
 
     @classmethod
     def parse(cls, text: str) -> Jitter:
-        """ "halton:16" or "off". GffeError for others."""
+        """Return the jitter of a text: "halton:16" (16 points) or "off". Raises GffeError for others."""
         if require_kind(text, str, "jitter", "a text") == "off":
             return cls()
         kind, _, length = text.partition(":")
@@ -43,8 +45,8 @@ class Jitter:
         return cls(int(length))
 
     def offset(self, number: int) -> tuple[float, float]:
-        """Of frame `number`: pixels from the middle of each pixel to where it is sampled, −½ to ½. Raises GffeError
-        unless that is a whole number."""
+        """Return the jitter of frame `number`: pixels from the middle of each pixel to where it is sampled, −½ to ½ for
+        x and y. Raises GffeError unless `number` is a whole number."""
         number = require_whole(number, "jitter: number")
         if self.length == 1:
             return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Buffers of a frame, on the host.
+"""Rendered frames and their overlays as callers pass them, and checks of their arrays.
 
 A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer`, `pyopencl.array.Array`, or integer handles)
 of the pipeline's context; device buffers are used in place. Layouts on the device: color half ×4, depth float,
@@ -7,7 +7,6 @@ motion float ×2, row-major.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -35,10 +34,12 @@ KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motio
 
 @dataclass
 class Overlays:
-    """Layers that lie over the picture and are not warped; NumPy arrays or device buffers, each of them optional.
+    """Layers that lie over the picture and are not warped. They are NumPy arrays or device buffers, each of them
+    optional.
 
-    Colors are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
-    shown. The frame's own color has neither effects nor user interface in it; pixels of `fixed_mask` it has.
+    Colors are linear and scene-referred, like the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
+    displayed. The frame's own color must contain neither effects nor user interface, but it contains the pixels of
+    `fixed_mask`.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ class Overlays:
     effects : (H, W, 4) float RGBA, render pixels
         Smoke, fire, particles, lens flares: without depth, over all but the user interface. On the device half ×4.
     effects_motion : (H, W, 2) float32, pixels, like the frame's motion
-        Along which the effects go on; None: they stay in place. On the device float ×2.
+        Motion of the effects; None: they stay in place. On the device float ×2.
     ui : (H, W, 4) float RGBA, display pixels
         User interface, as it is in this frame. On the device half ×4.
     """
@@ -74,15 +75,15 @@ class RenderedFrame:
     motion : (H, W, 2) float32, pixels: (position in the previous rendered frame) − (position here); or a
         device buffer of float ×2. May be None on a reset frame.
     camera : Camera
-        What was rasterized (the render camera), in pixels of these arrays.
+        The render camera, in pixels of these arrays.
     time : float
-        Seconds.
+        Time of the frame, seconds.
     display_camera : Camera or None
-        What is shown; None if it is the render camera.
+        The camera of the displayed image; None if it is the render camera.
     reset : bool
-        Nothing before this frame may be used (scene cut, teleport, start).
+        Whether frames before this one must not be used (scene cut, teleport, start).
     overlays : Overlays or None
-        What is not to be warped with the picture.
+        Layers that are not warped with the picture.
 
     Notes
     -----
@@ -99,11 +100,6 @@ class RenderedFrame:
     overlays: Overlays | None = None
     # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
-
-    def pack(self) -> HostArrays:
-        """Deprecated: `Pipeline.submit` converts arrays itself. Returns the result of `pack_frame`."""
-        warnings.warn("RenderedFrame.pack is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
-        return host_arrays(self).packed()
 
     @property
     def shown_camera(self) -> Camera:
@@ -126,7 +122,7 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
 
 
 def require_motion(frame: RenderedFrame) -> Any:
-    """The frame's motion; GffeError if it has none and is no reset."""
+    """Return the frame's motion. Raises GffeError if it has none and is no reset."""
     if frame.motion is None and not require_bool(frame.reset, "frame: reset"):
         time = require_number(frame.time, "frame: time")
         raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
@@ -141,7 +137,7 @@ def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: 
 
 
 def require_one_pose(render: Camera, display: Camera) -> None:
-    """GffeError unless both cameras stand in one place and look one way: a window is a part of an image."""
+    """Raise GffeError unless both cameras have the same position and direction: a window is a part of an image."""
     turned = np.abs(render.world_to_view[:3, :3] - display.world_to_view[:3, :3]).max()
     apart = np.abs(render.world_to_view[:3, 3] - display.world_to_view[:3, 3]).max()
     if turned > SAME_POSE or apart > SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):
@@ -155,7 +151,7 @@ def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
 
 @dataclass
 class BadPixels:
-    """How many pixels of a frame could not be taken at face value (they are survived, not errors)."""
+    """Counts of pixels with invalid values in a frame. They are no errors: the pipeline works without these pixels."""
 
     color: int = 0  # NaN or infinite; NaN counts as 0
     clamped: int = 0  # magnitude over 65504, clamped
@@ -205,8 +201,8 @@ def is_long(motion: np.ndarray) -> np.ndarray:
 class HostArrays:
     """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
 
-    color (H, W, 3 or 4) float16 or float32, linear RGB, of which a fourth channel is not used; depth (H, W) float32,
-    world units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
+    color (H, W, 3 or 4) float16 or float32, linear RGB, whose fourth channel is not used; depth (H, W) float32, world
+    units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
     """
 
     color: np.ndarray
@@ -233,22 +229,10 @@ class HostArrays:
         motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
         return replace(self, color=color, motion=motion)
 
-    def packed(self) -> HostArrays:
-        """Result of `pack_frame`."""
-        return replace(self.in_device_layout(), known_bad=self.bad)
-
-
-def pack_frame(frame: RenderedFrame, height: int, width: int) -> HostArrays:
-    """Deprecated: `Pipeline.submit` converts arrays itself. Returns them in device layout, with a count of bad pixels.
-
-    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
-    """
-    warnings.warn("pack_frame is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
-    return host_arrays(frame, height, width).packed()
-
 
 def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> HostArrays:
-    """Check a frame's NumPy arrays, by default for the size of its depth. Arrays that `Upload` can take are not copied.
+    """Check a frame's NumPy arrays, by default for the size of its depth, and return them. Arrays that `Upload` can
+    take are not copied.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
@@ -266,8 +250,8 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
 
 
 def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
-    """(H, W, 3) float16 from three images (H, W), as the device wants them: a fourth channel, which is not seen, is 0.
-    `host_arrays` takes it without a copy."""
+    """Return color (H, W, 3) float16 from three images (H, W), laid out for the device: a fourth channel, which is not
+    visible, is 0. `host_arrays` takes it without a copy."""
     first, *others = planes
     color = np.zeros((*first.shape, 4), np.float16)
     for c, plane in enumerate((first, *others)):  # several times as fast as all at once
@@ -276,8 +260,8 @@ def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def _uploadable(color: np.ndarray) -> np.ndarray:
-    """`color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array, that
-    array, of which nothing is copied."""
+    """Return `color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array,
+    that array is returned and nothing is copied."""
     if color.dtype.itemsize > 4:
         color = _rounded_to_odd(color)
     color = color.astype(color.dtype.newbyteorder("="), copy=False)

@@ -13,7 +13,7 @@ SRGB_TOE = np.float32(0.0031308)
 def to_display(color: ArrayLike, exposure: float = 1.0) -> np.ndarray:
     """Return display values of linear scene-referred `color` (H, W, 3): sRGB(clip(exposure · color, 0, 1)), float32.
 
-    NaN counts as 0. GffeError for an exposure not within 1e-6 and 1e6, or no array. Metrics are taken of such values:
+    NaN counts as 0. Raises GffeError for an exposure not within 1e-6 and 1e6, or no array. Metrics compare such values:
 
         gffe.psnr(gffe.to_display(made), gffe.to_display(truth))
     """
@@ -27,7 +27,7 @@ def to_display(color: ArrayLike, exposure: float = 1.0) -> np.ndarray:
 
 
 def linear_values(display, exposure: float = 1.0) -> np.ndarray:
-    """Linear scene-referred color (H, W, 3) float32 that `to_display` shows as `display`, of values in [0, 1]."""
+    """Return linear scene-referred color (H, W, 3) float32 that `to_display` shows as `display`, values in [0, 1]."""
     display = np.asarray(display, np.float32)
     curve = ((np.maximum(display, 0) + 0.055) / 1.055) ** np.float32(2.4)
     return np.where(display <= 12.92 * SRGB_TOE, display / 12.92, curve) / np.float32(require_exposure(exposure))

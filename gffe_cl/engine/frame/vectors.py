@@ -24,12 +24,12 @@ def cross(a: Vector, b: Vector) -> list[float]:
 
 
 def times(matrix: Matrix, vector: Vector) -> list[float]:
-    """matrix · vector."""
+    """Return the product matrix · vector."""
     return [dot(row, vector) for row in matrix]
 
 
 def product(a: Matrix, b: Matrix) -> list[list[float]]:
-    """a · b."""
+    """Return the matrix product a · b."""
     columns = list(zip(*b, strict=True))
     return [[dot(row, column) for column in columns] for row in a]
 
@@ -51,14 +51,14 @@ def inverse(matrix: Matrix) -> list[list[float]]:
 
 
 def view_inverse(matrix: Matrix) -> tuple[list[list[float]], list[float]]:
-    """Rotation and translation of the inverse of a rigid transform, of which (3 or 4, 4) rows are given."""
+    """Return rotation and translation of the inverse of a rigid transform, given as (3 or 4, 4) rows."""
     rotation = inverse([row[:3] for row in matrix[:3]])
     return rotation, [-x for x in times(rotation, [row[3] for row in matrix[:3]])]
 
 
 def view_to_view(source: Matrix, inverse: tuple[Matrix, Vector], target: Matrix) -> list[list[float]]:
-    """Return the first three rows of the transform from one view space to another: 1 for equal poses. `source`,
-    `target`: the rows of world → view; `inverse`: `view_inverse` of the former."""
+    """Return the first three rows of the transform from one view space to another: the identity for equal poses.
+    `source`, `target`: the rows of world → view; `inverse`: `view_inverse` of the former."""
     if source == target:
         return [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
     rotation, translation = inverse

@@ -1,14 +1,14 @@
 """Adaptive rendering window (paper: 'Adaptive rendering window' and its appendix).
 
-A renderer that draws a little more than it shows has what turns into view until its next frame. Before rendering
-frame t an engine does this:
+A renderer that draws a little more than it displays has the pixels that turn into view until its next frame. Before
+rendering frame t an engine does this:
 
     predicted = [predict_camera(previous, current, alpha) for alpha in (0.25, 0.5, 0.75)]
     window = adaptive_window(current, predicted, size=(1920, 1080), distance=2.0)
     camera = window.camera(current, (1920, 1080))            # an off-center pinhole: render through it,
     matrix = camera.projection_matrix("vulkan", 1920, 1080, near=0.1)  # at the same resolution
     frame = RenderedFrame(color, depth, motion, camera, time, display_camera=current)
-    shown = present(frame)                                   # the display part
+    shown = present(frame)                                   # the displayed part
 
 A window is given in the coordinates of the displayed image, which is (−1, −1, 1, 1); u to the right, v down.
 """
@@ -47,8 +47,8 @@ HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the
 
 
 class Window(NamedTuple):
-    """Rendered area, ⊇ the displayed one (−1, −1, 1, 1). `clamped`: a predicted frustum does not fit, because of the
-    maximum enlargement or because a corner of it points behind the virtual plane."""
+    """Rendered area, which contains the displayed one (−1, −1, 1, 1). `clamped`: a predicted frustum does not fit,
+    because of the maximum enlargement or because a corner of it points behind the virtual plane."""
 
     u0: float
     v0: float
@@ -58,11 +58,11 @@ class Window(NamedTuple):
 
     @property
     def enlargement(self) -> tuple[float, float]:
-        """Width and height in those of the display."""
+        """Width and height of the window as factors of the display's."""
         return (self.u1 - self.u0) / 2, (self.v1 - self.v0) / 2
 
     def camera(self, display: Camera, size: tuple[int, int], render_size: tuple[int, int] | None = None) -> Camera:
-        """The off-center pinhole to render through, in pixels of the rendered image.
+        """Return the off-center pinhole to render through, in pixels of the rendered image.
 
         `display` is the camera of the displayed image, in pixels of an image of `size` (width, height); `render_size`
         is the rendered image's, the same if None. Raises GffeError if one of them, or the window, is empty.
@@ -89,7 +89,8 @@ FULL = Window(-1.0, -1.0, 1.0, 1.0)
 
 
 def fixed_window(factor: float) -> Window:
-    """The display enlarged by `factor` about its middle. Raises GffeError unless that is a number from 1 to 16."""
+    """Return the window that enlarges the display by `factor` about its middle. Raises GffeError unless that is a
+    number from 1 to 16."""
     factor = require_within(factor, "window: factor of a fixed window", 1, _MOST_FIXED)
     return Window(-factor, -factor, factor, factor)
 
@@ -104,28 +105,28 @@ def adaptive_window(
     margin: float = MARGIN,
     least: float = 0.0,
 ) -> Window:
-    """The window through which to render the frame of `current` so that it covers all of `predicted`.
+    """Return the window through which to render the frame of `current` so that it covers all of `predicted`.
 
-    The appendix's formula, generalized to off-center pinholes: the edges of each predicted frustum are intersected
-    with the virtual plane at `distance` before the current camera; the window is the bounding box of the
-    intersections and the display. Whatever is farther than the plane is covered too: the edges' vanishing points
-    are in the box.
+    The formula is the appendix's, generalized to off-center pinholes: the edges of each predicted frustum are
+    intersected with the virtual plane at `distance` before the current camera; the window is the bounding box of the
+    intersections and the display. Whatever is farther than the plane is covered too: the edges' vanishing points are in
+    the box.
 
     Parameters
     ----------
     current : Camera
-        What will be shown, in display pixels.
+        The camera of the displayed frame, in display pixels.
     predicted : Camera, or several
         `predict_camera` at every α that will be extrapolated, in display pixels.
     max_enlargement : float ≥ 1
-        Of the window's width and height, in those of the display. Where both sides ask for more, the side that asks
-        for less has precedence, up to half of the available size. A corner that points behind the virtual plane asks
-        for infinitely much.
+        Largest size of the window, as factors of the display's width and height. Where both sides ask for more, the
+        side that asks for less has precedence, up to half of the available size. A corner that points behind the
+        virtual plane asks for infinitely much.
     size : (width, height) or None
-        Of the displayed image, pixels. None: twice the principal point, right for centered pinholes only.
+        Size of the displayed image, pixels. None: twice the principal point, right for centered pinholes only.
     distance : float
-        World units; nearer content may leave holes. A low quantile of the last frame's depth is a good choice
-        (`nearest_depth`); infinite: only turning and zooming are covered.
+        Distance of the virtual plane, world units; nearer content may leave holes. A low quantile of the last frame's
+        depth is a good choice (`nearest_depth`); infinite: only turning and zooming are covered.
     margin : float
         Display pixels added beyond sides that are enlarged.
     least : float
@@ -163,8 +164,8 @@ def adaptive_window(
 
 
 def nearest_depth(depth: np.ndarray) -> float:
-    """A `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units; infinite without any.
-    Raises GffeError for another shape."""
+    """Return a `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units, or infinity if no
+    depth is finite. Raises GffeError for another shape."""
     depth = require_array(depth, "window: depth", None, None)
     stride = max(1, math.isqrt(depth.size // NEAR_SAMPLES))
     some = depth[::stride, ::stride]
@@ -173,7 +174,7 @@ def nearest_depth(depth: np.ndarray) -> float:
 
 
 class WindowChooser:
-    """Chooses the window of each rendered frame in turn, as an engine would.
+    """Chooses the window of each rendered frame, one after the other, as an engine would.
 
     Parameters
     ----------
@@ -191,7 +192,8 @@ class WindowChooser:
         self._distance = math.inf
 
     def choose(self, current: Camera, previous: Camera | None) -> Window:
-        """For the frame shown by `current`, after the one shown by `previous` (None: after a reset)."""
+        """Return the window for the frame shown by `current`, after the one shown by `previous` (None: after a
+        reset)."""
         if self._fixed:
             return self._fixed
         if previous is None:
@@ -202,14 +204,14 @@ class WindowChooser:
         )
 
     def observe(self, depth: np.ndarray) -> None:
-        """Take (H, W) depth of a rendered frame as a guide for the next."""
+        """Take depth (H, W) of a rendered frame as a guide for the next."""
         if self._fixed is None:
             self._distance = nearest_depth(depth)
 
 
 def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> tuple[np.ndarray, bool]:
-    """(N, 2) positions, in pixels of `current`, where the edges of the frustum of `camera` meet the virtual plane, and
-    of their vanishing points; whether a corner points behind the plane."""
+    """Return positions (N, 2), in pixels of `current`, where the edges of the frustum of `camera` meet the virtual
+    plane, with those of their vanishing points; and whether a corner points behind the plane."""
     px = np.array([(0, 0), (size[0], 0), size, (0, size[1])], np.float64)
     transform = camera.to_view_of(current).tolist()
     rotation, origin = [row[:3] for row in transform[:3]], np.array([row[3] for row in transform[:3]])
@@ -224,7 +226,8 @@ def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> t
 
 
 def _in_front(rays: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The cone of four edges (4, 3) clipped to directions that meet the virtual plane; whether anything was cut off."""
+    """Return the cone of four edges (4, 3) clipped to directions that meet the virtual plane, and whether anything was
+    cut off."""
     rays = rays / np.array([[vectors.length(ray)] for ray in rays.tolist()])
     z = rays[:, 2] - HORIZON
     if (z > 0).all():
@@ -242,7 +245,8 @@ def _in_front(rays: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 def _limited(low: float, high: float, most: float) -> tuple[float, float, bool]:
-    """How much to enlarge on the two sides where they ask for `low` and `high`; whether that is less."""
+    """Return how much to enlarge on two sides that ask for `low` and `high`, and whether that is less than they ask
+    for."""
     if low + high <= most:
         return low, high, False
     less = min(low, high, most / 2)

@@ -15,7 +15,7 @@ INPUTS, OUTPUT = ("frames", "candidates"), "judgement"
 
 
 def shapes_at(height: int, width: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of inputs and output by name, for frames of this size."""
+    """Return the shapes of inputs and output by name, for frames of this size."""
     quarter = height // 2, width // 2
     return {
         "frames": (1, INPUT_PLANES, height, width),
@@ -25,12 +25,13 @@ def shapes_at(height: int, width: int) -> dict[str, tuple[int, ...]]:
 
 
 def head_text(weights: np.ndarray) -> str:
-    """The metadata for a head of these weights: of each layer rows, then biases."""
+    """Return the metadata for a head of these weights: of each layer rows, then biases."""
     return base64.b64encode(weights.astype("<f4").tobytes()).decode()
 
 
 def head_weights(text: str) -> np.ndarray:
-    """(n,) float32, the inverse of `head_text`; none of a text that is no such."""
+    """Return the head's weights (n,) float32: the inverse of `head_text`. The array is empty for a text that holds
+    none."""
     try:
         return np.frombuffer(base64.b64decode(text, validate=True), "<f4").astype(np.float32)
     except ValueError:

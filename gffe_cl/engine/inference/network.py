@@ -1,8 +1,8 @@
 """Running the shading correction network with onnxruntime.
 
 A model takes `frames` (1, 8, h, w) and `candidates` (1, 16, h/2, w/2), and gives `judgement` (1, 20, h/2, w/2), all
-float32, for any h and w that are multiples of 16. It is convolutions; the rest is done by kernels, that of its last two
-layers, the head, too, whose weights are in the model's metadata: "head", float32, base64.
+float32, for any h and w that are multiples of 16. The model consists of convolutions. Kernels do the rest, including
+its last two layers, the head, whose weights are in the model's metadata: "head", float32, base64.
 """
 
 from __future__ import annotations
@@ -46,26 +46,27 @@ _asked_for: list[Network] = []  # since remarks were last taken
 
 
 def default_model() -> Path | None:
-    """The weights that come with the package, if they do."""
+    """Return the path of the weights that come with the package, None if there are none."""
     return PACKAGED if PACKAGED.is_file() else None
 
 
 def digest_of_weights(path: Path) -> str:
-    """Of all files that may run where the network `path` does."""
+    """Return the hash of all files that may run in place of the network `path`."""
     return hashlib.sha256(b"".join(each.read_bytes() for each in (path, cpu_model(path)))).hexdigest()
 
 
 def scn_missing() -> str | None:
-    """Why the shading correction network is not on by default; None where it is."""
+    """Return why the shading correction network is not on by default, None where it is."""
     if default_model() is None:
         return "no trained weights for the shading correction network are installed"
     return None
 
 
 def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Network:
-    """The network of the ONNX file `path` (None: of the package, on the CPU in 8-bit integers) on a provider of
+    """Return the network of the ONNX file `path` (None: of the package, on the CPU in 8-bit integers) on a provider of
     onnxruntime: a key of `PROVIDERS`, onnxruntime's own name, or "auto". One that is not the CPU is compared with it in
-    a child process first, once per machine. Loaded once as long as the file stays the same. Raises NetworkError."""
+    a child process first, once per machine. A network is loaded once as long as the file stays the same. Raises
+    NetworkError."""
     packaged = path is None
     path = default_model() if path is None else Path(path)
     if path is None:
@@ -87,8 +88,8 @@ def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Ne
 
 
 def take_remarks() -> list[str]:
-    """Return notes for the user on the providers that ran networks since the last call: providers that
-    "auto" refused, or that failed, and the CPU went on."""
+    """Return notes for the user since the last call on the providers that ran networks: providers that "auto" refused,
+    or that failed, so that the CPU took over."""
     remarks = [network.remark for network in _asked_for if network.remark]
     _asked_for.clear()
     return list(dict.fromkeys(remarks))
@@ -99,7 +100,7 @@ class Network:
 
     `session`: the CPU's, for any size; where the CPU was chosen, of the file `on_cpu` (None: `path`). `head`: (374,)
     float32, weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the
-    provider and back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
+    provider and back, as far as they are known apart. `remark`: a note for the user on the provider, "" if none.
     """
 
     def __init__(self, path: Path, provider: str = CPU.name, on_cpu: Path | None = None):
@@ -120,7 +121,7 @@ class Network:
 
     @property
     def provider(self) -> str:
-        """onnxruntime's name of the execution provider."""
+        """Name of the execution provider in onnxruntime."""
         return (CPU if self._failure else self.choice.provider).ort
 
     @property
@@ -133,14 +134,15 @@ class Network:
 
     def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
         """Read `frames` (8, h, w) and `candidates` (16, h/2, w/2), write `judgement` (20, h/2, w/2): C-contiguous
-        float32, used in place on the CPU. Returns for how many of its pixels the network gave NaN or infinity. Raises
-        NetworkError."""
+        float32, used in place on the CPU. Returns the number of its pixels with NaN or infinity. Raises NetworkError.
+        """
         inputs = {"frames": frames[None], "candidates": candidates[None]}
         self._guarded(lambda: self._run(inputs, judgement[None]))
         return _pixels_not_finite(judgement)
 
     def _guarded(self, work: Callable[[], object]) -> None:
-        """Do `work`; where it fails on a provider that was not asked for by name, once more on the CPU, for good."""
+        """Do `work`. Where it fails on a provider that was not asked for by name, do it once more on the CPU, and stay
+        there."""
         try:
             work()
         except Exception as error:  # whatever a driver throws
@@ -167,7 +169,7 @@ class Network:
         binding.synchronize_outputs()
 
     def _session_of(self, height: int, width: int) -> FixedSession:
-        """On the provider, for images of this size."""
+        """Return the session on the provider for images of this size."""
         size = height, width
         with self._one_at_a_time:
             if size in self._fixed:
@@ -191,7 +193,7 @@ def _head_of(path: Path, text: str) -> np.ndarray:
 
 
 def _pixels_not_finite(planes: np.ndarray) -> int:
-    """Pixels of (n, h, w) that are NaN or infinite in any plane; one sum where there are none."""
+    """Return the number of pixels of (n, h, w) that are NaN or infinite in any plane. Without any it costs one sum."""
     with np.errstate(all="ignore"):
         if np.isfinite(planes.sum()):
             return 0
@@ -199,7 +201,8 @@ def _pixels_not_finite(planes: np.ndarray) -> int:
 
 
 def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) -> None:
-    """NetworkError unless the model's inputs or outputs are `expected`: shapes by name, None where any size must do."""
+    """Raise NetworkError unless the model's inputs or outputs are `expected`: shapes by name, None where any size is
+    accepted."""
     found = {value.name: value for value in values}
     if set(found) != set(expected):
         raise NetworkError(

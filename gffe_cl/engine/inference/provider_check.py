@@ -1,7 +1,7 @@
-"""Comparing a provider with the CPU, in a child process: a driver may crash there.
+"""Comparison of a provider with the CPU, in a child process: a driver may crash there.
 
-A provider counts only after it has run the network on a fixed input and given the CPU's result. What was found is kept
-for later processes, as what is known of OpenCL devices.
+A provider counts only after it has run the network on a fixed input and given the CPU's result. The verdict is stored
+for later processes, as results of probing OpenCL devices are.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class Verdict:
 
     Attributes
     ----------
-    provider, device : names; the device's as its driver says it, "" if it does not
+    provider, device : names; the device's as its driver reports it, "" if it does not
     difference : largest between the outputs of provider and CPU; inf where there is none
     milliseconds, cpu_milliseconds : of one run for a frame of 960×540; inf where it was too slow to be timed
-    problem : a line that says why it is refused; "" if it is not
+    problem : a line with the reason why it is refused; "" if it is not
     present : whether it has a device here at all
     """
 
@@ -65,7 +65,7 @@ class Verdict:
         return not self.problem
 
     def summary(self) -> str:
-        """In one line, for people."""
+        """Return the verdict in one line, for people."""
         if self.problem:
             return self.problem.removeprefix(f"provider {self.provider}").lstrip(": ")
         times = f"{self.milliseconds:.1f} ms for 960×540, the CPU {self.cpu_milliseconds:.1f} ms"
@@ -93,7 +93,8 @@ def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
 
 
 def compare(path: Path, provider: Provider) -> Verdict:
-    """Run the network on provider and CPU, in this process, whatever the driver does to it."""
+    """Run the network on provider and CPU in this process, and return the verdict. A failure is a verdict, too; a
+    driver may crash the process."""
     found = Verdict(provider.name)
     try:
         if not provider.built_in:
@@ -118,7 +119,7 @@ def compare(path: Path, provider: Provider) -> Verdict:
 
 
 def _difference(path: Path, provider: Provider, found: Verdict) -> str:
-    """A line that a user can report."""
+    """Return the message about results that differ, as a line that a user can report."""
     where = f" on {found.device}" if found.device else ""
     return (
         f"provider {provider.name}{where}: its results differ from the CPU's by {found.difference:.3g} (expected at"
@@ -127,8 +128,8 @@ def _difference(path: Path, provider: Provider, found: Verdict) -> str:
 
 
 def fixed_inputs(height: int, width: int) -> dict[str, np.ndarray]:
-    """Input of a network by name, for frames of this size, the same on every machine: blocks of one color with a
-    little noise, 0 … 1."""
+    """Return inputs of a network by name, for frames of this size, the same on every machine: blocks of one color with
+    a little noise, 0 … 1."""
     rng, made, shapes = np.random.default_rng(17), {}, shapes_at(height, width)
     for name in INPUTS:
         *planes, rows, columns = shapes[name]
@@ -145,7 +146,7 @@ def _on_cpu(free, height: int, width: int) -> tuple[dict[str, np.ndarray], str, 
 
 
 def _times(path: Path, provider: Provider) -> tuple[float, float]:
-    """Milliseconds on provider and CPU, each with the file that it runs, for one frame, the copies included."""
+    """Return milliseconds on provider and CPU, each with the file that it runs, for one frame, the copies included."""
     free = open_session(cpu_model(path))
     inputs, name, output = _on_cpu(free, *_TIMED_SIZE)
     shapes = {key: array.shape for key, array in (inputs | {name: output}).items()}
@@ -181,7 +182,7 @@ def _in_child(path: Path, provider: Provider) -> Verdict:
 
 
 def _from_json(text: str) -> Verdict:
-    """TypeError unless the fields are of the types that they are described as."""
+    """Return the verdict of a JSON text. Raises TypeError unless the fields have the declared types."""
     found = Verdict(**json.loads(text))
     kinds = {"provider": str, "device": str, "problem": str, "present": bool}
     for name, value in asdict(found).items():
@@ -191,7 +192,8 @@ def _from_json(text: str) -> Verdict:
 
 
 def _kept(path: Path, provider: Provider) -> Path | None:
-    """Return the path of a stored verdict. Its name hashes everything the verdict depends on."""
+    """Return the path of a stored verdict, None if there is no folder for it. The name hashes everything the verdict
+    depends on."""
     folder = kept_folder()
     if folder is None:
         return None

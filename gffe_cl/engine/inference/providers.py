@@ -1,4 +1,4 @@
-"""onnxruntime and its execution providers: which there are, and sessions on them."""
+"""Execution providers of onnxruntime: those that exist, and sessions on them."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from gffe_cl.engine.core.files import model_source
 
 
 class NetworkError(GffeError):
-    """A network cannot be loaded, or fails."""
+    """Error of a network that cannot be loaded, or fails."""
 
 
 class NoDeviceError(NetworkError):
-    """A provider is installed, but finds no device."""
+    """Error of a provider that is installed, but finds no device."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Provider:
     ----------
     name : on the command line
     ort : onnxruntime's name of it
-    package : what pip installs to have it; "" for those of every onnxruntime
-    plugin : the module that knows the plug-in's library; "" where the provider is part of `package`'s onnxruntime
-    settings : what it is told, so that it computes as the CPU does
+    package : the package that pip installs for it; "" for those of every onnxruntime
+    plugin : the module with the path of the plug-in's library; "" where the provider is part of `package`'s onnxruntime
+    settings : its options, so that it computes as the CPU does
     """
 
     name: str
@@ -48,16 +48,16 @@ class Provider:
 
     @property
     def built_in(self) -> bool:
-        """Whether this onnxruntime was built with it."""
+        """Whether this onnxruntime was built with the provider."""
         return self.ort in _built_in()
 
     @property
     def installed(self) -> bool:
-        """Whether its libraries are there; a device need not be."""
+        """Whether the provider's libraries are there; a device need not be."""
         return self.built_in or bool(self.plugin and find_spec(self.plugin))
 
     def versions(self) -> list[str]:
-        """Of onnxruntime and of the provider's package, for reports."""
+        """Return the versions of onnxruntime and of the provider's package, for reports."""
         found = [f"onnxruntime {load_onnxruntime().__version__}"]
         if self.plugin:
             with suppress(PackageNotFoundError):
@@ -93,7 +93,8 @@ def load_onnxruntime() -> ModuleType:
 
 
 def find_provider(name: str) -> Provider:
-    """The provider of a key of `PROVIDERS` or of onnxruntime's own name. Raises NetworkError unless it is installed."""
+    """Return the provider of a key of `PROVIDERS` or of onnxruntime's own name. Raises NetworkError unless it is
+    installed."""
     known = PROVIDERS.get(name.lower()) or next((each for each in _KNOWN if each.ort == name), None)
     if (provider := known or Provider(name, name)).installed:
         return provider
@@ -107,7 +108,7 @@ def find_provider(name: str) -> Provider:
 
 
 def installed_providers() -> list[Provider]:
-    """The known ones whose libraries are here."""
+    """Return the known providers whose libraries are here."""
     return [provider for provider in _KNOWN if provider.installed]
 
 
@@ -160,7 +161,8 @@ def plugin_device(provider: Provider):
 
 @cache
 def _built_in() -> frozenset[str]:
-    """Before any plug-in is registered: onnxruntime lists those, too, from then on."""
+    """Return the names of the providers that are part of onnxruntime. Call it before any plug-in is registered:
+    onnxruntime lists those, too, from then on."""
     return frozenset(load_onnxruntime().get_available_providers())
 
 

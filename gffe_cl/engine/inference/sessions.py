@@ -12,7 +12,7 @@ from gffe_cl.engine.inference.providers import Provider, load_onnxruntime, open_
 
 
 def free_dimensions(session, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, int]:
-    """Sizes of the free dimensions of a session's inputs by their names, where the inputs have `shapes`."""
+    """Return the sizes of the free dimensions of a session's inputs by their names, where the inputs have `shapes`."""
     return {
         name: size
         for value in session.get_inputs()
@@ -29,7 +29,8 @@ class FixedSession:
     """
 
     def __init__(self, path: Path, provider: Provider, shapes: Mapping[str, tuple[int, ...]], free):
-        """`shapes` of all inputs and of the output by name; `free`: any session of the model. Raises NetworkError."""
+        """Open the session. `shapes`: of all inputs and of the output by name; `free`: any session of the model. Raises
+        NetworkError."""
         self._runtime = load_onnxruntime()
         self.session = open_session(path, provider, free_dimensions(free, shapes))
         self.copying = 0.0
@@ -73,8 +74,8 @@ class FixedSession:
         return self._runtime.OrtValue.ortvalue_from_shape_and_type(list(shape), np.float32, memory_info=place)
 
     def _wait(self, inputs: Mapping[str, np.ndarray]) -> None:
-        """Wait until the provider is done. WebGPU's runs return early, but a copy from its queue waits. The smallest
-        input is copied, so that the time of the result's copy is known separately."""
+        """Wait until the provider has finished. WebGPU's runs return early, but a copy from its queue waits. The
+        smallest input is copied, so that the time of the result's copy is known separately."""
         if self._inputs:
             name = min(self._inputs, key=lambda key: inputs[key].size)
             self._fetch(self._inputs[name], np.empty_like(inputs[name]))

@@ -1,6 +1,6 @@
-"""Choosing and opening OpenCL devices.
+"""Choice and opening of OpenCL devices.
 
-Only devices that probing found to work are opened (`probing`); what it found is kept for later processes
+Only devices that probing found to work are opened (`probing`); its results are stored for later processes
 (`device_cache`). The default is the fastest in the probe, GPU or CPU; `GFFE_DEVICE` overrides it.
 """
 
@@ -55,8 +55,8 @@ _crashing: dict[str, DeviceInfo] = {}  # vendors that are hidden, by the name of
 
 
 def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
-    """The devices that `wanted` means: an index ("0:1"), a kind ("gpu"), part of the platform's name or
-    version ("intel", "pocl"), or else part of the device's name ("xeon")."""
+    """Return the devices that `wanted` means: an index ("0:1"), a kind ("gpu"), part of the platform's name or version
+    ("intel", "pocl"), or else part of the device's name ("xeon")."""
     wanted = wanted.strip().lower()
     if not any(letter.isalpha() for letter in wanted):
         return [info for info in infos if info.index == wanted]
@@ -96,11 +96,11 @@ class Device:
     info : DeviceInfo
     context : pyopencl.Context
     queue : pyopencl.CommandQueue
-        Works in order. It has profiling, unless it came from an engine without.
+        Queue that works in order. It has profiling, unless it came from an engine without.
     profiles : bool
         Whether the queue has profiling; without there are no timings of kernels.
     alignment : int
-        Bytes: kernels can use host memory in place that begins at a multiple of it.
+        Alignment in bytes: kernels can use host memory in place that begins at a multiple of it.
     works_in_host_memory : bool
         Whether kernels can use NumPy arrays where they are: on CPUs.
     shares_memory : bool
@@ -108,11 +108,11 @@ class Device:
     allocated : int
         Bytes of the buffers made by `buffer` so far.
     opened : Opened
-        What it has in common with others; a context of its own if it is made without.
+        State that it shares with other `Device`s of one OpenCL device.
 
     Notes
     -----
-    Made by `open_device`, or by `Device.from_context` in an engine's own context.
+    Devices are made by `open_device`, or by `Device.from_context` in an engine's own context.
     """
 
     def __init__(
@@ -137,15 +137,16 @@ class Device:
 
     @classmethod
     def from_context(cls, context: Any, queue: Any = None) -> Device:
-        """Use the OpenCL context and queue of an engine: its buffers can be submitted, and its events waited for.
+        """Return a device that uses the OpenCL context and queue of an engine: its buffers can be submitted, and its
+        events waited for.
 
         Parameters
         ----------
         context : pyopencl.Context or int
-            Or the handle (`cl_context`). The context is retained as long as the device, or something made with it, is
-            in use; the caller keeps its own reference.
+            The engine's context, or its handle (`cl_context`). It is retained as long as the device, or something made
+            with it, is in use; the caller keeps its own reference.
         queue : pyopencl.CommandQueue, int or None
-            Or the handle (`cl_command_queue`): a queue of this context that works in order, with or without profiling.
+            A queue of this context, or its handle (`cl_command_queue`), that works in order, with or without profiling.
             All work is enqueued there. None: a new queue with profiling, in a context of one device; then order the
             work by events (`wait_for` of `Pipeline.submit`, `event` of the frames made).
 
@@ -196,12 +197,13 @@ class Device:
 
     @cached_property
     def exact_division(self) -> bool:
-        """Whether plain division is correctly rounded here; else kernels correct it (`divide` of common.h)."""
+        """Whether plain division is correctly rounded on this device; if not, kernels correct it (`divide` of
+        common.h)."""
         return self.info.exact_division
 
     @cached_property
     def int64_atomics(self) -> bool:
-        """Whether a 64-bit atomic minimum builds and gives the right answer here."""
+        """Whether a 64-bit atomic minimum builds and gives the right result on this device."""
         if self.opened.int64_atomics is None:
             self.opened.int64_atomics = try_int64_atomics(self.context, self.queue)
         return self.opened.int64_atomics
@@ -213,7 +215,7 @@ class Device:
 
     @cached_property
     def alignment(self) -> int:
-        """Bytes: kernels can use host memory in place that begins at a multiple of it (`empty`)."""
+        """Alignment in bytes: kernels can use host memory in place that begins at a multiple of it (`empty`)."""
         return max(int(self.cl_device.mem_base_addr_align) // 8, 1)
 
     @cached_property
@@ -229,8 +231,9 @@ class Device:
         return bool(int(forced) if forced else self.cl_device.host_unified_memory)
 
     def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-        """A new NumPy array, not initialized, that begins at a multiple of `alignment`, so that `Pipeline.submit` can
-        use it with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
+        """Return a new NumPy array, not initialized, that begins at a multiple of `alignment`, so that
+        `Pipeline.submit` can use it with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not
+        take."""
         try:
             dtype = np.dtype(dtype)
             if dtype.hasobject:
@@ -244,9 +247,9 @@ class Device:
             raise GffeError(f"empty: no array of shape {shown(shape)}: {str(error)[:120]}") from None
 
     def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
-        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it without a
-        copy, if host and device share memory. Raises GffeError if that is no number of bytes, or the device cannot
-        allocate them."""
+        """Return a new read-write device buffer of `nbytes` (at least 1). With `mapped` the host can work in it without
+        a copy, if host and device share memory. Raises GffeError if `nbytes` is no number of bytes, or the device
+        cannot allocate them."""
         size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
         mapped = require_bool(mapped, "device: mapped")
         self.require_process()
@@ -267,7 +270,7 @@ def list_devices(refresh: bool = False) -> list[DeviceInfo]:
 
 
 def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
-    """The devices, and whether they were known without probing."""
+    """Return the devices, and whether their results were known without probing."""
     prepare_runtimes()
     key = device_cache.fingerprint()
     known = None if refresh else device_cache.recall(key)
@@ -281,7 +284,7 @@ def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
 
 
 def open_device(wanted: str | None = None) -> Device:
-    """Open the device that matches `wanted` (see `select`), or the default one.
+    """Open and return the device that matches `wanted` (an index, a kind or part of a name), or the default one.
 
     Raises GffeError if no device works or none matches, or `wanted` is no text.
     """
@@ -322,8 +325,8 @@ def none_works(infos: list[DeviceInfo], kind: str | None = None) -> GffeError:
 
 
 def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
-    """The default among devices that work: the fastest in the probe, whatever its kind. Of those that are about as fast
-    a GPU comes first, which leaves the CPU to the network, and PoCL last; then the first in the list."""
+    """Return the default among devices that work: the fastest in the probe, whatever its kind. Of those that are about
+    as fast a GPU comes first, which leaves the CPU to the network, and PoCL last; then the first in the list."""
     fastest = max(info.megapixels_per_second for info in infos)
     near = [info for info in infos if info.megapixels_per_second * _ABOUT_AS_FAST >= fastest]
     return min(near, key=lambda info: (info.kind != "gpu", "pocl" in info.version.lower()))
@@ -363,7 +366,8 @@ def _profiling_queue(context: cl.Context, device: cl.Device) -> cl.CommandQueue:
 
 
 def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
-    """The queue that `Device.from_context` works with."""
+    """Return the queue that `Device.from_context` works with: `queue`, checked, or a new one. Raises GffeError for a
+    queue that it cannot use."""
     if queue is None:
         if len(context.devices) != 1:
             raise GffeError(f"from_context: the context has {len(context.devices)} devices (expected a queue of one)")

@@ -74,7 +74,7 @@ def recall(key: str) -> Probed | None:
 
 
 def keep(key: str, found: Probed) -> None:
-    """Let later processes recall `found` as `key`."""
+    """Store `found` as `key` for later processes."""
     folder = kept_folder()
     if folder is None:
         return
@@ -89,7 +89,7 @@ def keep(key: str, found: Probed) -> None:
 
 
 def _device(document: dict) -> DeviceInfo:
-    """TypeError unless the fields are of the types that they are described as."""
+    """Return the entry of a JSON document. Raises TypeError unless the fields have the declared types."""
     info = DeviceInfo(**document)
     for name, value in ((field.name, getattr(info, field.name)) for field in fields(DeviceInfo)):
         kind = {"works": bool, "exact_division": bool, "lacks": list, "megapixels_per_second": (int, float)}.get(
@@ -101,7 +101,7 @@ def _device(document: dict) -> DeviceInfo:
 
 
 def _stamps(library: str) -> list:
-    """Of the files that the library of an `.icd` file may be."""
+    """Return the stamps of the files that the library of an `.icd` file may be."""
     if not library:
         return []
     if "/" in library:

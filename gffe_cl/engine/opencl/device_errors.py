@@ -39,7 +39,7 @@ def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> It
 
 
 def telling_device_faults(method: Callable) -> Callable:
-    """Decorate a method of an object with `device` and `_footprint()` with `device_faults`."""
+    """Return `method`, of an object with `device` and `_footprint()`, decorated with `device_faults`."""
 
     @wraps(method)
     def wrapped(self, *arguments, **more):

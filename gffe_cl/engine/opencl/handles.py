@@ -23,8 +23,8 @@ def is_handle(value: Any) -> bool:
 
 
 def adopted(value: Any, kind: type[Kind], what: str) -> Any:
-    """`value` as a pyopencl object of `kind`. Of a handle the object is retained, and released when Python has no
-    reference to the result any more; the caller keeps its own reference. GffeError for anything else."""
+    """Return `value` as a pyopencl object of `kind`. The object of a handle is retained, and released when Python has
+    no reference to the result any more; the caller keeps its own reference. Raises GffeError for anything else."""
     if isinstance(value, kind):
         return value
     if is_handle(value):
@@ -33,7 +33,8 @@ def adopted(value: Any, kind: type[Kind], what: str) -> Any:
 
 
 def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event]:
-    """Events to wait for, pyopencl's or handles. GffeError unless all are of `context`, and none has failed."""
+    """Return events to wait for, given as pyopencl's or as handles. Raises GffeError unless all are of `context`, and
+    none has failed."""
     try:
         listed = [None] if isinstance(values, str | bytes) else list(values)
     except TypeError:

@@ -1,4 +1,4 @@
-"""Memory of this process: where pages cost much, those that were freed are kept for the next arrays."""
+"""Tuning of this process's allocator: where new pages are expensive, freed ones are kept for the next arrays."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _NEVER = 2**31 - 1
 
 
 def keep_freed_memory() -> None:
-    """For a command that allocates images of one size over and over: freed pages stay with this process, to be used
-    again. Fetching new ones from the system costs more time than filling them, in virtual machines ten times as much.
+    """Keep freed pages in this process, to be used again, for a command that allocates images of one size over and
+    over. Fetching new ones from the system costs more time than filling them, in virtual machines ten times as much.
     Does nothing but with glibc."""
     with suppress(OSError, AttributeError, TypeError):
         mallopt = ctypes.CDLL(None).mallopt

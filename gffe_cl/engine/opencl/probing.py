@@ -1,4 +1,4 @@
-"""Probing OpenCL devices, in a child process: a driver may crash there.
+"""Probing of OpenCL devices, in a child process: a driver may crash there.
 
 A device counts only after a kernel has been built and run on it. A driver that crashes while its devices are listed is
 found by listing each vendor's in a child of its own, and left out.
@@ -61,8 +61,8 @@ class Probed:
 
 
 def probe() -> Probed:
-    """Probe every OpenCL device. A driver that crashes or hangs while its devices are listed is also hidden from this
-    process.
+    """Probe every OpenCL device and return the results. A driver that crashes or hangs while its devices are listed is
+    also hidden from this process.
 
     One child tries all devices, one after the other, so that their figures do not disturb each other. Only if that one
     fails, vendors and then devices are tried side by side, each in a child of its own.
@@ -111,7 +111,7 @@ def _told(output: str) -> list[DeviceInfo]:
 
 
 def _probe_alone(info: DeviceInfo) -> DeviceInfo:
-    """Probe one device in a child process of its own."""
+    """Probe one device in a child process of its own, and return the result."""
     output, failure = _run_child([info.index], _DEVICE_SECONDS)
     (found,) = _told(output) or [info]
     if not found.works:
@@ -120,7 +120,7 @@ def _probe_alone(info: DeviceInfo) -> DeviceInfo:
 
 
 def _crashing_vendors() -> dict[str, DeviceInfo]:
-    """The vendors whose devices cannot be listed, by the name of their `.icd` file; each is tried alone."""
+    """Return the vendors whose devices cannot be listed, by the name of their `.icd` file; each is tried alone."""
     icds = vendors()
     crashing = {}
     for icd, (output, failure) in zip(icds, _side_by_side(_list_vendor, icds), strict=True):
@@ -172,7 +172,7 @@ def _probe(info: DeviceInfo, device: cl.Device) -> None:
 
 
 def build_log(error: Exception) -> str:
-    """Return the compiler's words in the error of a build, without those of OpenCL and pyopencl around them."""
+    """Return the compiler's output in the error of a build, without the text of OpenCL and pyopencl around it."""
     noise = ("clBuildProgram failed", "Build on", "(options:", "(source saved", "Compilation ")
     lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith(noise)]
     return "\n".join(lines) or str(error)
@@ -233,7 +233,7 @@ def _run_probe_kernel(context, queue) -> float:
 
 
 def _fastest(enqueue: Callable[[], cl.Event]) -> int:
-    """Nanoseconds of the fastest of several runs of a command, without the first."""
+    """Return nanoseconds of the fastest of several runs of a command, without the first."""
     times, end = [], time.perf_counter() + _RANKING_SECONDS * slowdown()
     while len(times) < 3 or time.perf_counter() < end:
         event = enqueue()
@@ -248,7 +248,8 @@ def _built(queue: cl.CommandQueue, source: str, *options: str) -> cl.Program:
 
 @contextmanager
 def quiet_builds():
-    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them."""
+    """Hide drivers' remarks on builds that succeed during the block, unless PYOPENCL_COMPILER_OUTPUT=1 asks for
+    them."""
     with warnings.catch_warnings():
         if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
             warnings.simplefilter("ignore", cl.CompilerWarning)
@@ -256,7 +257,7 @@ def quiet_builds():
 
 
 def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
-    """Whether a 64-bit atomic minimum builds and gives the right answer."""
+    """Return whether a 64-bit atomic minimum builds and gives the right result on the device."""
     import numpy as np
 
     try:
@@ -281,8 +282,8 @@ __kernel void divide(__global const float *a, __global const float *b, __global 
 
 
 def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
-    """Whether plain division, of scalars and of vectors, is correctly rounded here, whatever the driver promises: of
-    half a million quotients all."""
+    """Return whether plain division, of scalars and of vectors, is correctly rounded on the device, whatever the driver
+    promises: all of half a million quotients are."""
     import numpy as np
 
     n = 1 << 16 if "oclgrind" not in os.environ.get("LD_PRELOAD", "") else 64

@@ -47,7 +47,7 @@ class Argument:
 
     @property
     def is_number(self) -> bool:
-        """Whether it is a number, by value."""
+        """Whether it is a number, passed by value."""
         return not self.buffer and self.type in _SCALARS
 
     @property
@@ -57,17 +57,17 @@ class Argument:
 
     @property
     def numpy_type(self) -> Any:
-        """NumPy type for pyopencl: that of a number, or of a struct's bytes; None for buffers."""
+        """NumPy type for pyopencl: of a number, or of a struct's bytes; None for buffers."""
         return None if self.buffer else _SCALARS.get(self.type, np.void)
 
     def packed(self, value: Any) -> Any:
-        """`value` as the kernel takes it: numbers of the argument's type, everything else as it is."""
+        """Return `value` as the kernel takes it: numbers in the argument's type, everything else unchanged."""
         return value if self.buffer or self.type not in _SCALARS else _SCALARS[self.type](value)
 
 
 class Program:
-    """The kernels of one file. `kernels` are those of `launch`, `arguments` describe the parameters of each, and
-    `constants` are the numbers defined by the file and its headers."""
+    """The kernels of one file. `kernels` are the objects that `launch` uses, `arguments` describe the parameters of
+    each, and `constants` are the numbers defined by the file and its headers."""
 
     def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
         self.name = name
@@ -105,8 +105,8 @@ class Program:
         group: tuple[int, ...] | None,
         values: Mapping[str, Any],
     ) -> cl.Event:
-        """Enqueue `kernel` over `size` work-items in groups of `group`; `values` by the names of its arguments, others
-        are left alone."""
+        """Enqueue `kernel` over `size` work-items in groups of `group`, and return its event. `values` are set by the
+        names of arguments, others are left alone."""
         try:
             packed = [argument.packed(values[argument.name]) for argument in self.arguments[kernel]]
         except KeyError as missing:
@@ -116,10 +116,10 @@ class Program:
 
 
 def build(device: Device, name: str, **variant: int) -> Program:
-    """Build `kernels/<name>.cl` for `device`; `variant` becomes -D options (true variants only).
+    """Build `kernels/<name>.cl` for `device` and return the program; `variant` becomes -D options (true variants only).
 
-    What has been built before, from the same text, is not built again: pipelines of one device share kernels, on
-    several threads too. Raises GffeError with the compiler's log (file and line) when it does not build.
+    A program is built only once from the same text: pipelines of one device share kernels, on several threads too.
+    Raises GffeError with the compiler's log (file and line) when it does not build.
     """
     source = expand(f"{name}.cl")
     choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}
@@ -135,18 +135,18 @@ def build(device: Device, name: str, **variant: int) -> Program:
 
 
 def kernel_folder() -> Path:
-    """Where kernel sources are read from: `GFFE_KERNELS`, else the installed package."""
+    """Return the folder of the kernel sources: `GFFE_KERNELS`, else the one in the installed package."""
     return Path(os.environ.get("GFFE_KERNELS") or str(files("gffe_cl.kernels")))
 
 
 def constants(name: str) -> dict[str, Any]:
-    """The numbers that `kernels/<name>` and its headers define: {"BINS": 32768, …}."""
+    """Return the numbers that `kernels/<name>` and its headers define: {"BINS": 32768, …}."""
     return parse_constants(expand(name))
 
 
 def parse_constants(source: str) -> dict[str, Any]:
-    """The numbers that are defined in the text of a kernel file, and the members of its enums: integers, and floats as
-    float32 has them."""
+    """Return the numbers that are defined in the text of a kernel file, and the members of its enums: integers, and
+    floats as float32 has them."""
     found: dict[str, Any] = {}
     for name, text in _DEFINE.findall(_COMMENT.sub(" ", source)):
         text = text.strip()
@@ -160,7 +160,7 @@ def parse_constants(source: str) -> dict[str, Any]:
 
 
 def parse_kernels(source: str) -> dict[str, tuple[Argument, ...]]:
-    """The arguments of every kernel in the text of a kernel file."""
+    """Return the arguments of every kernel in the text of a kernel file."""
     source = _COMMENT.sub(" ", source)
     macros = {name: body.replace("\\\n", " ") for name, body in _MACRO.findall(source)}
 
@@ -174,12 +174,13 @@ def parse_kernels(source: str) -> dict[str, tuple[Argument, ...]]:
 
 
 def parse_struct(source: str, name: str) -> np.dtype:
-    """The struct `name` in the text of a kernel file, laid out as OpenCL C does: vectors are subarrays."""
+    """Return the struct `name` in the text of a kernel file as a NumPy type, laid out as OpenCL C does: vectors are
+    subarrays."""
     return _layout(_COMMENT.sub(" ", source), name)[0]
 
 
 def _layout(source: str, name: str) -> tuple[np.dtype, int]:
-    """The NumPy type of an OpenCL type, and its alignment in bytes."""
+    """Return the NumPy type of an OpenCL type, and its alignment in bytes."""
     if vector := re.fullmatch(r"(int|uint|float)(2|4|8|16)?", name):
         count = int(vector[2] or 1)
         dtype = np.dtype((_SCALARS[vector[1]], count)) if vector[2] else np.dtype(_SCALARS[name])
@@ -219,7 +220,7 @@ def _told_names(kernel: cl.Kernel) -> list[str] | None:
 
 
 def expand(name: str) -> str:
-    """Text of `kernels/<name>` with its includes in place and `#line` directives."""
+    """Return the text of `kernels/<name>` with its includes in place and `#line` directives."""
     return "\n".join(_expanded_lines(PurePosixPath(name), set())) + "\n"
 
 
@@ -244,7 +245,7 @@ def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
 
 
 class BuildError(GffeError):
-    """Kernels do not build. The message is the compiler's first error, `log` its whole output."""
+    """Error of kernels that do not build. The message is the compiler's first error, `log` its whole output."""
 
     def __init__(self, message: str, log: str = ""):
         super().__init__(message)

@@ -1,8 +1,8 @@
 """Cache of built programs on disk. Some drivers take seconds to build a program that loads in milliseconds.
 
-pyopencl keeps them too, but behind a lock that a killed process leaves behind: everybody after it waits for a minute.
-Here a file is whole or not there at all, so that nobody waits for anybody. A folder that cannot be read or written is
-no error. Drivers crash on damaged binaries: each is stored behind a digest, which is checked first.
+pyopencl keeps them too, but behind a lock that a killed process leaves behind: every later process waits for a minute.
+Here a file is whole or not there at all, so that no process waits for another. A folder that cannot be read or written
+is no error. Drivers crash on damaged binaries: each is stored behind a digest, which is checked first.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _MOST_BYTES = 64 << 20
 
 
 def built_program(context: cl.Context, device: cl.Device, source: str, options: tuple[str, ...] = ()) -> cl.Program:
-    """`source` built for a device of `context`. Raises cl.RuntimeError with the compiler's log."""
+    """Return the program of `source`, built for a device of `context`. Raises cl.RuntimeError with the compiler's
+    log."""
     if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
         options = (*options, "-w")  # else clang counts its warnings on standard error
     path = None if has_src_build_cache(device) else _path(device, source, options)

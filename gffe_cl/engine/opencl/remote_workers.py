@@ -1,6 +1,6 @@
 """Work on many machines: functions computed by the workers of a Dask cluster, each on its own OpenCL device.
 
-A worker that dies loses nothing but what it was at, which another one takes; every result comes once.
+If a worker dies, another one repeats the item in progress; every result comes once.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _one_at_a_time = threading.Lock()  # of a worker's threads: they share a device
 
 
 class Cluster:
-    """The Dask scheduler at `address` ("tcp://host:8786"). Workers need the same sources of gffe-cl as here, and see
-    files under the same paths. Raises GffeError if no scheduler answers."""
+    """Connection to the Dask scheduler at `address` ("tcp://host:8786"). Workers need the same sources of gffe-cl as
+    here, and see files under the same paths. Raises GffeError if no scheduler answers."""
 
     def __init__(self, address: str):
         try:
@@ -94,13 +94,13 @@ def _on_worker(known: str, links: bool, function: Callable[..., Any], arguments:
 
 @lru_cache(maxsize=1)
 def device_of_worker(name: str | None) -> Device:
-    """The device that a worker's process opens for all of its work."""
+    """Return the device that a worker's process opens for all of its work."""
     return open_device(name)
 
 
 @cache
 def fingerprint() -> str:
-    """A hash of the sources and the kernels of this program."""
+    """Return a hash of the sources and the kernels of this program."""
     total, root = hashlib.sha256(), Path(str(files("gffe_cl")))
     for folder, endings in ((root, (".py",)), (kernel_folder(), (".cl", ".h"))):
         for path in sorted(p for p in folder.rglob("*") if p.suffix in endings):

@@ -1,4 +1,4 @@
-"""Making OpenCL runtimes visible before the ICD loader lists them.
+"""Discovery of OpenCL runtimes, before the ICD loader lists them.
 
 The loader reads its list of vendors once in a process, when OpenCL is first asked for platforms: `prepare_runtimes`
 must run before. Runtimes that pip installed into the environment (Intel's CPU runtime) are not in the system's vendor
@@ -39,7 +39,7 @@ _INTEL_FILES = (
 
 
 def cache_folder() -> Path:
-    """Folder for caches of this package, made on first use; a temporary one where home is not writable."""
+    """Return the folder for caches of this package, made on first use; a temporary one where home is not writable."""
     folder = platformdirs.user_cache_path("gffe-cl", appauthor=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -97,8 +97,8 @@ def _temporary_folder() -> Path:
 
 
 def prepare_runtimes() -> None:
-    """Make OpenCL runtimes of this Python environment known, as Intel's for CPUs, and let drivers keep their caches
-    where they can write.
+    """Make OpenCL runtimes of this Python environment known, such as Intel's for CPUs, and let drivers keep their
+    caches where they can write.
 
     `open_device`, `list_devices` and the command line call it. Call it yourself, first of all, in a program that uses
     pyopencl before them: when OpenCL has been asked for platforms, it is too late. Sets
@@ -138,13 +138,13 @@ def expose_installed_runtimes() -> None:
 
 
 def vendors() -> list[Path]:
-    """The `.icd` files that the ICD loader reads, sorted by name."""
+    """Return the `.icd` files that the ICD loader reads, sorted by name."""
     chosen = Path(os.environ.get(VENDORS) or _SYSTEM_VENDORS)
     return sorted(chosen.glob("*.icd")) if chosen.is_dir() else [chosen] if chosen.is_file() else []
 
 
 def why_no_platform() -> str | None:
-    """Return why the ICD loader lists no platform, where its variable or its files tell."""
+    """Return why the ICD loader lists no platform, as far as its variable or its files show it, else None."""
     chosen, found = os.environ.get(VENDORS), vendors()
     if chosen and not found:
         there = "where there is no .icd file" if Path(chosen).is_dir() else "which is not there"
@@ -162,7 +162,7 @@ def _library_of(icd: Path) -> Path:
 
 
 def only_vendors(icds: Iterable[Path]) -> Path:
-    """A folder that holds these of the `.icd` files and no others, for `OCL_ICD_VENDORS`."""
+    """Return a folder that holds these `.icd` files and no others, for `OCL_ICD_VENDORS`."""
     return _vendor_folder({icd.name: icd.read_text() for icd in icds})
 
 
@@ -229,8 +229,8 @@ def _has_space(path: Path) -> bool:
 
 
 def redirect_unwritable_caches() -> None:
-    """Let PoCL and pyopencl keep their caches where they can be written, for homes that cannot and for folders in them
-    that belong to somebody else, as after a run with sudo.
+    """Make PoCL and pyopencl keep their caches where they can be written, if the home folder cannot be written or
+    folders in it belong to another user, as after a run with sudo.
 
     Both fail to build anything otherwise. Both look for the folder when they first need it.
     """
@@ -247,7 +247,7 @@ def redirect_unwritable_caches() -> None:
 
 
 def _can_be_written(folder: Path) -> bool:
-    """Return whether files can be made in `folder`, or if it is missing, it can."""
+    """Return whether files can be made in `folder`, or if it is missing, whether it can be made."""
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
     return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK) and not str(folder).startswith("/proc")

@@ -44,7 +44,7 @@ class SharingSupport:
     Attributes
     ----------
     opengl : bool
-        Buffers of OpenGL (`GlSharing`).
+        Whether buffers of OpenGL can be shared (`GlSharing`).
     memory : tuple of str
         Memory of other APIs (`MemorySharing`), by the types of handles that can be imported: "opaque_fd", "dma_buf"
         (Linux), "opaque_win32", "opaque_win32_kmt", "d3d12_heap", "d3d12_resource" (Windows); empty: none.
@@ -75,13 +75,15 @@ class _Sharing:
     _commands: ClassVar[tuple[str, str]]
 
     def acquire(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
-        """Enqueue taking `buffers` over from the other API, on the device's queue, once `wait_for` is complete. The
-        other API must be done with them. Returns the event of that. Raises GffeError for other values, and where the
+        """Enqueue taking `buffers` over from the other API, on the device's queue, once `wait_for` is complete, and
+        return the event of that. The other API must be done with them. Raises GffeError for other values, and where the
         driver fails."""
         return self._enqueue(self._commands[0], buffers, wait_for)
 
     def release(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
-        """Enqueue the release of `buffers` in the same way. The other API may use them when the event is complete."""
+        """Enqueue giving `buffers` back to the other API, on the device's queue, once `wait_for` is complete, and
+        return the event of that. The other API may use them when the event is complete. Raises GffeError for other
+        values, and where the driver fails."""
         return self._enqueue(self._commands[1], buffers, wait_for)
 
     def __init__(self, device: Device, is_offered: bool, what: str):
@@ -103,18 +105,18 @@ class _Sharing:
 
 
 class GlSharing(_Sharing):
-    """Buffers of OpenGL that OpenCL uses in place: `buffer` makes them device buffers, `acquire` and `release`
-    (buffers, wait_for=()) enqueue taking them over and giving them back, and return the events of that.
+    """Sharing of OpenGL buffers, which OpenCL uses in place. `buffer` makes a device buffer of one. `acquire` and
+    `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
 
     Parameters
     ----------
     device : Device
-        Made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
+        A device made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
 
     Raises
     ------
     GffeError
-        Where the driver does not offer it.
+        Where the driver does not support sharing with OpenGL.
     """
 
     _commands = ("clEnqueueAcquireGLObjects", "clEnqueueReleaseGLObjects")
@@ -124,16 +126,16 @@ class GlSharing(_Sharing):
 
     @classmethod
     def open_device(cls, gl_context: int, display: int, window_system: str = "glx") -> Device:
-        """Open the OpenCL device that renders an OpenGL context, in a context that shares with it.
+        """Open the OpenCL device that renders an OpenGL context, in a context that shares with it, and return it.
 
         Parameters
         ----------
         gl_context : int
-            The handle: GLXContext, EGLContext or HGLRC. The context must be current in this thread.
+            Handle of the context: GLXContext, EGLContext or HGLRC. The context must be current in this thread.
         display : int
-            Handle of what it belongs to: X11's Display, EGLDisplay or HDC.
+            Handle of its display: X11's Display, EGLDisplay or HDC.
         window_system : str
-            "glx", "egl" or "wgl".
+            Window system: "glx", "egl" or "wgl".
 
         Raises
         ------
@@ -154,8 +156,8 @@ class GlSharing(_Sharing):
         raise GffeError("GlSharing: no OpenCL driver shares with this OpenGL context (see sharing_support)")
 
     def buffer(self, name: int) -> cl.Buffer:
-        """An OpenGL buffer object, by its name, as a device buffer; it must have storage, and stay as long as the
-        result is in use. Raises GffeError for other values, and where the driver refuses it."""
+        """Return an OpenGL buffer object, given by its name, as a device buffer. It must have storage, and stay as long
+        as the result is in use. Raises GffeError for other values, and where the driver refuses it."""
         number = require_whole(name, "GlSharing: name", 1, 2**32 - 1)
         platform, error = self.device.cl_device.platform, _INT()
         create = _function(platform, "clCreateFromGLBuffer", _P, _P, ct.c_uint64, _UINT, _P)
@@ -166,18 +168,18 @@ class GlSharing(_Sharing):
 
 
 class MemorySharing(_Sharing):
-    """Memory of Vulkan or Direct3D 12 that OpenCL uses in place: `buffer` imports it, `acquire` and `release`
-    (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
+    """Sharing of memory of Vulkan or Direct3D 12, which OpenCL uses in place. `buffer` imports it. `acquire` and
+    `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
 
     Parameters
     ----------
     device : Device
-        On the same GPU as the other API's device.
+        A device on the same GPU as the other API's.
 
     Raises
     ------
     GffeError
-        Where the driver does not offer it.
+        Where the driver does not support the import of memory.
     """
 
     _commands = ("clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR")
@@ -187,7 +189,7 @@ class MemorySharing(_Sharing):
         super().__init__(device, bool(self.types), f"external memory ({_MEMORY})")
 
     def buffer(self, kind: str, handle: int, nbytes: int) -> cl.Buffer:
-        """Memory that another API exported, from its first byte on, as a device buffer of `nbytes`.
+        """Return memory that another API exported, from its first byte on, as a device buffer of `nbytes`.
 
         `kind` is a type of handle that `SharingSupport.memory` lists, `handle` a file descriptor or a Windows handle. A
         file descriptor belongs to the driver afterwards: do not close it. Raises GffeError for other values, and where
@@ -254,7 +256,7 @@ def _address(platform: cl.Platform, name: str) -> int | None:
 
 
 def _function(platform: cl.Platform, name: str, result: Any, *arguments: Any) -> Callable:
-    """A function of OpenCL's, by its name and types. GffeError if neither driver nor loader has it."""
+    """Return a function of OpenCL by its name and types. Raises GffeError if neither driver nor loader has it."""
     address = _address(platform, name)
     if not address:
         raise GffeError(f"sharing: neither the driver {shown(platform.name)} nor the OpenCL loader has {name}")

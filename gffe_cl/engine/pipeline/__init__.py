@@ -1,1 +1,1 @@
-"""The pipeline: its options, the order and state of its stages, its input frames, and `gffe run`."""
+"""The pipeline: the order and state of its stages, the frames it makes, and pacing."""

@@ -40,17 +40,18 @@ class MadeFrame:
 
     @property
     def color(self) -> cl.Buffer:
-        """The final picture, half ×4."""
+        """The final image, half ×4, linear RGB."""
         return self._color
 
     @property
     def event(self) -> cl.Event:
-        """Complete when the buffers hold the frame."""
+        """Event that is complete when the buffers hold the frame."""
         return self._event
 
     def numpy(self, name: str) -> np.ndarray:
-        """Copy to the host by the attribute's name: colors (H, W, 3) float16, "depth" (H, W) float32, "motion"
-        (H, W, 2) float32, all others (H, W) uint8. Raises GffeError for other names, and where the device fails."""
+        """Copy a buffer to the host, by the attribute's name, and return it: colors (H, W, 3) float16, "depth" (H, W)
+        float32, "motion" (H, W, 2) float32, all others (H, W) uint8. Raises GffeError for other names, and where the
+        device fails."""
         spec = self._spec(name)
         out = np.empty(self._shape(spec), spec.dtype)
         with device_faults(self._device, f'reading "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
@@ -59,9 +60,9 @@ class MadeFrame:
 
     @contextmanager
     def mapped(self, name: str) -> Iterator[np.ndarray]:
-        """In a `with` block, the buffer's own memory as `numpy` gives it, to read. On CPUs nothing is copied; on other
-        devices the driver may copy. Leave the block before the next frame is made; the array must not be used
-        afterwards. Raises GffeError as `numpy` does."""
+        """Yield, in a `with` block, the buffer's own memory in the form that `numpy` returns, to read. On CPUs nothing
+        is copied; on other devices the driver may copy. Leave the block before the next frame is made; the array must
+        not be used afterwards. Raises GffeError as `numpy` does."""
         spec: Any = self._spec(name)
         with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
             array, _ = cl.enqueue_map_buffer(
@@ -83,7 +84,7 @@ class MadeFrame:
 
 
 class PresentedFrame(MadeFrame):
-    """Displayed rendered frame at t: its display part, in display pixels; `motion` t → t−1 between the
+    """A rendered frame as displayed: its display part at time t, in display pixels. `motion` is t → t−1 between the
     displayed images. The buffers are the rendered frame's own where all of it is shown."""
 
 

@@ -1,4 +1,4 @@
-"""When frames are shown, and for which time they are made."""
+"""Pacing: when frames are shown, and for which time they are made."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Plan:
 
     `refresh`: when it is, seconds of the caller's clock; `time`: of the frame, on the renderer's clock, for
     `Pipeline.extrapolate`; `alpha`: the same in intervals from the last rendered frame on, 0 for that one itself;
-    `held`: show again what is shown.
+    `held`: keep showing the present frame.
     """
 
     refresh: float
@@ -63,17 +63,17 @@ class Pacer:
             pacer.ready(clock())
             present(picture, plan.refresh)
 
-    Times are shown with the delay of the quickest of the last rendered frames, from its time to the refresh that can
-    show it: where others come later, more is extrapolated, and the steps of time stay even. Where the next rendered
-    frame is missing, time goes on until `most_alpha` intervals after the last one, and is held there. It never goes
-    back.
+    Times are displayed with a delay: that of the quickest of the last rendered frames, from its time to the refresh
+    that can show it. Where others come later, more is extrapolated, so that the steps of time stay even. Where the next
+    rendered frame is missing, time continues until `most_alpha` intervals after the last one, and is held there. It
+    never goes back.
 
     Parameters
     ----------
     display_rate : float
         Refreshes per second, 1e-6 to 1e6.
     most_alpha : float
-        How far to extrapolate at most, in intervals of rendered frames, up to a million.
+        Largest extrapolation, in intervals of rendered frames, up to a million.
 
     Raises
     ------
@@ -96,7 +96,7 @@ class Pacer:
         self._counts = dict.fromkeys(("rendered", "extrapolated", "held", "late", "dropped"), 0)
 
     def rendered(self, time: float) -> None:
-        """A rendered frame of this `time`, on the renderer's clock, is here."""
+        """Note that a rendered frame of this `time`, on the renderer's clock, is here."""
         time = require_within(time, "pacer: time", -_MOST_SECONDS, _MOST_SECONDS)
         if self._newest is not None:
             if time <= self._newest:
@@ -134,7 +134,7 @@ class Pacer:
         return self._last
 
     def ready(self, now: float) -> None:
-        """Note that the frame planned last is ready `now`: made and handed to the display."""
+        """Note that the frame planned last is ready `now`: made and passed to the display."""
         now = self._advanced(now)
         if self._last is None:
             raise GffeError("pacer: nothing was planned")
@@ -162,7 +162,8 @@ class Pacer:
         return now
 
     def _refresh_after(self, now: float) -> float:
-        """The first refresh from `now` on that nothing is planned for; refreshes are counted from the first one on."""
+        """Return the time of the first refresh from `now` on for which nothing is planned; refreshes are counted from
+        the first one on."""
         if self._last is None:
             return now
         periods = math.ceil((now - self._last.refresh) / self._period - _SAME)

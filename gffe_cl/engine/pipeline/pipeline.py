@@ -1,4 +1,4 @@
-"""The order of the stages, and the state between frames."""
+"""Order of the stages, and state between frames."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ _FAR_ALPHA = 16  # intervals
 
 
 def stages_of(options: Options) -> list[type[Stage]]:
-    """The stages that the options ask for, in order."""
+    """Return the stages that the options ask for, in order."""
     chosen = (FILLINGS[options.hole_filling] if stage is HoleFilling else stage for stage in STAGES)
     return [stage for stage in chosen if stage and stage.is_wanted(options)]
 
@@ -110,14 +110,14 @@ class Pipeline:
     ----------
     device : Device
     width, height : int
-        Of the extrapolated (display) image, pixels.
+        Size of the extrapolated (display) image, pixels.
     options : Options
     render_size : (int, int) or None
         Width and height of the rendered images where they differ from the display's.
     fps : float
         Rendered frames per second, used for α until two frames are known.
     int64_atomics : bool or None
-        Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
+        Force or forbid the 64-bit path of the warp; None: chosen by the device. Both give the same bits.
 
     Attributes
     ----------
@@ -134,10 +134,10 @@ class Pipeline:
 
     Notes
     -----
-    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
-    with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
-    Device buffers must have been written on `device.queue`, or be finished, before they are submitted, or `wait_for`
-    says what must be. Do not submit a released buffer: it cannot be detected, and drivers crash on it.
+    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and with
+    the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers. Device
+    buffers must have been written on `device.queue`, or be finished, before they are submitted, or the events of their
+    writers must be in `wait_for`. Do not submit a released buffer: it cannot be detected, and drivers crash on it.
 
     `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
     device's context: the work of the call begins when they are complete. Other queues can wait for the event that
@@ -194,13 +194,13 @@ class Pipeline:
 
     @telling_device_faults
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
-        """All stages and their buffers, and how many bytes these are."""
+        """Return all stages on a new board with their buffers, and how many bytes these are."""
         before = self.device.allocated
         board = Board(self.device, sizes, options, self._int64_atomics)
         try:
             for stage in stages_of(options):
                 stage(board)
-            board.lend()
+            board.memory.place()
             _ = board.frame  # made when it is first asked for
         except BaseException:
             board.let_go()
@@ -217,9 +217,9 @@ class Pipeline:
     def change_options(self, options: Options) -> None:
         """Work with other options from the next `submit` on, which must come before the next `extrapolate`.
 
-        Buffers are allocated anew, and nothing is known of earlier frames, as after a reset: history and background
-        fill up again. What `keep` asked for is forgotten. Sizes stay; `bad_pixels` and `copied_bytes`
-        go on. Frames that were returned before keep their content.
+        Buffers are allocated again, and earlier frames are dropped, as after a reset: history and background fill up
+        again. Requests of `keep` are forgotten. Sizes stay; `bad_pixels` and `copied_bytes` go on. Frames that were
+        returned earlier keep their content.
 
         Raises GffeError for anything but `Options`, and where old and new buffers do not fit beside each other; the
         pipeline is then as it was before.
@@ -236,8 +236,8 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
-        """Factor on color before display, 1e-6 to 1e6; GffeError for others. Set it before `submit`, which measures
-        how shading changed between rendered frames."""
+        """Factor on color before display, 1e-6 to 1e6. Raises GffeError for others. Set it before `submit`, which
+        measures how shading changed between rendered frames."""
         return self._exposure
 
     @exposure.setter
@@ -254,9 +254,9 @@ class Pipeline:
 
     @property
     def copied_bytes(self) -> int:
-        """Bytes written on the way of the NumPy arrays of color, depth and motion submitted so far, by conversions to
-        other types and layouts, on the host and on the device, and copies to devices with memory of their own. Arrays
-        that are used in place (`zero_copy`) and device buffers count nothing."""
+        """Bytes written so far for submitted NumPy arrays of color, depth and motion, by conversions to other types and
+        layouts, on the host and on the device, and by copies to devices with memory of their own. Arrays that are used
+        in place (`zero_copy`) and device buffers count nothing."""
         return self._copied_bytes + (self._upload.copied_bytes if self._upload else 0)
 
     # ---- rendered frames -------------------------------------------------------------------------------
@@ -265,41 +265,33 @@ class Pipeline:
     def submit(
         self,
         frame: RenderedFrame,
-        packed: HostArrays | None = None,
         *,
         wait_for: Iterable[cl.Event | int] = (),
         zero_copy: bool = False,
     ) -> cl.Event:
-        """Take a rendered frame; frames must come in order of time.
+        """Take a rendered frame and return the event that is complete when the work on it is done. Frames must come in
+        order of time.
 
-        Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
-        buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
-        another queue or from the host, before the event of the second `submit` is complete.
-        Returns at once, but on CPUs waits where it copies NumPy arrays. `packed`, the result of `pack_frame`, is
-        deprecated: its arrays replace the frame's.
+        Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device buffers, which
+        are used in place: do not overwrite them before two more frames have been submitted and, from another queue or
+        from the host, before the event of the second `submit` is complete. The call returns at once, but on CPUs waits
+        where it copies NumPy arrays.
 
         Whether the frame is an unmarked cut is decided when the next frame is made, or `is_cut` is read. The host then
-        waits for the first work on this frame, which counts samples, and not for the rest. A cut is worked on again, as
-        a reset.
+        waits for the first work on this frame, which counts samples, and not for the rest. The work on a cut is
+        repeated, as on a reset.
 
         `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
-        lie as device buffers do (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32; C-contiguous) and
-        begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion are used in place
-        both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied: `copied_bytes` counts
-        them.
-
-        Returns the event that is complete when the work on the frame is done.
+        have the layout of device buffers (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32;
+        C-contiguous) and begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion
+        are used in place both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied:
+        `copied_bytes` counts them.
 
         Raises GffeError for fields that do not match `RenderedFrame`, wrong shapes, missing motion, a time that
         does not increase, or events that cannot be waited for; the pipeline is then as it was before.
         """
         frame, zero_copy = checked_frame(frame), require_bool(zero_copy, "submit: zero_copy")
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
-        if packed is not None:
-            warnings.warn("submit: packed is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=3)
-            require_kind(packed, HostArrays, "submit: packed", "the result of pack_frame")
-            frame = replace(frame, color=packed.color, depth=packed.depth, motion=packed.motion)
-            frame._known_bad = packed.known_bad
         if self._times and not frame.reset and frame.time <= self._times[0]:
             raise GffeError(
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
@@ -326,7 +318,7 @@ class Pipeline:
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
         for stage in self.stages.values():
             stage.swap()
-        self.board.lend()
+        self.board.memory.place()
         self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and self._previous else False
         if self.presentation is None and not self._shown_whole(on_device):
@@ -367,9 +359,9 @@ class Pipeline:
 
     @telling_device_faults
     def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
-        """Return the displayed last submitted frame; it is resampled where it was rendered through a window, or where
-        the frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`,
-        and for events that cannot be waited for."""
+        """Return the last submitted frame as displayed. It is resampled where it was rendered through a window, or
+        where the frame before was and motion must be converted. Returns at once. Raises GffeError before the first
+        `submit`, and for events that cannot be waited for."""
         self._need_frame()
         events = adopted_events(wait_for, self.device.context, "present: wait_for")
         self._settle()
@@ -395,7 +387,7 @@ class Pipeline:
             cl.enqueue_barrier(self.device.queue, wait_for=events)
 
     def _done(self) -> cl.Event:
-        """An event that is complete when all that is enqueued so far is; other queues can wait for it."""
+        """Return an event that is complete when all work enqueued so far is; other queues can wait for it."""
         event = cl.enqueue_marker(self.device.queue)
         self.device.queue.flush()
         return event
@@ -444,7 +436,7 @@ class Pipeline:
         return taken
 
     def _slot(self, frame: RenderedFrame, display_camera: Camera) -> dict[str, cl.Buffer]:
-        """Buffers for a frame of NumPy arrays, by name: there are two, in turn."""
+        """Return the buffers for a frame of NumPy arrays, by name. Two sets of them are used in turn."""
         if len(self._slots) < 2:
             cameras = (frame.camera, display_camera, frame.time)
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
@@ -477,7 +469,7 @@ class Pipeline:
 
     @property
     def _recent_times(self) -> list[float]:
-        """Times of rendered frames that stages make use of."""
+        """Times of the rendered frames that stages use, in seconds."""
         return self._times[: MAX_ORDER + 1]
 
     @property
@@ -487,8 +479,8 @@ class Pipeline:
         return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
 
     def predict_camera(self, alpha: float) -> Camera:
-        """C̄ at t + α from the last display cameras (`predict_camera_at`); the last one itself after a reset. Raises
-        GffeError before the first `submit`, or if `alpha` is not a finite number."""
+        """Return the predicted camera C̄ at t + α, from the last display cameras (`predict_camera_at`); after a reset
+        the last one itself. Raises GffeError before the first `submit`, or if `alpha` is not a finite number."""
         time = self._need_frame().time + require_number(alpha, "predict_camera: alpha") * self.interval
         return predict_camera_at(time, self._path, self._times, self.options.camera_order)
 
@@ -502,18 +494,19 @@ class Pipeline:
         target_position: np.ndarray | None = None,
         seen_through: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> ExtrapolatedFrame:
-        """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
-        the predicted camera). Returns at once, unless the shading correction network works on the device's own
-        processor, which it waits for; else the frame's `color` and `event` wait, and the next `submit` works meanwhile.
-        Reading a buffer waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
-        It overwrites the last frame made: `wait_for` its readers on other queues.
+        """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default: the predicted
+        camera), and return it. The call returns at once, unless the shading correction network works on the device's
+        own processor: then it waits for the network. Otherwise the frame's `color` and `event` wait, and the next
+        `submit` works meanwhile. Reading a buffer waits. With the time of the rendered frame itself and a newer camera
+        it is a late warp (α = 0). It overwrites the last frame made: `wait_for` its readers on other queues.
 
-        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
-        pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
-        and motion (H, W, 2) float32 of the new frame as `ExtrapolatedFrame` has them, replaces these before upscaling
-        reads them, likewise.
+        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target pixels, view
+        depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through` replaces depth (H, W) and
+        motion (H, W, 2) float32 of the new frame, as in `ExtrapolatedFrame`, before upscaling reads them, also for
+        experiments.
 
-        Warns of a time over 16 intervals after the last rendered frame's, which mostly is of another clock or unit.
+        Warns if the time is more than 16 intervals after the last rendered frame's: mostly it is of another clock or
+        unit.
 
         Raises GffeError before the first `submit`, for a time before the last rendered frame's or over a million
         intervals after it, and for arguments of other types or shapes, or events that cannot be waited for.
@@ -582,7 +575,7 @@ class Pipeline:
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:
-        """What makes the final image of the last frame, if that still waits for the network."""
+        """Function that makes the final image of the last frame, if that still waits for the network; else None."""
         correction = self._correction
         return correction.finish if correction and correction.is_begun else None
 
@@ -600,12 +593,13 @@ class Pipeline:
             finish()
 
     def _picture(self, occasion: str) -> cl.Buffer | None:
-        """Return the result of the last stage that makes a picture then."""
+        """Return the result of the last stage that makes a picture on `occasion`, None if no stage does."""
         makers = [stage for stage in self.stages.values() if occasion in stage.pictures]
         return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
 
     def _geometry(self, given: tuple[np.ndarray, np.ndarray] | None) -> dict[str, np.ndarray]:
-        """Depth and motion that replace the new frame's. GffeError for other shapes than theirs."""
+        """Return depth and motion that replace the new frame's, by name. Raises GffeError for other shapes than
+        theirs."""
         if given is None:
             return {}
         if not isinstance(given, tuple | list) or len(given) != 2:
@@ -625,11 +619,11 @@ class Pipeline:
     # ---- looking inside --------------------------------------------------------------------------------
 
     def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
-        """Every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`. It is
-        called "<owner.name>.<spec.name>". Waits for the network.
+        """Yield every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`.
+        It is called "<owner.name>.<spec.name>". Waits for the network.
 
-        What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
-        is among them once `keep` asked for it.
+        A stage's own result in the buffers of the extrapolated frame ("warp.color": before the background filled
+        anything) is among them once `keep` asked for it.
         """
         self._decide_cut()
         self._finish()
@@ -644,7 +638,7 @@ class Pipeline:
             yield from ((composition, spec) for spec in composition.held())
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
-        """Return the results that `keep` can keep: the stages' names, and the buffers of the extrapolated frame that
+        """Yield the results that `keep` can keep: the stages' names, and the buffers of the extrapolated frame that
         each writes and another one writes too."""
         writers = [(stage.name, name) for stage in self.stages.values() for name in stage.outputs()]
         several = {name for name, count in Counter(name for _, name in writers).items() if count > 1}
@@ -654,9 +648,9 @@ class Pipeline:
                 yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
 
     def keep(self, names: Iterable[str] | None = None) -> None:
-        """From the next frame on, keep the outputs `names`, such as "warp.color" (None: all), and no others. Outputs
-        that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of
-        other buffers are ignored. Raises GffeError for anything but a collection of texts."""
+        """Keep the outputs `names`, such as "warp.color" (None: all), from the next frame on, and no others. Outputs
+        that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of other
+        buffers are ignored. Raises GffeError for anything but a collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
         self._finish()
         for stage in self.stages.values():
@@ -670,13 +664,14 @@ class Pipeline:
                 self._outputs.setdefault(stage, Output(self.stages[stage], specs)).choose(chosen)
 
     def take_timings(self) -> dict[str, float]:
-        """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
-        "network" is the wall time in the network, "network copies" that of copies to its provider and back. Where the
-        queue has no profiling (`Device.profiles`) only "network" is there."""
+        """Return milliseconds of kernel time per stage since the last call (waits for the device). With shading
+        correction "network" is the wall time in the network, "network copies" that of copies to its provider and back.
+        Where the queue has no profiling (`Device.profiles`) only "network" is there."""
         return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
 
     def take_kernel_timings(self) -> dict[str, dict[str, float]]:
-        """As `take_timings`, by stage and kernel."""
+        """Return milliseconds of kernel time by stage and kernel since the last call (waits for the device), as
+        `take_timings` does by stage."""
         self._finish()
         self.device.queue.finish()
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]

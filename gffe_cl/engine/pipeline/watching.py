@@ -10,13 +10,15 @@ from gffe_cl.engine.stages.buffers import DeviceFrame
 
 
 class Watcher(Protocol):
-    """`Pipeline.watcher`; `pipeline` is the one that calls. Its methods raise nothing."""
+    """Contract of `Pipeline.watcher`. The argument `pipeline` is the one that calls. Methods raise nothing."""
 
     def before(self, pipeline: Any, rendered: bool = False) -> None:
-        """A frame will be made; `rendered`: one is being submitted, options may be changed now."""
+        """React to a frame that will be made. `rendered`: a rendered one is being submitted; options may be changed
+        now."""
 
     def submitted(self, pipeline: Any, frame: RenderedFrame, on_device: DeviceFrame) -> None:
-        """`frame` was submitted, its pixels are `on_device`; all that is due for it is enqueued."""
+        """React to `frame`, which was submitted. Its pixels are `on_device`; all work that is due for it is
+        enqueued."""
 
     def extrapolated(self, pipeline: Any, frame: ExtrapolatedFrame) -> None:
-        """`frame` was extrapolated: its kernels are enqueued."""
+        """React to `frame`, which was extrapolated: its kernels are enqueued."""

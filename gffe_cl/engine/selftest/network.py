@@ -1,5 +1,5 @@
-"""The shading correction network on a provider of onnxruntime, compared with the recorded output of the CPU's: in 8-bit
-integers, as it is run there, or in floats, as others run it."""
+"""Comparison of the shading correction network on a provider of onnxruntime with the recorded output of the CPU's: in
+8-bit integers, as it is run there, or in floats, as others run it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _STEP = 2.0**-13  # recorded values are multiples of it
 
 
 def providers() -> list[str]:
-    """The installed ones that have a device here."""
+    """Return the names of the installed providers that have a device here."""
     model = default_model()
     return [p.name for p in installed_providers() if p == CPU or (model and verdict(model, p).present)]
 
 
 def output_of(provider: str, reference: Reference, in_floats: bool = False) -> np.ndarray:
-    """Return (20, h, w) float32: the network's output for the recorded input; `in_floats`: also on the CPU. Raises
-    NetworkError."""
+    """Return (20, h, w) float32: the network's output for the recorded input; `in_floats`: in floats on the CPU, too.
+    Raises NetworkError."""
     values, names = reference.values["default"], ("network_input.frames", "shading_flow.candidates")
     frames, candidates = (np.ascontiguousarray(values[name]) for name in names)
     made = np.empty((JUDGEMENT_PLANES, *candidates.shape[1:]), np.float32)
@@ -31,21 +31,21 @@ def output_of(provider: str, reference: Reference, in_floats: bool = False) -> n
 
 
 def model_digest() -> str:
-    """Of the weights that come with the package; "" if none do."""
+    """Return the hash of the weights that come with the package, "" if there are none."""
     path = default_model()
     return "" if path is None else digest_of_weights(path)[:16]
 
 
 def record(reference: Reference) -> None:
-    """Take the CPU provider's outputs into the references."""
+    """Write the CPU provider's outputs into `reference`."""
     reference.model = model_digest()
     outputs = [output_of(CPU.name, reference), output_of(CPU.name, reference, in_floats=True)]
     reference.network = np.round(np.stack(outputs) / _STEP) * np.float32(_STEP)
 
 
 def compare_provider(provider: str) -> float:
-    """The largest difference to the recorded output; over TOLERANCE: the provider is not to be trusted. NetworkError
-    where the provider cannot run the network, or the weights are others than the recorded ones."""
+    """Return the largest difference to the recorded output. If it is over TOLERANCE, the provider is not to be trusted.
+    Raises NetworkError if the provider cannot run the network, or the weights are not the recorded ones."""
     reference = recorded()
     if reference.model != model_digest():
         raise NetworkError("the installed weights are not those that the references were recorded with")

@@ -1,5 +1,5 @@
-"""Recorded references: a hash of every buffer at every moment of the workload, and at one moment of each case the
-values, so that differences can be measured in ulp and pixels."""
+"""Recorded references: a hash of every buffer after each new frame ("moment") of the workload, and for one of them in
+each case the values, so that differences can be measured in ulp and pixels."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Buffers = dict[str, np.ndarray]
 
 @dataclass
 class Reference:
-    """`hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`: hash of the input
-    frames by case; `network`: output of the shading correction network for an input among `values` on onnxruntime's
-    CPU provider, in 8-bit integers and in floats, and `model`, the hash of its weights."""
+    """Recorded references. `hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`:
+    hash of the input frames by case; `network`: output of the shading correction network for an input among `values` on
+    onnxruntime's CPU provider, in 8-bit integers and in floats, and `model`, the hash of its weights."""
 
     hashes: dict[str, dict[str, dict[str, str]]] = field(default_factory=dict)
     values: dict[str, Buffers] = field(default_factory=dict)
@@ -71,18 +71,18 @@ class Reference:
 
 
 def reference_path() -> Path:
-    """Where the package has its references."""
+    """Return the path of the references in the package."""
     return Path(str(files("gffe_cl.engine.selftest") / "reference.bin"))
 
 
 @cache
 def recorded() -> Reference:
-    """The references that come with the package."""
+    """Return the references that come with the package."""
     return Reference.load(reference_path())
 
 
 def digest(*arrays: np.ndarray) -> str:
-    """Of types, shapes and values; NaN counts as NaN, whatever its bits."""
+    """Return the hash of types, shapes and values of arrays; NaN counts as NaN, whatever its bits."""
     made = hashlib.sha256()
     for array in arrays:
         array = np.ascontiguousarray(array)
@@ -95,8 +95,9 @@ def digest(*arrays: np.ndarray) -> str:
 
 @dataclass
 class Difference:
-    """How a buffer differs from the reference: at which `moments`; and where values are recorded the `ulp` (of integers
-    the difference) at most, in how many of its `pixels`, with some `examples`: [index, expected, found]."""
+    """Difference of a buffer from the reference: the `moments` at which it differs; where values are recorded also the
+    largest difference in `ulp` (for integers: in steps), the number of `pixels` that differ, and some `examples`:
+    [index, expected, found]."""
 
     moments: list[str] = field(default_factory=list)
     ulp: int | None = None
@@ -111,7 +112,8 @@ class Difference:
 
 
 class Comparison:
-    """Of one case with its reference, moment by moment: `different` by buffer, how many buffers were `compared`."""
+    """Comparison of one case with its reference, moment by moment: `different` by buffer, and the names of the buffers
+    `compared`."""
 
     def __init__(self, reference: Reference, case: str):
         self._hashes, self._values = reference.hashes[case], reference.values[case]
@@ -145,7 +147,8 @@ def _tell(found: Difference, expected: np.ndarray, array: np.ndarray) -> None:
 
 
 def ulps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """int64: how many values of their type lie between a and b; of integers their distance. Two NaN are equal."""
+    """Return (int64) how many values of their type lie between a and b; for integers their distance. Two NaN are
+    equal."""
     if a.dtype.kind != "f":
         return np.abs(a.astype(np.int64) - b.astype(np.int64))
     kind = {2: np.int16, 4: np.int32, 8: np.int64}[a.itemsize]

@@ -41,8 +41,8 @@ class DeviceResult:
     seconds: float = 0.0
 
     def worst(self) -> dict[str, dict[str, Any]]:
-        """By buffer, of those that differ in any form and case: the largest `ulp` and `pixels` (None: not where values
-        are recorded), at how many `moments`, and in which `forms` and `cases`."""
+        """Return the worst result by buffer, of buffers that differ in any form and case: the largest `ulp` and
+        `pixels` (None where no values are recorded), the number of `moments`, and the `forms` and `cases`."""
         found: dict[str, dict[str, Any]] = {}
         for form in self.forms:
             for case, told in form["cases"].items():
@@ -60,7 +60,7 @@ class DeviceResult:
 
     @property
     def buffers(self) -> list[str]:
-        """Names of all that were compared."""
+        """Names of all compared buffers."""
         return sorted({name for form in self.forms for case in form["cases"].values() for name in case["buffers"]})
 
 
@@ -89,14 +89,15 @@ class SelfTest:
 
     @property
     def exit_code(self) -> int:
-        """0: all is equal; 1: something differs; 2: something could not be run, and nothing differs."""
+        """Exit code of the command: 0 if all is equal; 1 if something differs; 2 if something could not be run and
+        nothing differs."""
         verdicts = [result.verdict for result in (*self.devices, *self.networks)]
         if DIFFERS in verdicts:
             return 1
         return 2 if FAILED in verdicts or EQUAL not in [result.verdict for result in self.devices] else 0
 
     def document(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the results as a document for JSON."""
         return {
             "exit_code": self.exit_code,
             "devices": [asdict(result) | {"different": _listed(result.worst())} for result in self.devices],
@@ -112,10 +113,10 @@ def selftest(
     networks: bool = True,
     on_device: Callable[[DeviceInfo], None] = lambda info: None,
 ) -> SelfTest:
-    """Run the workload on every device, or on those that `device` means (as `open_device` takes it), each in a child
-    process that may take so many `seconds`; and the network on every provider of onnxruntime.
+    """Run the workload on every device, or on those that `device` matches (as in `open_device`), each in a child
+    process that may take so many `seconds`, and the network on every provider of onnxruntime. Return the results.
 
-    `wanted` narrows the workload: lists of names of "forms" and "cases" (None: all), the last moment as "until", and
+    `wanted` narrows the workload: lists of names of "forms" and "cases" (None: all), the last new frame as "until", and
     whether to measure "speed". Raises GffeError if no device matches.
     """
     infos = list_devices()
@@ -167,7 +168,7 @@ def _told(output: str) -> list[dict[str, Any]]:
 
 
 def _listed(worst: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """For JSON, which has no sets."""
+    """Return the results for JSON, which has no sets."""
     return {
         name: {key: sorted(value) if isinstance(value, set) else value for key, value in told.items()}
         for name, told in worst.items()

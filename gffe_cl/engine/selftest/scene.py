@@ -1,7 +1,7 @@
 """Scene of the self-test: textured rectangles before a sky, some of them moving, and a cut to others.
 
-Made on the host, of +, −, ×, ÷ and floor alone, which every machine rounds alike: kernels that draw may differ between
-devices.
+It is computed on the host with +, −, ×, ÷ and floor alone, which every machine rounds alike. Kernels that draw may
+differ between devices.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ FRAMES, CUT = 8, 5  # number of frames, and the first after a cut that is not ma
 
 @dataclass(frozen=True)
 class Rectangle:
-    """Facing along `axis` (1: lies flat, 2: upright): center at time 0, half its sides, along the axes that remain;
-    world units, per second, per second²."""
+    """Rectangle that faces along `axis` (1: lies flat, 2: upright): center at time 0, half its sides along the other
+    axes, world units; velocity per second, acceleration per second²."""
 
     axis: int
     center: tuple[float, float, float]
@@ -33,7 +33,7 @@ class Rectangle:
     acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def at(self, time: float) -> np.ndarray:
-        """(3,) its center."""
+        """Return its center (3,) at `time`, seconds."""
         moved = zip(self.center, self.velocity, self.acceleration, strict=True)
         return np.array([c + time * v + time * time * a for c, v, a in moved])
 
@@ -62,7 +62,7 @@ def shown(frame: int) -> tuple[Rectangle, ...]:
 
 
 def display_camera(time: float, width: int, height: int) -> Camera:
-    """It strafes, nears and turns; `time` in seconds, sizes in pixels."""
+    """Return the display camera at `time` in seconds, with sizes in pixels. It strafes, nears and turns."""
     tangent = 0.15 * time  # of half the angle
     cosine, sine = (1 - tangent * tangent) / (1 + tangent * tangent), 2 * tangent / (1 + tangent * tangent)
     x, y, z = 0.9 * time, -0.1 * time, 1.2 * time
@@ -82,8 +82,9 @@ def frames(
     count: int = FRAMES,
     samples: int = 2,
 ) -> list[RenderedFrame]:
-    """`count` rendered frames for a display of that size, the first a reset; of colors `samples` a side and pixel.
-    With a `render_size` they are rendered through an adaptive window, and some bring overlays and bad pixels."""
+    """Return `count` rendered frames for a display of that size, the first of them a reset. Colors are means of
+    `samples`² samples per pixel. With a `render_size` they are rendered through an adaptive window, and some bring
+    overlays and bad pixels."""
     size, windows = (width, height), WindowChooser("off", (width, height), [])
     if render_size:
         windows = WindowChooser("adaptive", size, list(ALPHAS))
@@ -118,14 +119,14 @@ def _rendered(
 
 
 def _places(size: tuple[int, int], u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
-    """x and y in pixels, (H, W) each, at (u, v) in every pixel."""
+    """Return x and y in pixels, (H, W) each, at (u, v) in every pixel."""
     y, x = np.mgrid[: size[1], : size[0]]
     return x + u, y + v
 
 
 def _hits(rectangles, camera: Camera, time: float, x: np.ndarray, y: np.ndarray):
-    """Per pixel position: the number of the nearest rectangle (−1: sky), its view depth, and the hit point less its
-    center, or for the sky the direction of the ray."""
+    """Return for each pixel position the number of the nearest rectangle (−1: sky), its view depth, and the hit point
+    relative to its center, or for the sky the direction of the ray."""
     turn, shift = camera.world_to_view[:3, :3], camera.world_to_view[:3, 3]
     origin = [-(turn[0, i] * shift[0] + turn[1, i] * shift[1] + turn[2, i] * shift[2]) for i in range(3)]
     view_x, view_y = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
@@ -145,7 +146,7 @@ def _hits(rectangles, camera: Camera, time: float, x: np.ndarray, y: np.ndarray)
 
 
 def _colors(rectangles, which: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(H, W, 3) float64, linear RGB."""
+    """Return colors (H, W, 3) float64, linear RGB."""
     colors = np.empty((*which.shape, 3))
     colors[...] = np.array(_SKY) * (1 - 0.4 * place[..., 1:2])
     for k, rectangle in enumerate(rectangles):
@@ -156,7 +157,7 @@ def _colors(rectangles, which: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _noise(u: np.ndarray, v: np.ndarray, salt: int) -> np.ndarray:
-    """0 to 1: numbers of a lattice, bilinear in between."""
+    """Return noise from 0 to 1: numbers of a lattice, bilinear in between."""
     cell_u, cell_v = np.floor(u), np.floor(v)
     u, v = u - cell_u, v - cell_v
 
@@ -169,7 +170,8 @@ def _noise(u: np.ndarray, v: np.ndarray, salt: int) -> np.ndarray:
 
 
 def _motion(rectangles, which, place, here, time: float, before: RenderedFrame) -> np.ndarray:
-    """(H, W, 2) float32, pixels: where each hit point was in the frame before, less where it is. The sky turns only."""
+    """Return motion (H, W, 2) float32, pixels: where each hit point was in the frame before, minus where it is. The sky
+    moves only by the camera's rotation."""
     point = place.copy()
     for k, rectangle in enumerate(rectangles):
         point[which == k] += rectangle.at(before.time)
@@ -183,14 +185,15 @@ def _motion(rectangles, which, place, here, time: float, before: RenderedFrame) 
 
 
 def _spoil(frame: RenderedFrame, k: int) -> None:
-    """A few pixels that a renderer should not have written."""
+    """Replace a few pixels by values that a renderer should not write."""
     if k == 3:
         frame.color[5, 7:9], frame.depth[9, 20:23], frame.motion[12, 30:32] = np.nan, -1.0, np.inf
         frame.color[20, 20] = np.inf
 
 
 def _overlays(k: int, size: tuple[int, int], render_size: tuple[int, int]) -> Overlays | None:
-    """On some frames: a pillar that stays in place, smoke that drifts, a user interface; premultiplied."""
+    """Return overlays for some frames, None for others: a pillar that stays in place, smoke that drifts, a user
+    interface; premultiplied."""
     if k % 4 not in (2, 3):
         return None
     mask = np.zeros((render_size[1], render_size[0]), np.uint8)

@@ -15,7 +15,7 @@ _REPEATS = 5
 
 
 def speed(device: Device) -> SizeBench:
-    """Medians over a few frames of the self-test's scene."""
+    """Return medians over a few frames of the self-test's scene."""
     interval = 1 / FPS
     seen = tuple(frames(*SIZE, count=CUT, samples=1))
     cameras = tuple(display_camera(frame.time + interval / 2, *SIZE) for frame in seen)
@@ -25,7 +25,7 @@ def speed(device: Device) -> SizeBench:
 
 
 def figures(measured: SizeBench) -> dict[str, float]:
-    """GB/s of copying (read and written), bytes per pixel and milliseconds of GAE."""
+    """Return GB/s of copying (read and written), bytes per pixel and milliseconds of GAE."""
     found = {
         "bandwidth": measured.bandwidth,
         "bytes_per_pixel": measured.bytes_per_pixel["GAE"],

@@ -3,7 +3,7 @@
     python -m gffe_cl.engine.selftest.worker device 0:0 '{"forms": null, "cases": null, "until": null, "speed": true}'
     python -m gffe_cl.engine.selftest.worker network cpu
 
-Prints lines of JSON that begin with MARK, of dictionaries: what it is at ("doing"), and what it found.
+Prints lines that begin with MARK and hold a JSON dictionary: the work in progress ("doing"), then results.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ def facts_of(device: cl.Device) -> dict[str, Any]:
 
 
 def compare_form(info: DeviceInfo, form: Form, reference: Reference, cases: list[str], until: str | None) -> dict:
-    """How the buffers of all `cases` differ, until the moment `until` if that is not None, in a form of kernels."""
+    """Return how the buffers of all `cases` differ, until the moment `until` if that is not None, in a form of
+    kernels."""
     told: dict[str, Any] = asdict(form) | {"cases": {}}
     for case in cases:
         comparison = Comparison(reference, case)

@@ -1,5 +1,5 @@
-"""The fixed workload of the self-test: frames of `scene` through pipelines with every stage on, every buffer of which
-is looked at after each new frame."""
+"""Workload of the self-test, always the same: frames of `scene` through pipelines with every stage on. Every buffer is
+compared after each new frame."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ CASES = {
 
 @dataclass(frozen=True)
 class Form:
-    """How kernels are built: `lanes` pixels per work-item, and whether keys take 64-bit atomics. All forms must give
-    the same bits."""
+    """Form in which kernels are built: `lanes` pixels per work-item, and whether keys take 64-bit atomics. All forms
+    must give the same bits."""
 
     name: str
     lanes: int
@@ -65,7 +65,7 @@ class Form:
 
 
 def forms_of(device: Device) -> list[Form]:
-    """The device's own form, and those that devices of other kinds take."""
+    """Return the device's own form, and those that devices of other kinds take."""
     own = Form("own", device.lanes, device.int64_atomics)
     lanes = 1 if own.lanes > 1 else 8
     others = [replace(own, name=f"{lanes} lane{'s' * (lanes > 1)}", lanes=lanes)]
@@ -73,17 +73,17 @@ def forms_of(device: Device) -> list[Form]:
 
 
 class FixedNetwork:
-    """In place of the shading correction network, whose output differs between machines: a pattern that depends on
-    nothing but its size. Kernels around it must make the same of it everywhere."""
+    """Replacement for the shading correction network, whose output differs between machines: a pattern that depends on
+    its size alone. Kernels around it must give the same results everywhere."""
 
     copying, provider = 0.0, CPU.ort
     head = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
 
     def prepare(self, height: int, width: int) -> None:
-        """As `inference.Network.prepare`."""
+        """Do nothing: this network needs no preparation for a size."""
 
     def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
-        """As `inference.Network.run`."""
+        """Fill `judgement` with the pattern, and return 0: no pixel has NaN or infinity."""
         planes, height, width = judgement.shape
         plane, y, x = np.ogrid[:planes, :height, :width]
         pattern = ((x * 7 + y * 13 + plane * 29 + (x // 4) * (y // 4) * 3) % 64).astype(np.float32)
@@ -94,7 +94,7 @@ class FixedNetwork:
 def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
     """Yield the name of each new frame, such as "frame 2 + 1/3", and the contents of every buffer by name.
 
-    `device` is to be one that has built nothing yet. Without weights of the network there is no shading correction.
+    `device` must not have built anything yet. Without weights of the network there is no shading correction.
     """
     device.lanes = form.lanes
     options = replace(case.options, shading_inputs=True, shading_correction=default_model() is not None)

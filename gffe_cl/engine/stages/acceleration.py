@@ -19,8 +19,8 @@ _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
 
 
 class Acceleration(Stage):
-    """Change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the change,
-    rotated as it rotated before."""
+    """Tracks the change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the
+    change, rotated as it rotated before."""
 
     name = "acceleration"
     buffers = (
@@ -110,7 +110,7 @@ class Acceleration(Stage):
         memory = BufferSpec("memory", np.uint8, (), "once", "of all", planes=nbytes, kept=True, scratch=True)
         self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
         super().__init__(board)
-        board.lend_memory(self, "memory'", at_once=True)
+        board.memory.lend(self, "memory'", at_once=True)
 
     def rendered(self, step: Step) -> None:
         self.launch("track_acceleration", step)

@@ -44,12 +44,12 @@ def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
 def _level(
     names: str, level: str = "level", share: Share | float = 1.0, prefix: str = "level_", kept: str = ""
 ) -> dict:
-    """Buffers of the level that the launch gives."""
+    """Return accesses to the buffers of the level that is chosen at the launch."""
     return {f"{prefix}{name}": Access(f"background.{name}_{{{level}}}{kept}", share) for name in names.split()}
 
 
 def _levels(names: str, share: Share | float = 1.0) -> dict[str, Access]:
-    """Buffers of all levels."""
+    """Return accesses to the buffers of all levels."""
     return {f"levels_{name}": Access(f"background.{name}", share) for name in names.split()}
 
 
@@ -79,8 +79,8 @@ _PROJECTED = {"keys": Access("warp.keys", HOLES), "winners": Access("warp.winner
 class Background(NearestStage):
     """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them.
 
-    After collection nothing reads what the levels were before, nor the keys of even levels: until the next one, that
-    memory is lent (see `Board`).
+    After collection nothing reads the earlier content of the levels, nor the keys of even levels. Until the next
+    collection that memory is lent (see `Board`).
     """
 
     name = "background"
@@ -173,7 +173,7 @@ class Background(NearestStage):
         )
         super().__init__(board)
         for name in ("memory'", *_KEY_MEMORY):
-            board.lend_memory(self, name)
+            board.memory.lend(self, name)
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
@@ -197,8 +197,8 @@ class Background(NearestStage):
         return made
 
     def rendered(self, step: Step) -> None:
-        """Collect fragments behind the surfaces that `Surfaces` shows. After a reset nothing is kept or collected,
-        because movers are unknown yet."""
+        """Collect fragments behind the surfaces that the stage `Connectivity` shows. After a reset nothing is kept or
+        collected, because movers are unknown yet."""
         collect = step.previous is not None
         if not collect:
             self.clear_keys("even_", "source")
@@ -253,7 +253,7 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
 
 
 def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
-    """The buffer that holds that of all levels, one after another."""
+    """Return the buffer that holds those of all levels, one after another."""
     part_of = "memory" if spec.known_where else ""
     return replace(
         spec, name=spec.part_of, grid=f"levels{levels}", part_of=part_of, scratch=True, description="of all levels",
@@ -262,8 +262,8 @@ def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
 
 
 def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:
-    """Parts of one buffer, and the bytes at which they begin: not all at one place of a page, where texels of one index
-    would take each other's place in caches."""
+    """Return the bytes at which parts of one buffer begin, by part: not all at one place of a page, where texels of one
+    index would evict each other from caches."""
     starts, end = {}, 0
     for spec in specs:
         starts[spec] = end

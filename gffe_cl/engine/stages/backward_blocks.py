@@ -1,4 +1,4 @@
-"""Backward blocks: which parts of the new frame need no splatting (for 'Warping')."""
+"""Search for backward blocks: parts of the new frame that need no splatting (for 'Warping')."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class BackwardBlocks(NearestStage):
         super().__init__(board)
 
     def splatting(self) -> np.ndarray:
-        """(rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
+        """Return (rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
         reach, splatted = self.read("reach"), self.read("block_class") == SPLATTED
         if not (self.board.options.blocks and self.board.options.crack_closing):
             return np.ones(reach.shape[:2], bool)

@@ -1,4 +1,4 @@
-"""Contract of a stage: it declares its buffers, and the buffers that each of its kernels reads and writes.
+"""Contract of a stage, which declares its buffers and the buffers that each of its kernels reads and writes.
 
 From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
 of stages and memory, and the bytes per pixel that must move (`gffe bench`).
@@ -23,8 +23,8 @@ from gffe_cl.engine.opencl.program import Program, build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
 from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
+from gffe_cl.engine.stages.memory import LentMemory
 
-_EXTRAPOLATE = 1000  # more than there are stages
 _PREPARED = 256  # launches of a stage that are kept ready: those of uploads differ by where arrays begin
 _EVENTS = 256  # at most, kept per stage for requests of timings
 # Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
@@ -33,14 +33,14 @@ _ROW, _ROW_OF_LANES = 64, 128
 
 @dataclass(frozen=True)
 class Share:
-    """A share of the pixels: its name in tables, and how it is counted in the frame that stages work on, 0 to 1."""
+    """A share of the pixels: its name in tables, and a function that counts it in the present frame, 0 to 1."""
 
     name: str
     count: Callable[[Board], float]
 
 
 def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambda values: values != 0) -> Share:
-    """The share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
+    """Return the share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
 
     def count(board: Board) -> float:
         owner, _, own = buffer.partition(".")
@@ -55,8 +55,8 @@ def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambd
 class Access:
     """Access of a kernel through one argument.
 
-    `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, a
-    number or counted in the frame; `planes` of how many planes, None for all.
+    `buffer` is its name; {…} in it are given at the launch. `share` is the accessed share of the buffer's pixels, a
+    number or counted in the frame; `planes` is the number of accessed planes, None for all.
     """
 
     buffer: str
@@ -69,10 +69,9 @@ class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
-    `group` of them, in a row, make a work-group (None: as suits the device).
-    `reads` and `writes` go by the names of its arguments; what is read and written is in both. A launch may give
-    another buffer than the declared one if it lies alike. `choices`: what names in {…} stand for where that is not a
-    level, launch by launch.
+    `group` of them, in a row, make a work-group (None: as suits the device). `reads` and `writes` go by the names of
+    its arguments; buffers that are both read and written are in both. A launch may give another buffer than the
+    declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
     """
 
     name: str
@@ -84,7 +83,7 @@ class Kernel:
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def accesses(self) -> Iterator[tuple[str, str, Access]]:
-        """("reads" or "writes", argument, access) of each."""
+        """Yield ("reads" or "writes", argument, access) of each access."""
         for kind in ("reads", "writes"):
             for argument, access in getattr(self, kind).items():
                 yield kind, argument, access if isinstance(access, Access) else Access(access)
@@ -119,15 +118,15 @@ class Step:
     previous : DeviceFrame or None
         The rendered frame before; None after a reset.
     times : list of float
-        Of the rendered frames since the last reset, newest first, seconds.
+        Times of the rendered frames since the last reset, newest first, seconds.
     camera, time, alpha, exposure
         Of the new frame: its camera, seconds, α, and the factor on color before display.
     target_position : (H, W, 4) float32 or None
-        Replaces what position prediction makes.
+        Replaces the result of position prediction.
     geometry : mapping of name to array
         Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
     overlays : int
-        Those that the rendered frame brings: bits, in the order of `OVERLAYS`.
+        Overlays that the rendered frame brings: bits, in the order of `OVERLAYS`.
     """
 
     frame: DeviceFrame
@@ -148,25 +147,18 @@ class Step:
 
 
 class Board:
-    """Where stages find each other's buffers.
+    """Board on which stages find each other's buffers, and on which they lend each other memory.
 
     `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
-
-    Stages lend memory that they do not need themselves between one `submit` and the next, or once they have worked on
-    the rendered frame, for transient and fleeting buffers of all stages: several in one place, if no stage works with
-    more than one of them.
     """
 
     def __init__(self, device: Device, sizes: Sizes, options: Options | None = None, int64: bool | None = None):
         self.device, self.sizes, self.options = device, sizes, options or Options()
         self.int64 = device.int64_atomics if int64 is None else int64
-        self.facts = block_facts(
-            self.options, sizes
-        )  # members of the frame block that do not change; stages add theirs
+        # Members of the frame block that do not change; stages add theirs.
+        self.facts = block_facts(self.options, sizes)
         self.stages: dict[str, Any] = {}  # by name, each of its own class
-        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
-        self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
-        self._regions: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and its parts
+        self.memory = LentMemory(sizes, self.stages)
         self.turn = 0  # a bit for each stage, which changes whenever its buffers and those of the frame before do
         self.members = 0  # stages so far
         self.rendered: DeviceFrame | None = None
@@ -175,7 +167,7 @@ class Board:
 
     @cached_property
     def frame(self) -> ExtrapolatedBuffers:
-        """The extrapolated frame."""
+        """Buffers of the extrapolated frame."""
         return ExtrapolatedBuffers(self.device, self.sizes)
 
     @cached_property
@@ -183,60 +175,15 @@ class Board:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
 
-    def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
-        """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
-        self.lent[stage, name] = list(self.stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
-
-    def lend(self) -> None:
-        """Give every transient buffer its place in lent memory, or one of its own if none is lent. Call it once all
-        stages exist, and after every swap."""
-        for stage, spec in self.transient:
-            if place := self._places[stage.name, spec.name]:
-                (owner, name), start = place
-                memory = owner.own(name)
-                key = stage.name, spec.name, id(memory)
-                if key not in self._regions:
-                    self._regions[key] = memory, memory.get_sub_region(start, spec.nbytes(self.sizes))
-                stage.buffer[spec.name] = self._regions[key][1]
-            elif spec.name not in stage.buffer:
-                stage.buffer |= stage.allocate([spec])
-
-    @cached_property
-    def _places(self) -> dict[tuple[str, str], tuple[tuple[Stage, str], int] | None]:
-        """Of transient buffers, largest first: in which lent memory, and from which byte on."""
-        places: dict = {}
-        taken: dict[tuple[Stage, str], list] = {lent: [] for lent in self.lent}
-        for stage, spec in sorted(self.transient, key=lambda one: -one[1].nbytes(self.sizes)):
-            nbytes, used = spec.nbytes(self.sizes), self._use(stage, spec)
-            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
-            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
-            fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
-            lent = next(fitting, None)
-            places[stage.name, spec.name] = lent and (lent, starts[lent])
-            if lent:  # a byte more: texels of one index must not take each other's place in caches
-                taken[lent].append((starts[lent], self.sizes.aligned(starts[lent] + nbytes + 1), used))
-        return places
-
-    def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
-        """The work at whose time a buffer is used, that of stages on the rendered frame, by their numbers, and then on
-        the new one: until the last that names it, or all that follow if it is of interest afterwards."""
-        name, used = f"{stage.name}.{spec.name}", []
-        for number, other in enumerate(self.stages.values()):
-            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
-            if names_it or other is stage or (used and not spec.scratch):
-                used.append(number)
-        start = 0 if spec.fleeting else _EXTRAPOLATE
-        return frozenset(range(start + used[0], start + used[-1] + 1))
-
     def let_go(self) -> None:
         """Drop the references to the stages. Stages and board refer to each other; with this cycle, memory of an
         unused pipeline would wait for Python's cyclic garbage collector."""
-        for known in (self.stages, self.transient, self.lent, self._regions, self.__dict__.get("_places", {})):
-            known.clear()
+        self.stages.clear()
+        self.memory.let_go()
         self.__dict__.pop("blocks", None)
 
     def buffer(self, owner: str, name: str) -> cl.Buffer:
-        """Return the buffer "<owner>.<name>". KeyError if there is none."""
+        """Return the buffer "<owner>.<name>". Raises KeyError if there is none."""
         if owner in ("rendered", "previous"):
             return getattr(getattr(self, owner), name)
         if owner == "frame":
@@ -252,28 +199,18 @@ class Board:
         return (owners.get(owner) or self.stages[owner]).spec(rest.removesuffix("'"))
 
 
-def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
-    """The first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
-    start = 0
-    for begin, end, _ in sorted(part for part in parts if part[2] & used):
-        if start + nbytes <= begin:
-            break
-        start = max(start, end)
-    return start
-
-
 class Recorder(Protocol):
     """Recorder of the commands that stages would enqueue. Nothing is enqueued meanwhile. It is set as a stage's
     `recorder`."""
 
     def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
-        """`kernel` over `grid`; `values`: of its arguments, by name, and perhaps others."""
+        """Record a launch of `kernel` over `grid`; `values`: of its arguments, by name, and perhaps others."""
 
     def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
-        """The first texels of a buffer, as many as `grid` has, set to `byte`."""
+        """Record that the first texels of a buffer, as many as `grid` has, are set to `byte`."""
 
     def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
-        """A whole buffer copied."""
+        """Record that a whole buffer is copied from `of` to `to`."""
 
 
 @dataclass
@@ -292,8 +229,8 @@ class Stage(Owner):
     """Base of all stages.
 
     Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
-    or both. `events` holds the latest events since the last `take_events`, if the queue has profiling; `before` what is
-    kept of the frame before.
+    or both. `events` holds the latest events since the last `take_events`, if the queue has profiling; `before` the
+    buffers kept of the frame before.
     """
 
     kernels: tuple[Kernel, ...] = ()
@@ -323,26 +260,26 @@ class Stage(Owner):
         self._check()
         if self.registered:
             board.stages[self.name] = self
-            board.transient += [(self, spec) for spec in borrowing]
+            board.memory.borrowing += [(self, spec) for spec in borrowing]
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
-        """Whether the pipeline's options ask for this stage."""
+        """Return whether the pipeline's options ask for this stage."""
         return True
 
     def look_at(self, names: set[str] | None) -> None:
-        """From the next frame on the buffers `names`, such as "correction.refined", are wanted (None: all of them).
-        Others need not be computed."""
+        """Note that from the next frame on the buffers `names`, such as "correction.refined", are wanted (None: all of
+        them). Others need not be computed."""
 
     def rendered(self, step: Step) -> None:
         """Work on a rendered frame, once, after it was submitted."""
 
     def extrapolated(self, step: Step) -> None:
-        """Work on a new frame."""
+        """Work on a new frame, in the order of the stages."""
 
     @classmethod
     def outputs(cls) -> tuple[str, ...]:
-        """Names of the buffers of the extrapolated frame that the stage writes."""
+        """Return the names of the buffers of the extrapolated frame that the stage writes."""
         written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
         return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
 
@@ -391,7 +328,8 @@ class Stage(Owner):
         self._record(name, cl.enqueue_nd_range_kernel(queue, prepared.kernel, prepared.items, prepared.group))
 
     def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any]) -> _Prepared:
-        """Set what does not change from one launch with the numbers in `given` to the next."""
+        """Return a launch with the arguments set that do not change from one launch with the numbers in `given` to the
+        next."""
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
@@ -435,11 +373,12 @@ class Stage(Owner):
         self._record("copy", cl.enqueue_copy(self.device.queue, target, source))
 
     def take_milliseconds(self) -> float:
-        """Kernel time since events were last taken; the device must have finished."""
+        """Return the milliseconds of kernel time since events were last taken; the device must have finished."""
         return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
 
     def take_kernel_milliseconds(self) -> dict[str, float]:
-        """As `take_milliseconds`, by kernel."""
+        """Return the milliseconds of kernel time by kernel since events were last taken; the device must have
+        finished."""
         taken: dict[str, float] = {}
         for kernel, event in self.take_events():
             taken[kernel] = taken.get(kernel, 0.0) + (event.profile.end - event.profile.start) * 1e-6
@@ -478,7 +417,7 @@ class Stage(Owner):
 
 
 class FrameBlocks(Stage):
-    """The frame blocks on the device, of the rendered frame and of the new one, which kernels read."""
+    """Frame blocks on the device, which kernels read: that of the rendered frame and that of the new one."""
 
     name = "frame_block"
     registered = False
@@ -510,7 +449,7 @@ class FrameBlocks(Stage):
         return self.buffer[slot]
 
     def forget(self) -> None:
-        """Write the blocks again before they are used."""
+        """Make the blocks be written again before they are used."""
         self._steps.clear()
 
 
@@ -527,7 +466,8 @@ class NearestStage(Stage):
 
     @staticmethod
     def keys(board: Board, prefix: str, grid: str, **more: Any) -> tuple[BufferSpec, BufferSpec]:
-        """The buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"; `more`: of their specs."""
+        """Return the buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"; `more`: of their
+        specs."""
         about = "nearest fragment offered to each pixel: depth" + (", index" if board.int64 else "")
         dtype, winners = (np.uint64, "once") if board.int64 else (np.uint32, grid)
         return (
@@ -538,13 +478,13 @@ class NearestStage(Stage):
         )
 
     def clear_keys(self, prefix: str, grid: str) -> None:
-        """Enqueue emptying the keys of a grid, before fragments are offered."""
+        """Enqueue clearing the keys of a grid, before fragments are offered."""
         for name in (f"{prefix}keys", f"{prefix}winners")[: len(self.passes)]:
             self.fill(name, 0xFF, grid)
 
 
 def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
-    """(ceil(H / every), W) float32: each `every`-th row of a depth buffer of `size` (width, height)."""
+    """Return each `every`-th row of a depth buffer of `size` (width, height), as (ceil(H / every), W) float32."""
     width, height = size
     rows = np.empty((-(-height // every), width), np.float32)
     pitch = width * rows.itemsize

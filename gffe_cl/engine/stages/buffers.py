@@ -2,7 +2,7 @@
 
 A buffer is called "<owner>.<name>": "rendered.depth" and "previous.depth" are of the rendered frame and of the one
 before, "frame.color" of the extrapolated frame, all others of the stage that makes them: "history.dynamic_mask". An
-apostrophe means what a stage kept of the frame before, as in the paper: "history.history'".
+apostrophe marks a buffer that a stage kept of the frame before, as in the paper: "history.history'".
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Sizes:
 
     @cache  # noqa: B019  # sizes are few, and small
     def of(self, grid: str) -> tuple[int, int]:
-        """Width and height of a grid, see `BufferSpec`."""
+        """Return width and height of a grid; `BufferSpec` lists the grids."""
         if grid == "once":
             return (1, 1)
         if grid.startswith("levels"):
@@ -94,12 +94,12 @@ class Sizes:
 
 
 def network_level(grid: str) -> int:
-    """How often the sides of "network" are halved in one of its grids."""
+    """Return how often the sides of "network" are halved in one of its grids."""
     return int(grid.removeprefix("network") or 0)
 
 
 def texel_of(grid: str) -> tuple[int, int]:
-    """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
+    """Return width and height in pixels that a texel of a grid covers, in the image over which the grid is laid."""
     if grid.startswith("network"):
         side = 2 << network_level(grid)
         return side, side
@@ -118,46 +118,45 @@ def texel_of(grid: str) -> tuple[int, int]:
 
 
 def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """The block of texels of `grid`, x, y, width and height, over a block of texels of `fine`, which is no coarser."""
+    """Return the block of texels of `grid` (x, y, width, height) over a block of texels of `fine`, which is no
+    coarser."""
     side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
     x0, y0 = x // side_x, y // side_y
     return x0, y0, (x + width - 1) // side_x + 1 - x0, (y + height - 1) // side_y + 1 - y0
 
 
 def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int, height: int) -> np.ndarray:
-    """(height, width): for each texel of a block of `fine` that of `texels_over` that lies over it."""
+    """Return (height, width): for each texel of a block of `fine` the one of `texels` (see `texels_over`) that covers
+    it."""
     side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
     rows, columns = np.arange(y, y + height) // side_y, np.arange(x, x + width) // side_x
     return texels[np.ix_(rows - rows[0], columns - columns[0])]
 
 
 def lies_on_source(grid: str) -> bool:
-    """Whether a grid is laid over the rendered image; else over the extrapolated one."""
+    """Return whether a grid is laid over the rendered image; else it is laid over the extrapolated one."""
     return grid in ("source", "source_blocks", "cells", "residuals", "runs") or grid.startswith("level")
 
 
 @dataclass(frozen=True)
 class BufferSpec:
-    """One named buffer.
+    """Description of one named buffer.
 
-    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
+    `grid` is the grid of its pixels: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
     32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
     "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
-    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row
-    of "source" each), "tiles" (a work-group for each
-    4×4 texels of "downsampled") and "cut_samples" (so many of the rendered image). `components` name its channels; a
-    single one goes without.
-    `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
-    here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
-    "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is
-    kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
-    the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
-    is read, so until the next `submit` it may lie in memory that another stage lends; `fleeting`: the same of each
-    `submit`, and of no use after it. `known_where`: a buffer of the
-    same owner, perhaps on a coarser grid, and the least value that it has where this one holds anything; elsewhere it
-    reads as 0. `packing`: how it
-    lies on the device, if not as `dtype` and `components` say.
+    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
+    "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled") and "cut_samples" (so many of the
+    rendered image). `components` name its channels; a single one goes without. `view` is its meaning, and so how to
+    show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
+    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
+    `mapped`: the host works in it. `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the
+    stage is through. `part_of`: the buffer in which it lies. `planar`: on the device the channels lie one after
+    another, each an image. `transient`: written in each `extrapolate` before it is read, so until the next `submit` it
+    may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
+    `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
+    holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
     """
 
     name: str
@@ -196,11 +195,11 @@ class BufferSpec:
         return self.packing.dtype if self.packing else self.dtype
 
     def size(self, sizes: Sizes) -> tuple[int, int]:
-        """Width and height in pixels or texels."""
+        """Return width and height in pixels or texels."""
         return sizes.of(self.grid)
 
     def shape(self, sizes: Sizes) -> tuple[int, ...]:
-        """Shape of the NumPy array: (planes?, H, W, channels?)."""
+        """Return the shape of the NumPy array: (planes?, H, W, channels?)."""
         width, height = self.size(sizes)
         shape = (height, width) if self.grid != "once" else ()
         return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
@@ -226,7 +225,7 @@ class BufferSpec:
         return stored
 
     def nbytes(self, sizes: Sizes) -> int:
-        """On the device."""
+        """Return the bytes of the buffer on the device."""
         return self.bytes_per_pixel * self.planes * math.prod(self.size(sizes))
 
 
@@ -258,7 +257,7 @@ class Owner:
         self.nbytes = 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name, all bits zero."""
+        """Return new device buffers by name, with all bits zero."""
         made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
         for buffer in made.values():
             cl.enqueue_fill_buffer(self.device.queue, buffer, b"\0", 0, buffer.size)
@@ -269,7 +268,7 @@ class Owner:
         return next(spec for spec in self.buffers if spec.name == name)
 
     def read(self, name: str) -> np.ndarray:
-        """Copy a named buffer to the host."""
+        """Copy a named buffer to the host and return its values."""
         spec = self.spec(name)
         stored, flat = spec.host_array(spec.size(self.sizes))
         cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
@@ -311,7 +310,8 @@ class DeviceFrame:
 
     @classmethod
     def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
-        """New buffers for images of `size` (width, height); `motion`: the buffer to use for that."""
+        """Return a frame with new buffers for images of `size` (width, height); `motion`: the buffer to use for
+        that."""
         color, depth, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
         buffers = device.buffer(color), device.buffer(depth), motion or device.buffer(moved)
         return cls(*buffers, camera, display_camera, time)
@@ -322,7 +322,7 @@ class DeviceFrame:
 
 
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
-    """(ceil(W / 2^times), ceil(H / 2^times))."""
+    """Return the size halved so many times: (ceil(W / 2^times), ceil(H / 2^times))."""
     width, height = (-(-n // (1 << times)) for n in size)
     return width, height
 

@@ -11,7 +11,7 @@ _OFFSET = 0.5  # of color_code.h, at exposure 1
 
 
 class ColorCode(Stage):
-    """Codes of the rendered frame's colors: like a square root where it is dark, linear where it is bright."""
+    """Encodes the rendered frame's colors: like a square root where it is dark, linear where it is bright."""
 
     name = "color_code"
     buffers = (

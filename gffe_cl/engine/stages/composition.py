@@ -19,8 +19,8 @@ from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, giv
 class Composition(Stage):
     """Keeps pixels of `fixed_mask` in place, and lays effects and user interface over the picture.
 
-    Pixels that stay in place have no depth for the other stages, so that nothing of them is warped or remembered; what
-    they uncover is a disocclusion like others. `active`: whether the last submitted frame brought overlays.
+    Pixels that stay in place have no depth for the other stages, so that nothing of them is warped or remembered; the
+    area that they uncover is a disocclusion like others. `active`: whether the last submitted frame brought overlays.
     """
 
     name = "composition"
@@ -70,7 +70,7 @@ class Composition(Stage):
         return bool(self.layers)
 
     def held(self) -> list[BufferSpec]:
-        """The buffers that hold something; not those that the caller has."""
+        """Return the buffers that hold something, except the caller's own."""
         own = {name for name, buffer in self.layers.items() if buffer is self.buffer[name]}
         return [spec for spec in self.buffers if spec.name in own | {"color"}]
 
@@ -83,7 +83,8 @@ class Composition(Stage):
         return ready
 
     def take(self, ready: dict[str, np.ndarray | cl.Buffer], frame: DeviceFrame) -> DeviceFrame:
-        """`frame` as other stages shall see it."""
+        """Take the overlays of `frame`, and return the frame for the other stages: its depth has holes where pixels are
+        fixed."""
         self._given, self.layers = frame, {}
         for name, array in ready.items():
             self.layers[name] = array if isinstance(array, cl.Buffer) else self.buffer[name]
@@ -114,7 +115,8 @@ class Composition(Stage):
         return Step(self._given, None, [self._given.time], alpha=alpha, overlays=brought)
 
     def _ready(self, name: str, array) -> Any:
-        """As the device takes it."""
+        """Return an overlay as the device takes it: the caller's buffer, or a checked array. Raises GffeError for wrong
+        shapes."""
         spec = self.spec(name)
         if buffer := given_buffer(array, spec, self.sizes, self.device):
             return buffer

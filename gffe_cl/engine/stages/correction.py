@@ -38,14 +38,13 @@ class ShadingCorrection(Stage):
 
     The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
     encoded color of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
-    within twice what changed since t − 1. With e for the code
-    of color (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE color there
-    and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
-    in linear color. M is less, down to 0, where the last interval's change of brightness is not that of the interval
-    before.
+    limited to twice the change since t − 1. With e for the code of color (`NetworkInput`), U for bilinear interpolation
+    from half resolution, L for the encoded GAE color there and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) ·
+    (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear color. M is less, down to 0, where the last
+    interval's change of brightness is not that of the interval before.
 
-    `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE color.
-    `with_refined`: whether `refined` is made too, from the next frame on.
+    `unusable_pixels`: number of pixels of all frames so far where the network gave NaN or infinity; they keep the GAE
+    color. `with_refined`: whether `refined` is made too, from the next frame on.
     """
 
     name = "correction"
@@ -121,7 +120,7 @@ class ShadingCorrection(Stage):
     )
 
     def __init__(self, board: Board, load: bool = True):
-        """Without `load` there are the kernels alone, no network."""
+        """Create the stage on `board`. Without `load` there are the kernels alone, and no network."""
         super().__init__(board)
         self.network: Any = None  # a Network or a substitute
         self.works_alone = False  # whether everything is to happen in one thread
@@ -140,7 +139,7 @@ class ShadingCorrection(Stage):
 
     @cached_property
     def _views(self) -> tuple[HostView, HostView, HostView]:
-        """The network's input and output on the host. Without a network nobody asks for them."""
+        """The network's inputs and output on the host. They are made on first use."""
         staged, inputs = not self.device.shares_memory, self.board.stages
         return (
             HostView(inputs[NetworkInput.name], "frames", staged=staged),
@@ -171,9 +170,9 @@ class ShadingCorrection(Stage):
             self._correct(step)
 
     def begin(self, step: Step) -> None:
-        """Do what `INPUTS` and `extrapolated` would do, in a thread of its own until `finish`: it waits for the
-        decision whether the frame is still, enqueues the kernels before the network, and runs the network. Until
-        `settle` it alone may launch kernels of these stages, and the rendered frame must stay the same."""
+        """Do the work of `INPUTS` and `extrapolated` in a thread of its own until `finish`: wait for the decision
+        whether the frame is still, enqueue the kernels before the network, and run the network. Until `settle` only
+        that thread may launch kernels of these stages, and the rendered frame must stay the same."""
         self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
         prepared = self._worker.submit(self._prepare, step)
         self._begun = step, prepared, self._worker.submit(self._run_prepared, prepared)
@@ -228,7 +227,7 @@ class ShadingCorrection(Stage):
         self.upload("head", network.head)
 
     def skip(self) -> None:
-        """Nothing to go by: the final image is the extrapolated one."""
+        """Make the extrapolated image the final one: the network has no input."""
         for name in ("color", "refined") if self.with_refined else ("color",):
             self.copy(f"correction.{name}", "frame.color")
         self.fill("focus_mask", 0)
@@ -259,12 +258,12 @@ class ShadingCorrection(Stage):
         self._transfers += [event for view in self._views for event in view.close()]
 
     def compose(self, step: Step, within_mask: bool) -> None:
-        """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
+        """Fill `focus_mask` and `color`. Without `within_mask` the whole image is the network's."""
         asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
         self.launch("correct", step, asked=asked)
 
     def _take_transfers(self) -> float:
-        """Milliseconds of the last frame's transfers, which must be complete; 0 without profiling."""
+        """Return milliseconds of the last frame's transfers, which must be complete; 0 without profiling."""
         events, self._transfers = self._transfers, []
         if not self.device.profiles:
             return 0.0

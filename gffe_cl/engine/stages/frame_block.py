@@ -83,7 +83,7 @@ class BlockWriter:
 
 
 def block_facts(options: Options, sizes: Sizes) -> dict[str, Any]:
-    """The members of the frame block that are options, and where the background's levels start."""
+    """Return the members of the frame block that are options, and the starts of the background's levels."""
     facts = {name: getattr(options, name) for name in FRAME.names or () if hasattr(options, name)}
     if levels := facts.get("levels", 0):
         starts = sizes.level_starts(levels)
@@ -125,7 +125,7 @@ def distance(a: Camera, b: Camera) -> float:
 
 
 def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> np.ndarray:
-    """Lagrange weights of P_i − P_0 at `time`, for every order that `times` (newest first) allow.
+    """Return the Lagrange weights of P_i − P_0 at `time`, for every order that `times` (newest first) allow.
 
     Returns
     -------

@@ -38,7 +38,7 @@ class HiddenParts(Stage):
 
     @property
     def reach(self) -> int:
-        """Target pixels in which movers are looked for."""
+        """Distance in target pixels within which movers are searched for."""
         return max(_CONSTANTS["LEAST_REACH"], self.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
 
     @classmethod

@@ -22,7 +22,7 @@ QUANTIZED_SAMPLES = share_of("quantized", "history.motion_steps", lambda steps: 
 
 
 class HistoryTracking(Stage):
-    """Which fragments move, and where they were."""
+    """Tracks which fragments move, and where they were in the frames before."""
 
     name = "history"
     buffers = (
@@ -178,7 +178,7 @@ class HistoryTracking(Stage):
             self.upload("static_threshold_squared", np.array([threshold**2], np.float32))
 
     def rendered(self, step: Step) -> None:
-        """Algorithm 1; without a previous frame, or without motion estimation, everything is static."""
+        """Run Algorithm 1. Without a previous frame, or without motion estimation, everything is static."""
         previous = step.previous if self.board.options.motion else None
         before = previous or step.frame
         if self.automatic and previous is not None:

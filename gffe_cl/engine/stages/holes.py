@@ -22,7 +22,7 @@ BEYOND_REACH = share_of("beyond reach", "holes.downsampled_color", lambda sums: 
 
 
 def _image(share: Share) -> dict[str, Access]:
-    """Color and depth of the new frame, as far as they are read around a share of the pixels."""
+    """Return accesses to color and depth of the new frame, as far as they are read around a share of the pixels."""
     return {name: Access(f"frame.{name}", share) for name in ("color", "depth")}
 
 
@@ -38,7 +38,7 @@ class HoleFilling(Stage):
 
 
 class Downsampled(HoleFilling):
-    """From the image downsampled 32× (the paper's)."""
+    """Fills holes from the image downsampled 32×, as the paper does."""
 
     buffers = (
         BufferSpec(
@@ -123,7 +123,7 @@ class FarSide(Downsampled):
 
 
 class PushPull(HoleFilling):
-    """From a pyramid of means."""
+    """Fills holes from a pyramid of means."""
 
     kernels = (
         Kernel("push_image", "mip1", _VALID, {"mean": "holes.mean_1", "weight": "holes.weight_1"}),

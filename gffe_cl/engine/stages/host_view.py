@@ -30,7 +30,7 @@ class HostView:
         self.array: np.ndarray | None = None
 
     def open(self) -> list[cl.Event]:
-        """Enqueue what makes `array` usable, and return the events to wait for before it is used."""
+        """Enqueue the work that makes `array` usable, and return the events to wait for before it is used."""
         queue = self._device.queue
         if self._staging is None:
             flags = cl.map_flags.WRITE_INVALIDATE_REGION if self._writes else cl.map_flags.READ
@@ -41,8 +41,8 @@ class HostView:
         return [] if self._writes else [cl.enqueue_copy(queue, self.array, self._buffer, is_blocking=False)]
 
     def close(self) -> list[cl.Event]:
-        """Enqueue what gives the buffer back to the device, and return the events of that. Keep them until they are
-        complete: pyopencl waits where the event of a copy is dropped before."""
+        """Enqueue the work that gives the buffer back to the device, and return the events of that. Keep them until
+        they are complete: pyopencl waits where the event of a copy is dropped before."""
         array, self.array = self.array, None
         if array is None:
             return []

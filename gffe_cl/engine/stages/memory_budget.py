@@ -37,7 +37,8 @@ def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], 
 
 
 def footprint(device: Device, sizes: Sizes, nbytes: float | None) -> str:
-    """The sizes of the images in words, and how much of the device's memory they take, as far as that is known."""
+    """Return the sizes of the images in words, and the share of the device's memory that they take, as far as that is
+    known."""
     through = f" (rendered {sizes.source[0]}×{sizes.source[1]})" if sizes.source != sizes.target else ""
     takes = "" if nbytes is None else f" takes {_size(nbytes)}"
     return f"{sizes.target[0]}×{sizes.target[1]}{through}{takes} of the {_size(device.memory)} of {device.info.name}"

@@ -16,11 +16,10 @@ _CONSTANTS = constants("network_input.cl")
 
 
 class NetworkInput(Stage):
-    """The extrapolated frame and the warped previous one at half resolution, encoded, with inverse depth and input
-    mask.
+    """Encodes the extrapolated frame and the warped previous one at half resolution, with inverse depth and input mask.
 
-    The code of color c is e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8. Nothing is made of a still frame
-    unless somebody looks at it.
+    The code of color c is e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8. A still frame has none of it, unless
+    the viewer asks for it.
     """
 
     name = "network_input"

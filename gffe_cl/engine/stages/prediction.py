@@ -16,8 +16,8 @@ NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
 
 class PositionPrediction(Stage):
-    """Where every fragment will be at t + α, projected with the target camera: by the polynomial of degree m through
-    m + 1 positions; m = 1 is the paper's choice, to which the acceleration of movers may be added."""
+    """Predicts where every fragment will be at t + α, projected with the target camera: by the polynomial of degree m
+    through m + 1 positions. m = 1 is the paper's choice, to which the acceleration of movers may be added."""
 
     name = "prediction"
     buffers = (

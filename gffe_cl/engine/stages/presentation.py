@@ -60,7 +60,8 @@ class Presentation(Stage):
     )
 
     def present(self, frame: DeviceFrame, previous: DeviceFrame | None, with_color: bool = True) -> None:
-        """`previous`: the rendered frame before, of which the cameras count; None after a reset."""
+        """Resample `frame` to its display camera. `previous`: the rendered frame before, of which only the cameras are
+        used; None after a reset."""
         step = Step(frame, previous, [frame.time])
         if with_color:
             self.launch("present_color", step, color=frame.color)
@@ -74,18 +75,19 @@ def present(
     size: tuple[int, int] | None = None,
     device: Device | None = None,
 ) -> RenderedFrame:
-    """Displayed rendered frame: its display part, at display resolution.
+    """Return a rendered frame as displayed: its display part, at display resolution.
 
     Parameters
     ----------
     frame : RenderedFrame of NumPy arrays
-        With the `display_camera` in pixels of an image of `size`.
+        Frame whose `display_camera` is in pixels of an image of `size`.
     previous : RenderedFrame or None
         The rendered frame before, for motion between the images as displayed (only its cameras are used).
     size : (width, height) or None
-        Of the display, pixels; that of the arrays if None.
+        Size of the display, pixels; that of the arrays if None.
     device : Device or None
-        The default one if None. In a running `Pipeline`, `Pipeline.present` does the same from device to device.
+        Device that resamples; the default one if None. In a running `Pipeline`, `Pipeline.present` does the same from
+        device to device.
 
     Returns
     -------
@@ -93,7 +95,7 @@ def present(
         color (H, W, 3) float32 where float32 or float64 is given, else float16, resampled (cubic); depth (H, W) float32
         and motion (H, W, 2) float32 of the nearest rendered pixel, motion None for a reset or without `previous`;
         `camera` is the display camera. A frame that was not rendered through a window keeps its bits. Where the display
-        reaches beyond the rendered image, the image's border goes on. Motion of sky is converted like all other: it
+        reaches beyond the rendered image, the image's border is repeated. Motion of sky is converted like all other: it
         must follow the camera, windows included. Overlays are those of the nearest rendered pixel.
 
     Raises
@@ -134,7 +136,7 @@ def present(
 
 
 def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size) -> Overlays:
-    """Of the nearest rendered pixel; the user interface as it is."""
+    """Return the overlays of the nearest rendered pixel, and the user interface unchanged."""
     x, y = (
         np.clip(np.floor((np.arange(n) + 0.5) * to_render[k] + to_render[2 + k]).astype(int), 0, rendered - 1)
         for k, (n, rendered) in enumerate(zip(size, render_size, strict=True))
@@ -150,14 +152,14 @@ def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size
 
 
 def _cameras_of(frame: RenderedFrame, size: tuple[int, int]) -> tuple[Camera, Camera]:
-    """Render camera and display camera of the frame before."""
+    """Return render camera and display camera of the frame before."""
     display = display_camera_of(frame, _size_of(frame), size)
     require_one_pose(frame.camera, display)
     return frame.camera, display
 
 
 def _size_of(frame: RenderedFrame) -> tuple[int, int]:
-    """Width and height of its images."""
+    """Return width and height of the frame's images."""
     height, width = require_array(frame.depth, "frame: depth", None, None).shape
     return require_size((width, height), "present: size of the frame", whole=True)
 

@@ -26,8 +26,8 @@ TELEPORT = 10.0  # times the step before it, of a step beyond half of the view
 
 
 class SceneCuts(Stage):
-    """Test whether the previous frame shows any part of the present one. Depths are compared along the motion
-    vectors, and so is the contrast between neighbors, which does not depend on the light."""
+    """Tests whether the previous frame shows any part of the present one. Depths are compared along the motion vectors,
+    and so is the contrast between neighbors, which does not depend on the light."""
 
     name = "scene_cuts"
     buffers = (
@@ -80,8 +80,8 @@ class SceneCuts(Stage):
             queue.flush()
 
     def is_cut(self) -> bool:
-        """Whether the last rendered frame is to be treated as a reset. Waits until its samples are counted: they are
-        the first work on the frame."""
+        """Return whether the last rendered frame must be treated as a reset. Waits until its samples are counted: they
+        are the first work on the frame."""
         if self._counted is None:
             return False
         self._counted.wait()

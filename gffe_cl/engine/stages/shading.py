@@ -28,9 +28,10 @@ SEEN = {
 
 
 class ShadingInputs(Stage):
-    """The previous rendered frame warped backward to t + α, ghosts replaced, and the input mask.
+    """Warps the previous rendered frame backward to t + α, replaces ghosts, and makes the input mask.
 
-    For whoever looks at them: the network's own come from the same functions, without the images at full size.
+    The results are only for the viewer and for dumps. The network's own inputs come from the same functions, without
+    the images at full size.
     """
 
     name = "shading"
@@ -64,14 +65,14 @@ class ShadingInputs(Stage):
         self.is_looked_at = names is None or any(f"{self.name}.{spec.name}" in names for spec in self.buffers)
 
     def extrapolated(self, step: Step) -> None:
-        """After a reset everything is GAE color."""
+        """Fill the inputs. After a reset everything is GAE color."""
         if not self.is_looked_at:
             return
         self.launch("prepare_inputs", step)
 
 
 class FocusMask(Stage):
-    """Where shading is wrong, by ground truth: for training and measuring, not part of the pipeline."""
+    """Mask of wrong shading, by ground truth: for training and measuring, not part of the pipeline."""
 
     name = "shading"
     buffers = (
@@ -90,7 +91,7 @@ class FocusMask(Stage):
     registered = False
 
     def make(self, truth: cl.Buffer, exposure: float) -> None:
-        """Of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear RGB; `exposure`:
-        the sequence's."""
+        """Fill the mask of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear
+        RGB; `exposure`: the sequence's."""
         width, height = self.sizes.target
         self.launch("focus_mask", truth=truth, target_width=width, target_height=height, exposure=exposure)

@@ -19,8 +19,8 @@ assert _CONSTANTS["CANDIDATES"] == CANDIDATE_PLANES
 
 
 class ShadingFlow(Stage):
-    """The flow from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade, 1981),
-    coarse to fine, over encoded brightness; and the network's inputs from flow and trend.
+    """Finds the flow from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade,
+    1981), coarse to fine, over encoded brightness; and makes the network's inputs from flow and trend.
 
     Level l of a pyramid has 1/2^l of the sides of the network's frames; level 1, the finest, is a quarter of the
     display. Sums are over some 6×6 pixels of each level. The flow of every second pixel is found.

@@ -25,11 +25,11 @@ class ShadingTrend(Stage):
     Changes are of encoded color (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
     in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
 
-    `is_still`: whether there is nothing for the network to correct: in no tile of 32×32 pixels more than 8 of 64
-    samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
-    whole image is to be the network's. The device decides while it works on the rendered frame; `submit` does not wait.
-    The host reads the decision where it is about to wait for the network anyway, behind all other work on the new
-    frame: in the network's thread, where that runs beside the device (`ShadingCorrection.begin`).
+    `is_still`: whether there is nothing for the network to correct, because in no tile of 32×32 pixels more than 8 of
+    64 samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
+    network makes the whole image. The device decides while it works on the rendered frame; `submit` does not wait. The
+    host reads the decision where it is about to wait for the network anyway, behind all other work on the new frame: in
+    the network's thread, where that runs beside the device (`ShadingCorrection.begin`).
     """
 
     name = "shading_trend"
@@ -106,7 +106,7 @@ class ShadingTrend(Stage):
 
     @property
     def is_still(self) -> bool:
-        """Whether there is nothing to correct. Waits until the device has looked at the rendered frame; work that was
+        """Whether there is nothing to correct. Waits until the device has examined the rendered frame; work that was
         enqueued after that goes on."""
         for event in self._known:
             event.wait()
@@ -136,5 +136,5 @@ class ShadingTrend(Stage):
 
 
 def reach_of(height: int) -> int:
-    """Cells that count around one, of an image of so many rows: at least one."""
+    """Return how many cells around one count, in an image of so many rows: at least one."""
     return max(1, height // _CONSTANTS["REACH_SHARE"])

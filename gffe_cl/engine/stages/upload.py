@@ -26,8 +26,9 @@ class Upload(Stage):
     CPUs read the arrays where they lie. For other devices the arrays are gathered in pinned memory, and copied from
     there at once, while the host continues: there are two such places, in turn.
 
-    `copied_bytes`: of all frames taken, bytes written on the way of the arrays: copies to a device with memory of its
-    own, and what kernels store."""
+    `copied_bytes`: bytes written for the arrays of all frames taken: copies to a device with memory of its own, and
+    results that kernels store.
+    """
 
     name = "upload"
     registered = False
@@ -75,8 +76,8 @@ class Upload(Stage):
         self.copied_bytes = 0
 
     def take(self, arrays: HostArrays, frame: DeviceFrame, shared: Container[str] = ()) -> None:
-        """Enqueue all of it, into the buffers of `frame`, but for those that are `shared`. The other arrays may be
-        changed afterwards; only in them bad pixels are counted."""
+        """Enqueue the upload of `arrays` into the buffers of `frame`, except those that are `shared`. The other arrays
+        may be changed afterwards; only in them bad pixels are counted."""
         copied = [spec.name for spec in RENDERED if spec.name not in shared]
         if 0 < len(copied) < len(RENDERED):
             self.fill("bad_pixels", 0)
@@ -97,8 +98,8 @@ class Upload(Stage):
             self._count()
 
     def shared(self, arrays: HostArrays) -> dict[str, cl.Buffer]:
-        """Those of the arrays that kernels can use where they are, by name, depth and motion both or neither: on a CPU,
-        in the layout of `RENDERED`, and beginning at an aligned address. The buffers keep the arrays alive."""
+        """Return those of the arrays that kernels can use in place, by name, depth and motion both or neither: on a
+        CPU, in the layout of `RENDERED`, and beginning at an aligned address. The buffers keep the arrays alive."""
         given = {spec.name: getattr(arrays, spec.name) for spec in RENDERED}
         alike = {spec.name for spec in RENDERED if self._in_place and self._lies_alike(given[spec.name], spec)}
         if not {"depth", "motion"} <= alike:
@@ -130,7 +131,7 @@ class Upload(Stage):
         self.copied_bytes += frame.depth.size + (frame.motion.size if "motion" in places else 0)
 
     def take_bad_pixels(self) -> BadPixels:
-        """Return those of the frames taken since the last call; waits for the device."""
+        """Return the counts of bad pixels of the frames taken since the last call; waits for the device."""
         while self._counts:
             self._add_oldest()
         taken, self._bad = self._bad, BadPixels()
@@ -151,10 +152,10 @@ class Upload(Stage):
         self._bad += BadPixels(*counts.reshape(_KINDS, -1).sum(1, dtype=np.int64).tolist())
 
     def _in_memory(self, array: np.ndarray) -> tuple[cl.Buffer, int]:
-        """Return the array where it is, for kernels to read, and at which of its values it begins.
+        """Return a buffer of the array in place, for kernels to read, and the index of its first value there.
 
-        Runtimes copy what does not begin at an aligned address. So it begins at the last one before the array, which is
-        in the same page of memory.
+        Runtimes copy arrays that do not begin at an aligned address. So the buffer begins at the last one before the
+        array, which is in the same page of memory.
         """
         before = array.ctypes.data % self.device.alignment
         memory = (ctypes.c_ubyte * (before + array.nbytes)).from_address(array.ctypes.data - before)
@@ -162,8 +163,8 @@ class Upload(Stage):
         return cl.Buffer(self.device.context, flags, hostbuf=memory), before // array.itemsize
 
     def _copy(self, arrays: Mapping[str, np.ndarray]) -> dict[str, tuple[cl.Buffer, int]]:
-        """Enqueue one copy of all `arrays` to the device. Return the buffer, and at which of an array's values it
-        begins there, by name."""
+        """Enqueue one copy of all `arrays` to the device. Return by name the buffer, and the index of the array's first
+        value there."""
         if "given" not in self.buffer:
             self.buffer |= self.allocate([self.spec("given")])
         given, places, end = self.buffer["given"], {}, 0

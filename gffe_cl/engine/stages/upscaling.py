@@ -21,8 +21,8 @@ _YCOCG = ("Y", "Co", "Cg", "A")
 class Upscaling(Stage):
     """Gathers rendered frames, jittered and small, over time into a history at the display's size.
 
-    The history is what is shown of a rendered frame. Generated frames are seen through it and do not change it: made
-    from samples that it holds already, they bring none.
+    Rendered frames are displayed from the history. Generated frames are resampled from it and do not change it: they
+    are made from samples that it already holds.
     """
 
     name = "upscaling"
@@ -126,7 +126,7 @@ class Upscaling(Stage):
         return options.upscale > 0
 
     def rendered(self, step: Step) -> None:
-        """Take the rendered frame into the history."""
+        """Add the rendered frame to the history."""
         for kernel in ("compare", "survey", "accumulate"):
             self.launch(kernel, step)
 

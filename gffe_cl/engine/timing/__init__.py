@@ -1,1 +1,1 @@
-"""Times of stages and bytes that must move, of any pipeline."""
+"""Measurement of any pipeline: times of its stages, and bytes that they must move."""

@@ -1,8 +1,7 @@
 """Cost of each stage, in milliseconds and in bytes per pixel (`gffe bench`).
 
-Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is what copying reaches in between the timed
-frames, so the figure means the same on every machine. Stage times are sums of kernel event times; the wall
-time of a frame stands beside.
+Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is that of copies between the timed frames, so the figure
+means the same on every machine. Stage times are sums of kernel event times; the wall time of a frame stands beside.
 """
 
 from __future__ import annotations
@@ -105,7 +104,7 @@ class Copier:
         self.way = max(speeds, key=speeds.__getitem__)
 
     def bandwidth(self) -> float:
-        """GB/s (read and written) of one copy now."""
+        """Return GB/s (read and written) of one copy now."""
         return self._gigabytes(self.way)
 
     def _gigabytes(self, name: str) -> float:
@@ -125,7 +124,7 @@ class _Samples:
     commands: dict[str, int] = field(default_factory=dict)
 
     def medians(self) -> dict[str, float]:
-        """Milliseconds by part, with the sums."""
+        """Return milliseconds by part, with the sums."""
         return _with_sums({name: statistics.median(taken) for name, taken in self.parts.items()})
 
 
@@ -137,7 +136,8 @@ def bench_size(
     repeats: int,
     on_pair: Callable[[], None] = lambda: None,
 ) -> SizeBench:
-    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of `loop`."""
+    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of `loop`, and return the
+    medians."""
     loop = loop.on(device)
     presentation = Presentation(Board(device, Sizes((loop.width, loop.height), (loop.width, loop.height))))
     before = device.allocated
@@ -180,8 +180,8 @@ def bench_size(
 
 
 def growth(results: list[SizeBench]) -> float | None:
-    """The x of time ~ pixels^x, by least squares over the sizes; None for one size. Time is that of GAE times the
-    bandwidth meanwhile, so that a busy machine does not matter."""
+    """Return the x of time ~ pixels^x, by least squares over the sizes; None for one size. Time is that of GAE times
+    the bandwidth meanwhile, so that a busy machine does not matter."""
     pixels = np.log([r.width * r.height for r in results])
     if np.ptp(pixels) == 0:
         return None
@@ -189,7 +189,7 @@ def growth(results: list[SizeBench]) -> float | None:
 
 
 def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
-    """Submit and extrapolate. Returns the launches of both. Adds to `samples` if the turn counts."""
+    """Submit and extrapolate, and return the launches of both. Adds times to `samples` if the turn counts."""
     events: dict[str, dict[str, list]] = {}
     launches: dict[str, traffic.Launches] = {}
     start = time.perf_counter()
@@ -235,7 +235,8 @@ def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares
 
 
 def _with_sums(parts: dict[str, float]) -> dict[str, float]:
-    """Those of GAE in the paper's order, "GAE", "misc", upscaling, those of SCN, "SCN"."""
+    """Return the parts in order, with sums: those of GAE in the paper's order, "GAE", "misc", upscaling, those of SCN,
+    "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
     scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
     apart = {name: value for name, value in parts.items() if name == "misc" or name in traffic.UPSCALING}

@@ -1,4 +1,4 @@
-"""Frames that are timed, in a loop in which each one follows the frame that its motion refers to."""
+"""Loops of benchmarks: rendered frames in a loop in which each one follows the frame that its motion refers to."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SETTLED = 2  # frames after a reset that do not count: movers, and surfaces behi
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn of the loop: submit `frame` (number `index` of the loop's), then extrapolate to half an interval later,
-    seen by `camera` (None: the predicted one). `before`: the frame submitted before it, None after a reset."""
+    """One turn of the loop: submit `frame` (number `index` of the loop), then extrapolate by half an interval, seen
+    by `camera` (None: the predicted one). `before`: the frame submitted before it, None after a reset."""
 
     index: int
     frame: RenderedFrame
@@ -28,14 +28,14 @@ class Turn:
     counts: bool
 
     def time(self, interval: float) -> float:
-        """Of the extrapolated frame, seconds."""
+        """Return the time of the extrapolated frame, seconds."""
         return self.frame.time + interval / 2
 
 
 @dataclass(frozen=True)
 class FrameLoop:
-    """Rendered frames of a benchmark, again and again. `name`: the scene; `width`, `height`: of the display; `cameras`:
-    of the extrapolated frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
+    """Input of a benchmark. `name`: the scene; `width`, `height`: of the display; `cameras`: of the extrapolated
+    frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
 
     name: str
     width: int
@@ -48,7 +48,7 @@ class FrameLoop:
     render_size: tuple[int, int] | None = None
 
     def turns(self, counted: int) -> Iterator[Turn]:
-        """The loop, until so many turns have counted."""
+        """Yield the turns of the loop, until so many have counted."""
         before, done, k = None, 0, 0
         settled = min(SETTLED, len(self.frames) - 1)
         while done < counted:
@@ -59,11 +59,12 @@ class FrameLoop:
             before, done, k = frame, done + counts, k + 1
 
     def turn_count(self, counted: int) -> int:
-        """Of `turns`."""
+        """Return how many turns `turns` yields."""
         return sum(1 for _ in self.turns(counted))
 
     def part(self, width: int, height: int, center: tuple[float, float]) -> FrameLoop:
-        """A part of the images, of at most that size, around `center` (shares of width and height); host arrays."""
+        """Return the loop of a part of the images, of at most that size, around `center` (shares of width and
+        height); its frames are host arrays."""
         width, height = min(width, self.width), min(height, self.height)
         x = min(max(int(self.width * center[0] - width / 2), 0), self.width - width)
         y = min(max(int(self.height * center[1] - height / 2), 0), self.height - height)
@@ -82,7 +83,7 @@ class FrameLoop:
         return replace(self, width=width, height=height, frames=frames, cameras=cameras)
 
     def shown_larger(self, width: int, height: int) -> FrameLoop:
-        """The same frames for a larger display, as upscaling takes them."""
+        """Return the same frames for a larger display, as upscaling takes them."""
         factors = width / self.width, height / self.height
         frames = tuple(replace(f, display_camera=f.camera.scaled(*factors)) for f in self.frames)
         cameras = tuple(camera and camera.scaled(*factors) for camera in self.cameras)
@@ -90,7 +91,7 @@ class FrameLoop:
         return replace(self, width=width, height=height, frames=frames, cameras=cameras, render_size=size)
 
     def on(self, device: Device) -> FrameLoop:
-        """The same in buffers of `device`."""
+        """Return the loop with its frames in buffers of `device`."""
         return replace(self, frames=tuple(uploaded(device, frame) for frame in self.frames))
 
 

@@ -1,6 +1,7 @@
 """Bytes per pixel that must move, by the stages' declarations: exact and independent of the machine (`gffe bench`).
 
-Every kernel declares what it reads and writes, and for which share of the pixels; the shares are counted in the frame.
+Every kernel declares the buffers that it reads and writes, and for which share of the pixels; the shares are counted in
+the frame.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ UPSCALING = ("upscaling", "sharpening")
 
 
 def group(stage: str) -> str:
-    """Whose work a stage is: "GAE", "SCN" or "upscaling"."""
+    """Return the group of a stage in tables: "GAE", "SCN" or "upscaling"."""
     return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
 
 
@@ -61,7 +62,7 @@ def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:
 
 
 def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, float]) -> dict[str, dict[str, float]]:
-    """Bytes per display pixel that launches must move, by stage and kernel; `shares`: of `counters`."""
+    """Return bytes per display pixel that launches must move, by stage and kernel; `shares`: of `counters`."""
     pixels = math.prod(pipeline.sizes.target)
     moved: dict[str, dict[str, float]] = {}
     for stage, launched in launches.items():
@@ -77,7 +78,7 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
 
 
 def memory(pipeline: Pipeline) -> dict[str, int]:
-    """Bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
+    """Return bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
     board = pipeline.board
     owners = {"frame": board.frame, board.blocks.name: board.blocks} | pipeline.stages
     return {name: owner.nbytes for name, owner in owners.items()}

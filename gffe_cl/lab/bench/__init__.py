@@ -1,1 +1,1 @@
-"""Everything of `gffe bench` beyond the times of stages."""
+"""Benchmarks of `gffe bench` beyond the times of stages."""

@@ -1,5 +1,5 @@
-"""Bytes per pixel that kernels load and store, and instructions that they execute, counted by Oclgrind, which nothing
-disturbs (`gffe bench --traffic`).
+"""Counting of bytes that kernels load and store per pixel, and of instructions that they execute, by Oclgrind:
+independent of the machine (`gffe bench --traffic`).
 
 A process under Oclgrind makes a few frames of a small part of the images; the kernels of the last pair are counted.
 Caches count for nothing: a pixel that four work-items load is loaded four times. An atomic loads and stores.
@@ -70,8 +70,8 @@ class KernelTraffic:
 
 
 def count(loop: FrameLoop, options: Options, lanes: int) -> dict[str, KernelTraffic]:
-    """Traffic by "stage.kernel" in a part of the loop (of host arrays), with so many lanes (simd.h). Raises
-    GffeError if Oclgrind is missing or fails."""
+    """Return the traffic by "stage.kernel" in a part of the loop (of host arrays), with so many lanes (simd.h).
+    Raises GffeError if Oclgrind is missing or fails."""
     loop = loop.part(*PART, CENTER)
     command = shutil.which("oclgrind")
     if command is None:
@@ -94,8 +94,8 @@ def count(loop: FrameLoop, options: Options, lanes: int) -> dict[str, KernelTraf
 
 
 def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
-    """Return (kernel, bytes loaded, bytes stored, instructions) of each launch from the output of
-    `oclgrind --inst-counts`, in order. Frame blocks, which are written once a frame, do not count."""
+    """Yield (kernel, bytes loaded, bytes stored, instructions) of each launch from the output of `oclgrind
+    --inst-counts`, in order. Frame blocks, which are written once a frame, do not count."""
     kernel, loaded, stored, executed = None, 0, 0, 0
     for line in text.splitlines():
         if head := _KERNEL.match(line):
@@ -112,7 +112,7 @@ def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
 
 
 def _moved(times: int, instruction: str) -> tuple[int, int]:
-    """Bytes loaded from and stored to global memory by an instruction that was executed so often."""
+    """Return the bytes loaded from and stored to global memory by an instruction that was executed so often."""
     if memory := _MEMORY.match(instruction):
         nbytes = int(memory[2])
         return (nbytes, 0) if memory[1] == "load" else (0, nbytes)
@@ -145,21 +145,22 @@ def _joined(made: dict, blocks: list[tuple[str, int, int, int]], pixels: int) ->
 
 
 class _SilentNetwork:
-    """In place of the shading correction network, by whose focus mask kernels load more or less: its mask is 0."""
+    """Replacement for the shading correction network, by whose focus mask kernels load more or less: its mask is 0."""
 
     copying, head = 0.0, np.zeros(HEAD_WEIGHTS, np.float32)
 
     def prepare(self, height: int, width: int) -> None:
-        """As `inference.Network.prepare`."""
+        """Do nothing: this network needs no preparation for a size."""
 
     def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
-        """As `inference.Network.run`."""
+        """Fill `judgement` with 0, and return 0: no pixel has NaN or infinity."""
         judgement[:] = 0
         return 0
 
 
 def _make(folder: Path) -> None:
-    """Make the frames under Oclgrind. Returns the launches of the last pair and the bytes that they must move."""
+    """Make the frames under Oclgrind, and write the launches of the last pair and the bytes that they must move to a
+    file."""
     loop, options = pickle.loads((folder / "asked").read_bytes())
     device = open_device()
     if device.info.platform != _NAME:
@@ -211,7 +212,8 @@ def report(by_lanes: dict[int, dict[str, KernelTraffic]], loop: FrameLoop) -> di
 
 
 def grown(recorded: dict, now: dict) -> list[str]:
-    """A sentence for each kernel that loads and stores over 5% more than recorded, or is not recorded; of `report`s."""
+    """Return a sentence for each kernel that loads and stores over 5% more than recorded, or is not recorded. Both
+    arguments come from `report`."""
     found = []
     for lanes, kernels in now["lanes"].items():
         for name, moved in kernels.items():

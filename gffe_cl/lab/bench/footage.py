@@ -22,16 +22,16 @@ _BAND = 128  # rows enlarged at a time
 
 
 def is_sequence(subject: str | None) -> bool:
-    """Whether `loop_of` takes this for the folder of a sequence."""
+    """Return whether `loop_of` takes this for the folder of a sequence."""
     return subject is not None and not is_scene(subject)
 
 
 def loop_of(
     device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None, upscale: float = 0.0
 ) -> FrameLoop:
-    """Of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size` None: the
-    sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is larger
-    than the sequence."""
+    """Return the loop of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size`
+    None: the sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is
+    larger than the sequence."""
     if upscale:
         smaller = None if size is None else (max(1, round(size[0] / upscale)), max(1, round(size[1] / upscale)))
         loop = loop_of(device, subject, smaller, number)
@@ -43,8 +43,8 @@ def loop_of(
 
 
 def scene_loop(device: Device, name: str, width: int, height: int, number: int | None = None) -> FrameLoop:
-    """Frames `number` − 1 and `number` (default: `SCENE_FRAME`) of a built-in scene, back and forth, rendered on
-    `device`, as host arrays."""
+    """Return the frames `number` − 1 and `number` (default: `SCENE_FRAME`) of a built-in scene, back and forth,
+    rendered on `device`, as host arrays."""
     number = SCENE_FRAME if number is None else number
     if number < 1:
         raise GffeError(f"--frame must be at least 1, a frame with one before it, got {number}")
@@ -62,9 +62,9 @@ def scene_loop(device: Device, name: str, width: int, height: int, number: int |
 
 
 def sequence_loop(source: Recorded, size: tuple[int, int] | None = None, number: int | None = None) -> FrameLoop:
-    """Up to 6 rendered frames of a sequence around `number` (default: the middle one), forward, none of them a reset
-    but perhaps the first, as host arrays; enlarged to `size` (width, height) by `enlarged`. The cameras are those of
-    the truth where there is some."""
+    """Return up to 6 rendered frames of a sequence around `number` (default: the middle one), forward, none of them a
+    reset except perhaps the first, as host arrays; enlarged to `size` (width, height) by `enlarged`. The cameras are
+    those of the truth where there is some."""
     first, last = _loop(source, number)
     width, height = size or (source.width, source.height)
     interval = (source.time(last - 1) - source.time(first)) / (last - 1 - first)
@@ -76,7 +76,7 @@ def sequence_loop(source: Recorded, size: tuple[int, int] | None = None, number:
 
 
 def _loop(source: Recorded, number: int | None) -> tuple[int, int]:
-    """The first rendered frame of the loop and the one after its last."""
+    """Return the number of the first rendered frame of the loop and of the one after its last."""
     count, resets, path = source.count, source.resets, source.sequence.path
     if number is None:
         followers = [k for k in range(count) if k not in resets]
@@ -93,10 +93,10 @@ def _loop(source: Recorded, number: int | None) -> tuple[int, int]:
 
 
 def enlarged(frame: RenderedFrame, width: int, height: int) -> RenderedFrame:
-    """`frame` (host arrays) as one of `width` × `height` pixels; motion in its new pixels.
+    """Return `frame` (host arrays) with `width` × `height` pixels; motion in its new pixels.
 
-    Bilinear in color, inverse depth and motion where the four neighbors lie on one surface, so that planes stay
-    planes; the nearest pixel elsewhere, so that edges stay edges.
+    Interpolation is bilinear in color, inverse depth and motion where the four neighbors lie on one surface, so that
+    planes stay planes. Elsewhere the nearest pixel is used, so that edges stay edges.
     """
     old_height, old_width = np.shape(frame.depth)
     if (old_width, old_height) == (width, height):
@@ -118,14 +118,14 @@ def enlarged(frame: RenderedFrame, width: int, height: int) -> RenderedFrame:
 
 
 def _taps(count: int, old: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of `count` new pixels along a side of `old`: the neighbors before and after, and the latter's weight."""
+    """Return, for `count` new pixels along a side of `old`, the neighbors before and after, and the latter's weight."""
     place = np.clip((np.arange(count) + 0.5) * old / count - 0.5, 0, old - 1)
     low = place.astype(int)
     return low, np.minimum(low + 1, old - 1), (place - low).astype(np.float32)
 
 
 def _enlarged_rows(stack: np.ndarray, rows, columns) -> np.ndarray:
-    """Rows of the enlarged `stack` (H, W, 6): color, inverse depth, motion."""
+    """Return rows of the enlarged `stack` (H, W, 6): color, inverse depth, motion."""
     top, bottom, down = rows
     left, right, across = columns
     taps = [stack[y][:, x] for y in (top, bottom) for x in (left, right)]

@@ -1,4 +1,4 @@
-"""Processor time of the calling thread in `submit` and `extrapolate` (`gffe bench --host`)."""
+"""Measurement of the calling thread's processor time in `submit` and `extrapolate` (`gffe bench --host`)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class HostTimes:
 def measure_host(
     device: Device, loop: FrameLoop, options: Options, pairs: int, on_pair: Callable[[], None]
 ) -> HostTimes:
-    """Time `pairs` pairs of a rendered and a new frame of `loop`."""
+    """Time `pairs` pairs of a rendered and a new frame of `loop`, and return the medians."""
     loop = loop.on(device)
     pipeline = Pipeline(device, loop.width, loop.height, options, render_size=loop.render_size)
     pipeline.exposure = loop.exposure

@@ -1,5 +1,5 @@
-"""Transfer times of NumPy arrays to and from a device, compared with plain copies of the same bytes (`gffe bench
---io`)."""
+"""Measurement of transfers of NumPy arrays to and from a device, compared with plain copies of the same bytes (`gffe
+bench --io`)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class IoTimes:
 
 
 def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callable[[], None]) -> list[IoTimes]:
-    """Time each form of colors in `turns` turns, on the arrays of `frame`."""
+    """Time each form of colors in `turns` turns, on the arrays of `frame`, and return the medians."""
     height, width = np.shape(frame.depth)
     rgba = host_arrays(frame).in_device_layout().color
     found = []
@@ -65,8 +65,8 @@ def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callab
 
 
 class _Turn:
-    """Each part once, in either order: seconds of upload, plain copies in, download, plain copy out, upload without
-    copies, mapping. `copied` and `zero_copied`: bytes of the last uploads."""
+    """Timer that runs each part once, in either order: seconds of upload, plain copies in, download, plain copy out,
+    upload without copies, mapping. `copied` and `zero_copied`: bytes of the last uploads."""
 
     def __init__(self, device: Device, frame: RenderedFrame):
         height, width = np.shape(frame.depth)

@@ -1,9 +1,9 @@
-"""Time and quality of methods on the same frames, in turns (`gffe bench --methods`).
+"""Measurement of time and quality of methods on the same frames, in turns (`gffe bench --methods`).
 
-Every method is timed for what it would take live, from the buffers of a rendered frame to the color of the new one.
-Pipelines take and leave buffers of their device: no copy to or from the host is inside, but for those around the
-shading correction network. Methods of OpenCV and PyTorch take and leave float32 arrays in host memory: the conversion
-of 16-bit colors is not inside, that to the 8-bit gray of optical flow is.
+Every method is timed as it would run live, from the buffers of a rendered frame to the color of the new one. Pipelines
+take and leave buffers of their device: no copy to or from the host is inside, but for those around the shading
+correction network. Methods of OpenCV and PyTorch take and leave float32 arrays in host memory: the conversion of 16-bit
+colors is not inside, that to the 8-bit gray of optical flow is.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ WITHOUT_NETWORK = "no-scn"
 MOMENTS = 6  # new frames whose quality is measured, and which are timed again and again
 _REST = 0.02  # seconds before each turn, in which the threads of the method before come to rest
 
-Step = Callable[[str, int], Callable[[], None]]  # description, number of parts → function to call after each
+OpenStep = Callable[[str, int], Callable[[], None]]  # description, number of parts → function to call after each
 
 
 class Clip(Footage):
@@ -88,7 +88,7 @@ class Contestant:
     errors: RegionErrors = field(default_factory=RegionErrors)
 
     def turn(self, number: int, shot: Shot) -> tuple[float, object]:
-        """Take rendered frame `number` of the clip and make the new frame after it, if there is one. Returns
+        """Take rendered frame `number` of the clip and make the new frame after it, if there is one. Return
         milliseconds and the frame."""
         time.sleep(_REST)
         shot, made = replace(shot, frame=self.frames[number]), None
@@ -108,9 +108,9 @@ class Contestant:
         return self.runner.extrapolated(moment) if self.device else self.runner.make(moment)
 
 
-def measure_methods(subject: Subject, devices: list[Device], options: Options, repeats: int, step: Step) -> dict:
-    """Figures for one subject, as JSON: see `_report`. Pipelines, with and without the network, run on all `devices`;
-    ratios are to the first method on the first one. `options`: of the pipelines. `repeats`: timed turns."""
+def measure_methods(subject: Subject, devices: list[Device], options: Options, repeats: int, step: OpenStep) -> dict:
+    """Return the figures for one subject, as JSON: see `_report`. Pipelines, with and without the network, run on all
+    `devices`; ratios are to the first method on the first one. `options`: of the pipelines. `repeats`: timed turns."""
     if options.upscale:
         raise GffeError("--methods takes frames of the display's size, not --upscale's")
     advance = step(f"{subject.name}: frames and ground truth", NO_HISTORY + min(subject.moments, MOMENTS))
@@ -142,7 +142,7 @@ def _play(clip: Clip, contestants: list[Contestant], rounds: int, advance: Calla
 
 
 def _contestants(clip: Clip, devices: list[Device], options: Options) -> tuple[list[Contestant], dict[str, str]]:
-    """All of them, and why methods are left out, by name."""
+    """Return all contestants, and the reasons why methods are left out, by name."""
     names = (FULL, WITHOUT_NETWORK) if options.corrects_shading else (FULL,)
     found = []
     for device in devices:
@@ -159,8 +159,9 @@ def _contestants(clip: Clip, devices: list[Device], options: Options) -> tuple[l
 
 
 def _report(clip: Clip, contestants: list[Contestant], skipped: dict[str, str]) -> dict:
-    """`share` of the pixels by region; by method the medians of milliseconds and of the ratios of its time to the first
-    method's within a turn, PSNR in dB of all pixels together (not a mean of frames), and PSNR by region."""
+    """Return the `share` of the pixels by region; and by method the medians of milliseconds and of the ratios of its
+    time to the first method's within a turn, PSNR in dB of all pixels together (not a mean of frames), and PSNR by
+    region."""
     first = contestants[0]
     rows = []
     for one in contestants:

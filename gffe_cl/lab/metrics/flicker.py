@@ -1,12 +1,12 @@
 """Flicker: visible error when rendered and generated frames alternate.
 
-At 60 Hz people do not see how far a single frame is off; they see that every second one is: lit edges that pulse,
-shadows that jump to and fro. The eye follows what moves, so the difference between shown and true frame is what counts,
-not that between successive frames; and at 30 Hz it is only sensitive to coarse patterns, falling to half at about
-three cycles per degree (Kelly, Motion and vision II, JOSA 1979). So: error of the luma that is displayed (Rec. 709),
-blurred by a Gaussian of 1/300 of the image's height (half at three cycles per degree, seen from three heights), and of
-that the mean absolute change from each shown frame to the next, rendered ones included, in per cent of display white.
-0 is what a renderer gives that needs no generated frames; an error that stays the same over time does not flicker.
+At 60 Hz people do not see the error of a single frame. They see that every second frame has one: lit edges that pulse,
+shadows that jump to and fro. The eye follows moving objects, so the difference between shown and true frame counts, not
+that between successive frames; and at 30 Hz it is only sensitive to coarse patterns, falling to half at about three
+cycles per degree (Kelly, Motion and vision II, JOSA 1979). So: error of the luma that is displayed (Rec. 709), blurred
+by a Gaussian of 1/300 of the image's height (half at three cycles per degree, seen from three heights), and of that the
+mean absolute change from each shown frame to the next, rendered ones included, in per cent of display white. A renderer
+without generated frames has 0. An error that stays the same over time does not flicker.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ _SIGMA = 1 / 300  # of the image's height
 
 
 class Flicker:
-    """Adds up over the frames of a sequence in the order of display."""
+    """Sum of flicker over the frames of a sequence in the order of display."""
 
     def __init__(self):
         self._before: np.ndarray | None = None
         self.sum, self.count = 0.0, 0
 
     def add(self, shown: np.ndarray, truth: np.ndarray) -> float | None:
-        """Display values (H, W, 3) of the next frame, as shown and as it should be. Its change from the one before, per
-        cent; None for the first."""
+        """Add display values (H, W, 3) of the next frame, as shown and as it should be. Return the change from the
+        frame before, per cent; None for the first."""
         from scipy.ndimage import gaussian_filter  # takes as long to import as all else the viewer starts with
 
         error = gaussian_filter((shown - truth) @ LUMA, _SIGMA * shown.shape[0])
@@ -43,5 +43,5 @@ class Flicker:
 
     @property
     def mean(self) -> float:
-        """Over all changes; NaN if there were none."""
+        """The mean over all changes; NaN if there were none."""
         return self.sum / self.count if self.count else float("nan")

@@ -32,14 +32,15 @@ class Metric:
     name : str
         Its key in JSON.
     label, unit, digits
-        How people read it.
+        Label, unit and number of digits for people.
     map : callable
-        Of two images, shown and true: (H, W) float, what each pixel counts; NaN where that is not defined.
+        Function of two images, shown and true, that returns the value of each pixel, (H, W) float; NaN where it is not
+        defined.
     of_mean : callable
         The figure from the mean of the map over the pixels that are measured, of one image or of many.
     higher_is_better : bool
     module, package : str
-        What must be importable, and the name by which it is installed.
+        Module that must be importable, and the package that pip installs for it.
     slow : bool
         Where people wait, it is measured after the others.
     """
@@ -57,29 +58,29 @@ class Metric:
 
     @property
     def title(self) -> str:
-        """With its unit: a table's column."""
+        """The label with its unit, for a table's column."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
     def text(self, value: float, signed: bool = False) -> str:
-        """A figure for people, "–" where it is not defined."""
+        """Return a figure for people, "–" where it is not defined."""
         rounded = round(value, self.digits) + 0.0  # no −0
         return "–" if math.isnan(value) else f"{rounded:{'+' if signed else ''}.{self.digits}f}"
 
     def sentence(self, value: float) -> str:
-        """A figure with its name and unit: "PSNR 31.20 dB"."""
+        """Return a figure with its name and unit: "PSNR 31.20 dB"."""
         return f"{self.label} {self.text(value)} {self.unit}".rstrip()
 
     def measure(self, shown: np.ndarray, truth: np.ndarray, mask=None) -> float:
-        """Over all pixels, or those where `mask` (H, W) is not 0; NaN if there are none."""
+        """Return the metric over all pixels, or those where `mask` (H, W) is not 0; NaN if there are none."""
         total, count = _sum_over(self.map(shown, truth), mask)
         return self.of_mean(total / count) if count else float("nan")
 
     def gain(self, before: float, after: float) -> float:
-        """How much better `after` is."""
+        """Return how much better `after` is than `before`."""
         return after - before if self.higher_is_better else before - after
 
     def missing(self) -> str | None:
-        """None if the metric is available, else a sentence that names the package to install."""
+        """Return None if the metric is available, else a sentence that names the package to install."""
         what = f"{self.label} needs {self.package}: pip install {self.package}"
         try:
             importlib.import_module(self.module)
@@ -91,29 +92,31 @@ class Metric:
 
 
 def measurable() -> list[Metric]:
-    """Those of `METRICS` whose packages are here; imports these."""
+    """Return those of `METRICS` whose packages are installed, and import these."""
     return [metric for metric in METRICS.values() if metric.missing() is None]
 
 
 def missing_metrics() -> list[str]:
-    """A sentence for each of the others."""
+    """Return a sentence for each metric whose package is not installed."""
     return [reason for metric in METRICS.values() if (reason := metric.missing())]
 
 
 def squared_error(a, b) -> np.ndarray:
-    """Per pixel, the mean over RGB: (H, W) float32."""
+    """Return the squared error per pixel, the mean over RGB, as (H, W) float32."""
     return np.square(np.subtract(a, b, dtype=np.float32)).mean(-1)
 
 
 def decibels(error: float) -> float:
-    """PSNR of a mean squared error, for peak 1: at most `PSNR_CAP`."""
+    """Return the PSNR of a mean squared error, for peak 1: at most `PSNR_CAP`."""
     return PSNR_CAP if error <= 10 ** (-PSNR_CAP / 10) else float(-10 * np.log10(error))
 
 
 def similarity(a, b) -> np.ndarray:
-    """Structural similarity per pixel, mean over channels: (H, W) float64; scikit-image's default with data_range=1.
+    """Return the structural similarity per pixel, mean over channels, as (H, W) float64; scikit-image's default with
+    data_range=1.
 
-    NaN where its window, 7×7, does not fit into the image. Source: Wang et al., Image Quality Assessment, TIP 2004.
+    It is NaN where its window, 7×7, does not fit into the image. Source: Wang et al., Image Quality Assessment, TIP
+    2004.
     """
     from skimage.metrics import structural_similarity
 
@@ -127,7 +130,8 @@ def similarity(a, b) -> np.ndarray:
 
 
 def flip_error(shown, truth) -> np.ndarray:
-    """NVIDIA's FLIP per pixel, 0 … 1: (H, W) float32. ImportError where flip-evaluator is not installed."""
+    """Return NVIDIA's FLIP per pixel, 0 … 1, as (H, W) float32. Raises ImportError where flip-evaluator is not
+    installed."""
     from flip_evaluator import evaluate
 
     truth, shown = (np.ascontiguousarray(image, np.float32) for image in (truth, shown))
@@ -153,24 +157,26 @@ METRICS = {
 
 
 def psnr(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
+    """Return the peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
 
-    `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts it to the pixels where it is not 0; NaN
-    if there are none. GffeError for arrays of other shapes.
+    `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts the metric to the pixels where it is not
+    0. The result is NaN if there are none. Raises GffeError for arrays of other shapes.
     """
     return METRICS["psnr"].measure(*_pair(a, b, mask))
 
 
 def ssim(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
-    """Structural similarity, mean over pixels: Wang et al., Image Quality Assessment, TIP 2004, over 7×7 pixels.
+    """Return the structural similarity, mean over pixels: Wang et al., Image Quality Assessment, TIP 2004, over 7×7
+    pixels.
 
-    `a`, `b` and `mask` as of `psnr`. NaN for images smaller than 7×7. GffeError for arrays of other shapes.
+    `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts the metric to the pixels where it is not
+    0. The result is NaN for images smaller than 7×7. Raises GffeError for arrays of other shapes.
     """
     return METRICS["ssim"].measure(*_pair(a, b, mask))
 
 
 def _pair(a, b, mask) -> tuple:
-    """The three of them, checked."""
+    """Return the three arrays, checked. Raises GffeError for arrays of other shapes."""
     height, width, _ = require_array(a, "metric: a", None, None, 3).shape
     b = require_array(b, "metric: b", height, width, 3)
     mask = None if mask is None else require_array(mask, "metric: mask", height, width, kinds="biuf")
@@ -181,21 +187,22 @@ def _pair(a, b, mask) -> tuple:
 
 
 def relative_error(a, b):
-    """2|a−b| / (|a|+|b|+0.01) of exposed linear colors, arrays or tensors: SMAPE is its mean over RGB."""
+    """Return 2|a−b| / (|a|+|b|+0.01) of exposed linear colors, arrays or tensors: SMAPE is its mean over RGB."""
     return 2 * abs(a - b) / (abs(a) + abs(b) + SMAPE_EPSILON)
 
 
 def smape(a, b, exposure: float = 1.0) -> np.ndarray:
-    """Symmetric mean absolute percentage error of linear color: (H, W) float32 in [0, 2). NaN counts as 0."""
+    """Return the symmetric mean absolute percentage error of linear color, (H, W) float32 in [0, 2). NaN counts as
+    0."""
     factor = np.float32(require_exposure(exposure))
     a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * factor, nan=0.0) for x in (a, b))
     return relative_error(a, b).mean(-1)
 
 
 def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
-    """(H, W) bool: not `dynamic`, and SMAPE > 0.5 against each of the 3×3 pixels of the truth around (M_focus).
+    """Return (H, W) bool: not `dynamic`, and SMAPE > 0.5 against each of the 3×3 pixels of the truth around (M_focus).
 
-    `color` and `truth` are linear (H, W, 3); what kernels/shading.cl computes on devices.
+    `color` and `truth` are linear (H, W, 3). kernels/shading.cl computes the same on devices.
     """
     factor = np.float32(require_exposure(exposure))
     shown, true = (_finite(image) * factor for image in (color, truth))
@@ -210,7 +217,8 @@ def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
 
 
 def shading_regions(focus, disoccluded) -> dict:
-    """Where shading correction is measured, in evaluation and in the validation of its training: masks by name.
+    """Return the masks, by name, in which shading correction is measured: in evaluation and in the validation of its
+    training.
 
     `focus` (M_focus) and `disoccluded` (still invalid after crack closing) are bool arrays, or tensors, of one shape:
     focus pixels less disocclusions, these, and the whole.
@@ -222,7 +230,8 @@ def shading_regions(focus, disoccluded) -> dict:
 class RegionErrors:
     """Metrics of images against the truth, pooled over images, by region: all their pixels count alike.
 
-    By name of the region: `pixels`; and by metric and region, `sums` of its map and `counts` of where that is defined.
+    `pixels` are counted by region. `sums` of a metric's map, and `counts` of its defined pixels, are by metric and
+    region.
     """
 
     pixels: dict[str, int] = field(default_factory=dict)
@@ -230,7 +239,7 @@ class RegionErrors:
     counts: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def add(self, shown, truth, regions: dict[str, np.ndarray], metrics: Iterable[Metric]) -> None:
-        """One image: display values (H, W, 3) and masks (H, W) by name."""
+        """Add one image: display values (H, W, 3) and masks (H, W) by name."""
         _increase(self.pixels, {name: int(np.count_nonzero(mask)) for name, mask in regions.items()})
         for metric in metrics:
             values = metric.map(shown, truth)
@@ -254,11 +263,11 @@ class RegionErrors:
         return METRICS[metric].of_mean(self.sums[metric][region] / count) if count else float("nan")
 
     def share(self, region: str) -> float:
-        """Of the region named "whole"."""
+        """Return the region's share of the pixels in the region "whole"."""
         return self.pixels[region] / max(self.pixels["whole"], 1)
 
     def figures(self) -> dict[str, dict[str, float]]:
-        """By region: its `share`, and every one of `METRICS` by name."""
+        """Return figures by region: its `share`, and every one of `METRICS` by name."""
         return {
             region: {"share": self.share(region), **{name: self.figure(name, region) for name in METRICS}}
             for region in self.pixels

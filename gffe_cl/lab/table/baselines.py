@@ -1,7 +1,7 @@
 """Baselines: other kinds of methods, in their plainest form, each a runner of the table.
 
-They stand for a way of doing it, not for somebody's product: published methods add what these leave out, networks above
-all. Runners take rendered frames by `submit(shot)` and make pictures of moments by `make(moment)`: linear (H, W, 3).
+They stand for a kind of method, not for a product. Published methods add further parts, above all networks. Runners
+take rendered frames by `submit(shot)` and make pictures of moments by `make(moment)`: linear (H, W, 3).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _GUIDED_DEPTH = 0.05  # of the depth: how alike guides must be
 
 
 class Repeat:
-    """The last rendered frame again."""
+    """Shows the last rendered frame again."""
 
     def submit(self, shot: Shot) -> None:
         self._shown = shot.shown
@@ -34,8 +34,8 @@ class Repeat:
 
 
 class MotionVectors:
-    """Motion vectors are carried on in image space, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024): splat to
-    t + α with the depth test, holes take the nearest vector, and the color of t is looked up backward.
+    """Continues motion vectors in image space, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024): splat to t + α
+    with the depth test, holes take the nearest vector, and the color of t is looked up backward.
 
     `order` 1: at constant speed; 2: with the change of the vectors since the frame before, found where they point to.
     """
@@ -62,8 +62,8 @@ class MotionVectors:
 
 
 class OpticalFlow:
-    """Flow from t to t−1 by OpenCV's DIS (Kroeger et al., ECCV 2016) on displayed pictures, continued at constant
-    speed and warped forward. Holes take the nearest vector. It needs pictures only."""
+    """Continues the flow from t to t−1 by OpenCV's DIS (Kroeger et al., ECCV 2016) on displayed pictures at constant
+    speed, and warps forward. Holes take the nearest vector. It needs pictures only."""
 
     def __init__(self, exposure: float):
         import cv2
@@ -87,9 +87,9 @@ class OpticalFlow:
 
 
 class GuidedExtrapolation:
-    """G-buffers of the new frame guide a backward warp of frame t, in the manner of ExtraSS-E (Wu et al., SIGGRAPH Asia
-    2023): where any of its surface shows in t, the color is looked up there, antialiased as it is; else it is a mean
-    of pixels around whose depth is alike. The G-buffers are exact, and their cost is not counted."""
+    """Warps frame t backward, guided by G-buffers of the new frame, in the manner of ExtraSS-E (Wu et al., SIGGRAPH
+    Asia 2023): where any of its surface shows in t, the color is looked up there, antialiased as it is; else it is a
+    mean of pixels around with similar depth. The G-buffers are exact, and their cost is not counted."""
 
     def submit(self, shot: Shot) -> None:
         self._color, self._depth = shot.shown.astype(np.float32), shot.frame.depth
@@ -107,9 +107,9 @@ class GuidedExtrapolation:
 
 
 class Interpolation:
-    """Interpolation between t and the next rendered frame along the latter's motion vectors. It is a reference with
-    the latency that extrapolation avoids. Where both frames show one surface they are mixed by time. Surfaces that
-    only t shows follow t's own vectors."""
+    """Interpolates between t and the next rendered frame along the latter's motion vectors. It is a reference with the
+    latency that extrapolation avoids. Where both frames show one surface they are mixed by time. Surfaces that only t
+    shows follow t's own vectors."""
 
     def submit(self, shot: Shot) -> None:
         self._shot = shot

@@ -1,4 +1,4 @@
-"""Cells on disk, found again by a hash of all that they are made of; those that are there are whole."""
+"""Cache of cells on disk, found by a hash of everything that they depend on. Cells on disk are always complete."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ _MEASURING = ("images", "datasets", "regions", "labels", "methods", "baselines",
 
 
 class Cache:
-    """Cells in the folder `path`, as files named by their keys. GffeError where it cannot be written to."""
+    """Cache of cells in the folder `path`, as files named by their keys. Raises GffeError where it cannot be written
+    to."""
 
     def __init__(self, path: Path):
         self.path = Path(path)
@@ -34,7 +35,7 @@ class Cache:
             raise GffeError(f"{path}: cannot be made ({error.strerror or error})") from None
 
     def read(self, key: str) -> Cell | None:
-        """The cell, with the times of whatever machine; None if it is not there, or damaged."""
+        """Return the cell, with the times of any machine; None if it is not there, or damaged."""
         try:
             document = json.loads(read_bounded(self.path / f"{key}.json", _MOST_BYTES))
             names = document.pop("pictures")
@@ -56,7 +57,7 @@ class Cache:
             raise GffeError(f"{self.path}: cannot be written to ({error.strerror or error})") from None
 
     def timing(self, key: str, machine: str) -> dict | None:
-        """Of that machine, else of another one."""
+        """Return the times of that machine, else of another one; None if there are none."""
         own = self.path / f"{key}.{_slug(machine)}.time.json"
         for path in (own, *sorted(self.path.glob(f"{key}.*.time.json"))):
             try:
@@ -71,7 +72,7 @@ class Cache:
 
 
 def key_of(subject: dict, method: dict | None) -> str:
-    """Of the cell of a method on a subject, by their identities and the sources of the program."""
+    """Return the key of the cell of a method on a subject, by their identities and the sources of the program."""
     known = {"version": _VERSION, "subject": subject, "method": method, "sources": sources(), "kernels": kernels()}
     return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
@@ -89,7 +90,7 @@ def sources() -> str:
 
 
 def kernels() -> str:
-    """A hash of all kernel files."""
+    """Return a hash of all kernel files."""
     total = hashlib.sha256()
     for path in sorted(p for p in kernel_folder().rglob("*") if p.suffix in (".cl", ".h")):
         total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())

@@ -15,7 +15,7 @@ from gffe_cl.lab.table.runner import Executor, Work
 
 
 def executor_of(workers: Cluster) -> Executor:
-    """An executor for `fill`. Workers see folders of sequences and ONNX files under the same paths as here."""
+    """Return an executor for `fill`. Workers see folders of sequences and ONNX files under the same paths as here."""
 
     def compute(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
         return _compute(workers, items, arguments)
@@ -33,8 +33,8 @@ def _compute(workers: Cluster, items: list[Work], arguments: dict) -> Iterator[t
 
 
 def _cell(work: Work, arguments: dict) -> Cell | GffeError:
-    """On a worker: the cell, or why the sequence cannot be measured. Raises GffeError if the same name would mean
-    something else there."""
+    """Return, on a worker, the cell, or why the sequence cannot be measured. Raises GffeError if the same name would
+    mean something else there."""
     chosen = chosen_methods([work.method], arguments["onnx"], network=arguments["network"]) if work.method else {}
     method = chosen.get(work.method or "")
     if key_of(_identity(work.subject), method and method.identity()) != work.key:

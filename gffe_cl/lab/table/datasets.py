@@ -1,7 +1,7 @@
 """Subjects of evaluation: built-in scenes and sequences on disk, as rendered frames with the truth at moments between.
 
-A `SceneSubject` or `FolderSubject` is a description: it can be sent to another process, and its `identity` tells it
-from all others without rendering or decoding anything. `open_subject` makes `Footage` of it.
+A `SceneSubject` or `FolderSubject` is a description: it can be sent to another process, and its `identity`
+distinguishes it from all others without rendering or decoding anything. `open_subject` opens its `Footage`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class SceneSubject:
 
     @property
     def moments(self) -> int:
-        """How many there are."""
+        """Number of moments."""
         return max(self.frames - NO_HISTORY, 0) * len(self.turns or self.alphas)
 
     def identity(self) -> dict:
@@ -67,8 +67,8 @@ class SceneSubject:
 
 @dataclass(frozen=True)
 class FolderSubject:
-    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. `upscale`: how
-    many times smaller than that its frames were rendered, if they go through upscaling."""
+    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. `upscale`: the
+    factor by which its frames were rendered smaller, if they go through upscaling."""
 
     path: str
     moments: int
@@ -81,7 +81,7 @@ class FolderSubject:
         return Path(self.path).resolve().name
 
     def identity(self) -> dict:
-        """By the contents of all files, not by where they are."""
+        """Return the identity: by the contents of all files, not by their place."""
         root = Path(self.path)
         root = root if root.is_dir() else root.parent
         total = hashlib.sha256()
@@ -111,7 +111,8 @@ class Guide:
 class Moment:
     """A time at which a new frame is made: `time` in seconds, `alpha` in intervals after the rendered frame; `camera`
     of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps; `true_positions`,
-    with a guide: computes where every fragment of the rendered frame is then, as `extrapolate` takes it."""
+    with a guide: function that computes where every fragment of the rendered frame is then, for `target_position` of
+    `extrapolate`."""
 
     time: float
     alpha: float
@@ -135,9 +136,9 @@ class Shot:
 
 
 class Footage:
-    """Rendered frames and moments of a subject. `exact`: whether moments bring a `Guide`; `windows`: whether frames can
-    be had through a window of choice; `upscale`: as of the subject; `labels`: of each moment in order (`regions`),
-    filled in by who needs them."""
+    """Rendered frames and moments of a subject. `exact`: whether moments have a `Guide`; `windows`: whether frames can
+    be rendered through a window of choice; `upscale`: as of the subject; `labels`: of each moment in order (`regions`),
+    filled in by callers that need them."""
 
     exact = windows = False
 
@@ -148,8 +149,8 @@ class Footage:
         self._kept: dict[str, list[Shot]] = {}
 
     def shots(self, window: str = "off") -> Iterator[Shot]:
-        """Return the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded,
-        small ones with upscaling; or, if `windows` are available, any other mode of `WindowChooser`."""
+        """Yield the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded, small
+        ones with upscaling; or, if `windows` are available, any other mode of `WindowChooser`."""
         window = "off" if self.windows and window == "given" and not self.upscale else window
         if window in self._kept:
             yield from self._kept[window]
@@ -165,7 +166,7 @@ class Footage:
             self._kept[window] = made
 
     def render_size(self, window: str) -> tuple[int, int]:
-        """Width and height of the frames of `shots(window)`, pixels."""
+        """Return width and height of the frames of `shots(window)`, pixels."""
         return self.width, self.height
 
     @property
@@ -210,7 +211,7 @@ class _Scene(Footage):
             yield Shot(frame, shown, moments, following, moving)
 
     def _reference(self):
-        """Return the displayed picture, the later moments and the movers of each rendered frame: the same for all
+        """Yield the displayed picture, the later moments and the movers of each rendered frame: the same for all
         windows."""
         if "off" in self._kept:
             yield from ((shot.shown, shot.moments, shot.moving) for shot in self._kept["off"])
@@ -225,7 +226,7 @@ class _Scene(Footage):
             before = now
 
     def _times(self, k: int) -> list[tuple[float, float, float]]:
-        """(time, α, degrees of turn) of the moments after rendered frame `k`."""
+        """Return (time, α, degrees of turn) of the moments after rendered frame `k`."""
         if self._subject.turns:
             return [(k / self.fps, 0.0, turn) for turn in self._subject.turns]
         return [((k + alpha) / self.fps, alpha, 0.0) for alpha in self._subject.alphas]
@@ -276,7 +277,7 @@ _MOVES = 0.5  # pixels from which a surface counts as moving by itself
 
 
 def open_subject(subject: Subject, device: Device) -> Footage:
-    """Its footage; nothing is rendered or decoded before it is asked for."""
+    """Return the subject's footage. Nothing is rendered or decoded before it is requested."""
     return _Scene(subject, device) if isinstance(subject, SceneSubject) else _Folder(subject, device)
 
 
@@ -290,8 +291,8 @@ def parse_subject(
     upscale: float = 0.0,
     turn_rate: float = 0.0,
 ) -> Subject:
-    """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth, or of
-    frames that are not `upscale` times smaller than that."""
+    """Return the subject of a text: "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder
+    without ground truth, or of frames that are not `upscale` times smaller than that."""
     name, colon, seed = text.partition(":")
     if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
         if colon and not seed.isdigit():
@@ -333,7 +334,7 @@ def truths_after(sequence: Sequence) -> dict[int, list[FrameEntry]]:
 
 
 def turned(camera: Camera, degrees: float) -> Camera:
-    """The same camera, turned to the right about its own vertical axis."""
+    """Return the same camera, turned to the right about its own vertical axis."""
     if not degrees:
         return camera
     angle = np.radians(degrees)
@@ -344,8 +345,8 @@ def turned(camera: Camera, degrees: float) -> Camera:
 
 
 def turning(scene: Scene, rate: float, half: float) -> Scene:
-    """The same scene with a camera that turns to the right by `rate` degrees per second until `half` (seconds), then
-    back."""
+    """Return the same scene with a camera that turns to the right by `rate` degrees per second until `half` (seconds),
+    then back."""
     forward = scene.target(0.0) - scene.eye(0.0)
     start = np.arctan2(forward[0], -forward[2])
     level = np.hypot(forward[0], forward[2])
@@ -358,7 +359,7 @@ def turning(scene: Scene, rate: float, half: float) -> Scene:
 
 
 def _positions(future) -> np.ndarray:
-    """(H, W, 4) float32 `target_position` of every fragment, of a rendering whose `other` is the target."""
+    """Return `target_position` (H, W, 4) float32 of every fragment, of a rendering whose `other` is the target."""
     position = np.zeros((*future.depth.shape, 4), np.float32)
     position[..., :2] = _centers(*future.depth.shape) + future.motion
     position[..., 2] = future.other_position[..., 2]
@@ -367,7 +368,8 @@ def _positions(future) -> np.ndarray:
 
 
 def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
-    """(H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at `depth`."""
+    """Return (H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at
+    `depth`."""
     static_px, _ = other.project(_world(camera, depth))
     with np.errstate(invalid="ignore"):
         off = np.linalg.norm(motion + _centers(*depth.shape) - static_px, axis=-1)
@@ -380,5 +382,5 @@ def _centers(height: int, width: int) -> np.ndarray:
 
 
 def _world(camera: Camera, depth: np.ndarray) -> np.ndarray:
-    """(H, W, 3); sky is put very far away."""
+    """Return the world positions (H, W, 3) of pixels; sky is put very far away."""
     return camera.unproject(_centers(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))

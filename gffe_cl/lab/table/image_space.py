@@ -10,14 +10,14 @@ _SAME_LAYER = 0.05  # of the depth: surfaces within one pixel that are mixed
 
 
 def pixel_centers(height: int, width: int) -> np.ndarray:
-    """(H, W, 2) float32: x, y."""
+    """Return the pixel centers (H, W, 2) float32: x, y."""
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
     return np.stack([x, y], -1)
 
 
 def sample(image: np.ndarray, place: np.ndarray, mask: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Bilinear, the border repeated: `image` (H, W, C) at `place` (h, w, 2) pixels. Only taps where `mask` (4, h, w),
-    in reading order, is set count. Returns (h, w, C) float32, and the weight (h, w) of the taps that counted."""
+    """Sample `image` (H, W, C) at `place` (h, w, 2) pixels, bilinear, the border repeated. Only taps where `mask` (4,
+    h, w), in reading order, is set count. Return (h, w, C) float32, and the weight (h, w) of the taps that counted."""
     height, width = image.shape[:2]
     finite = np.where(np.isfinite(place), place, -1e6) - np.float32(0.5)
     low = np.floor(finite).astype(np.int64)
@@ -36,7 +36,8 @@ def sample(image: np.ndarray, place: np.ndarray, mask: np.ndarray | None = None)
 
 
 def sample_sharp(image: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Cubic (Catmull-Rom), within the range of the four nearest taps, the border repeated: (h, w, C) float32."""
+    """Return cubic samples (Catmull-Rom), within the range of the four nearest taps, the border repeated: (h, w, C)
+    float32."""
     height, width = image.shape[:2]
     finite = np.where(np.isfinite(place), place, -1e6) - np.float32(0.5)
     low = np.floor(finite).astype(np.int64)
@@ -55,7 +56,7 @@ def sample_sharp(image: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """The four neighbors (4, h, w) of `place` in `image` (H, W), in reading order, the border repeated."""
+    """Return the four neighbors (4, h, w) of `place` in `image` (H, W), in reading order, the border repeated."""
     height, width = image.shape
     low = np.floor(np.where(np.isfinite(place), place, -1e6) - 0.5).astype(np.int64)
     return np.stack(
@@ -68,8 +69,8 @@ def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 def splat(place: np.ndarray, depth: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Carry `values` (H, W, C) of every pixel to `place` (H, W, 2), onto the four pixels around. The nearest `depth`
-    (H, W) wins; surfaces within 5% of it are mixed by their share of the pixel. Returns (H, W, C) float32, and (H,
-    W) bool of the pixels reached."""
+    (H, W) wins; surfaces within 5% of it are mixed by their share of the pixel. Return (H, W, C) float32, and (H, W)
+    bool of the pixels reached."""
     height, width = depth.shape
     finite = np.isfinite(place).all(-1) & ~np.isnan(depth)
     at, z, carried = place[finite] - np.float32(0.5), depth[finite].astype(np.float32), values[finite]
@@ -97,7 +98,7 @@ def splat(place: np.ndarray, depth: np.ndarray, values: np.ndarray) -> tuple[np.
 
 
 def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """`values` (H, W, C) with those of the nearest known pixel where `known` (H, W) is not set."""
+    """Return `values` (H, W, C) with those of the nearest known pixel where `known` (H, W) is not set."""
     if known.all() or not known.any():
         return values
     from scipy.ndimage import distance_transform_edt  # see flicker.py

@@ -1,4 +1,4 @@
-"""One cell of the table: a method on a sequence, run, measured and timed."""
+"""Computation of one cell of the table: a method on a sequence, run, measured and timed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Cell:
 
     @property
     def errors(self) -> RegionErrors:
-        """By region, pooled over frames."""
+        """Errors by region, pooled over frames."""
         return RegionErrors(**self.document["errors"])
 
 
@@ -52,14 +52,14 @@ def _device(name: str | None) -> Device:
 
 @lru_cache(maxsize=1)
 def _bandwidth(name: str | None) -> float:
-    """GB/s of copying, read and written: the median of a few."""
+    """Return GB/s of copying, read and written: the median of a few."""
     copier = Copier(_device(name))
     return statistics.median(copier.bandwidth() for _ in range(5))
 
 
 @lru_cache(maxsize=1)
 def _footage(subject: Subject, device: str | None) -> Footage:
-    """One at a time is kept: its cells are computed one after the other."""
+    """Return the footage of a subject. One at a time is cached: its cells are computed one after the other."""
     footage = open_subject(subject, _device(device))
     footage.labels = list(find_labels(footage, _device(device)))
     return footage
@@ -90,7 +90,8 @@ def compute_cell(
 
 
 def _describe(footage: Footage) -> Cell:
-    """Of a sequence: shares of the regions, and pictures of the moment that shows most of them."""
+    """Return the description of a sequence: shares of the regions, and pictures of the moment that shows most of
+    them."""
     counts = np.zeros(len(REGIONS), np.int64)
     for labels in footage.labels:
         counts += np.bincount(labels.ravel(), minlength=len(REGIONS))
@@ -113,7 +114,7 @@ def _describe(footage: Footage) -> Cell:
 
 
 def picture_of(footage: Footage) -> int:
-    """The number of the moment that is shown: most of it is not "rest"."""
+    """Return the number of the moment for pictures: the one with the fewest pixels of "rest"."""
     interesting = [np.count_nonzero(labels != len(REGIONS) - 1) for labels in footage.labels]
     return int(np.argmax(interesting))
 
@@ -173,7 +174,7 @@ def _measure(
 
 
 def _rendered_pair(footage: Footage, runner, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
-    """Display values of a rendered frame as the method shows it, and as it is."""
+    """Return display values of a rendered frame as the method shows it, and as it is."""
     truth = to_display(shot.shown, footage.exposure)
     present = getattr(runner, "present", None)
     return (to_display(present(), footage.exposure) if present else truth), truth
@@ -210,7 +211,7 @@ class _Clock:
         return _Lap(self._makes)
 
     def timing(self, footage: Footage, runner, device: str | None) -> dict:
-        """Medians for one rendered frame with one new one, and bytes per pixel: time × bandwidth ÷ pixels."""
+        """Return medians for one rendered frame with one new one, and bytes per pixel: time × bandwidth ÷ pixels."""
         wall = _median(self._submits[1:]) + _median(self._makes[1:])
         timing = {"machine": machine_of(device), "wall": wall, "submit": _median(self._submits[1:])}
         milliseconds, timing["of"] = wall, "wall time"
@@ -257,7 +258,7 @@ def _median(values: list[float]) -> float:
 
 
 def _number(value: float | None) -> float | None:
-    """For JSON."""
+    """Return the value for JSON: None for NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

@@ -19,7 +19,7 @@ _MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in so
 
 
 def find_labels(footage: Footage, device: Device) -> Iterator[np.ndarray]:
-    """Of every moment in order: (H, W) uint8, indices into `REGIONS`."""
+    """Yield the labels of every moment in order: (H, W) uint8, indices into `REGIONS`."""
     size = (footage.width, footage.height)
     gae = Pipeline(device, *size, Options(shading_correction=False, overlays=False), fps=footage.fps)
     still = Options(motion=False, levels=0, shading_correction=False, overlays=False)
@@ -71,8 +71,8 @@ def exact_parts(shot: Shot, guide: Guide) -> dict[str, np.ndarray]:
 
 
 def _found_parts(shot: Shot, found: dict, static_holes: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
-    """Return the same masks by the pipeline's own buffers. `static_holes`: disocclusions if everything counts as
-    static."""
+    """Return the masks of `exact_parts` by the pipeline's own buffers. `static_holes`: disocclusions if everything
+    counts as static."""
     holes = found["disoccluded"] != 0
     height, width = holes.shape
     outside = np.zeros_like(holes)

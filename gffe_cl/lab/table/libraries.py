@@ -1,7 +1,8 @@
 """Extrapolation in a few calls of OpenCV or PyTorch: methods that anyone can install, fast enough to run live.
 
-Runners as in `baselines.py`. What remaps looks the color of t up backward, along the vector that t itself has at the
-new frame's pixel: nothing is moved there first, so a moving edge takes the vector of what it covers.
+They are runners as in `baselines.py`. Remapping looks the color of t up backward, along the vector that t itself has at
+the new frame's pixel. Vectors are not moved there first, so a moving edge takes the vector of the surface that it
+covers.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _LEAST = 1e-6  # share that is divided by
 
 
 class Remapped:
-    """Motion vectors of t, by cv2.remap, with cubic or bilinear interpolation."""
+    """Continues motion vectors of t by cv2.remap, with cubic or bilinear interpolation."""
 
     def __init__(self, cubic: bool = False):
         import cv2
@@ -42,8 +43,8 @@ class Remapped:
 
 
 class RemappedFlow(Remapped):
-    """Optical flow from t to t−1, one of `FLOWS`, on 8-bit gray (square root of the exposed luma), then a bilinear
-    remap. It needs pictures only."""
+    """Continues the optical flow from t to t−1, one of `FLOWS`, on 8-bit gray (square root of the exposed luma), by a
+    bilinear remap. It needs pictures only."""
 
     def __init__(self, flow: str, exposure: float):
         import cv2
@@ -68,9 +69,9 @@ class RemappedFlow(Remapped):
 
 
 class TorchSplat:
-    """Forward splat by motion vectors. Pixels claim the depth of the pixel nearest to their new place. The nearest
-    surface wins, and surfaces within 5% of it are mixed by their share of the pixel. Pixels that nothing reaches
-    keep the color of t."""
+    """Splats forward by motion vectors. Pixels claim the depth of the pixel nearest to their new place. The nearest
+    surface wins, and surfaces within 5% of it are mixed by their share of the pixel. Pixels that nothing reaches keep
+    the color of t."""
 
     def __init__(self):
         import torch
@@ -106,7 +107,8 @@ class TorchSplat:
         return made.reshape(*self._size, 3).numpy()
 
     def _pixels(self, place):
-        """Indices of the pixels at `place` (N, 2), x and y, at the border if outside; and whether they are inside."""
+        """Return the indices of the pixels at `place` (N, 2), x and y, at the border if outside; and whether they are
+        inside."""
         (height, width), (x, y) = self._size, place.unbind(1)
         clamped = y.clamp(0, height - 1) * width + x.clamp(0, width - 1)
         return clamped, (x >= 0) & (x < width) & (y >= 0) & (y < height)

@@ -1,4 +1,4 @@
-"""The methods of the table, and how each is run."""
+"""Methods of the table, and how each is run."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Runner(Protocol):
         ...
 
     def make(self, moment: Moment) -> np.ndarray:
-        """The picture of a moment after it: (H, W, 3) linear."""
+        """Return the picture of a moment after it: (H, W, 3) linear."""
         ...
 
 
@@ -55,10 +55,10 @@ class Method:
         (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise), "baseline" or
         "library" (a few calls of OpenCV or PyTorch)
     options : of the pipeline, if it is one
-    window : what rendered frames it sees, as of `Footage.shots`
+    window : window of its rendered frames, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
     needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes),
-        "upscale" (rendered frames smaller than what is shown)
+        "upscale" (rendered frames smaller than the display)
     package : module that must be importable, and the extra that brings it
     model : of the ONNX contract
     pipelines : how our pipeline is used, if it is one
@@ -78,7 +78,7 @@ class Method:
     make: Callable[[Footage], Runner] | None = None
 
     def missing(self, footage: Subject | Footage) -> str | None:
-        """Why it cannot be run there; None if it can."""
+        """Return why the method cannot be run on `footage`; None if it can."""
         if self.package and importlib.util.find_spec(self.package[0]) is None:
             return f"needs {self.package[0]}: {how_to_install(self.package[1])}"
         if "guide" in self.needs and not footage.exact:
@@ -105,7 +105,7 @@ class Method:
         return known
 
     def runner(self, footage: Footage, device: Device) -> Runner:
-        """At the start of a sequence. Raises GffeError."""
+        """Return a runner at the start of a sequence. Raises GffeError."""
         if self.options is None:
             assert self.make is not None
             return self.make(footage)
@@ -257,8 +257,8 @@ LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 @dataclass(frozen=True)
 class Gain:
-    """Gain of a part of the method: the rows `with_it` and `without`, the region that it is for, and
-    the name of the paper's row without it."""
+    """Gain of a part of the method: the rows `with_it` and `without`, the region that it is for, and the name of the
+    paper's row without it."""
 
     title: str
     with_it: str
@@ -284,7 +284,7 @@ GAINS = (
 
 
 def onnx_method(name: str, path: str | Path) -> Method:
-    """A network of `network`'s contract as a method. Raises GffeError."""
+    """Return a method that runs a network of `network`'s contract. Raises GffeError."""
     if not name or name in METHODS:
         raise GffeError(f"--onnx {name}={path}: the name is empty or a method's own (expected another one)")
     model = OnnxModel(path)
@@ -302,7 +302,7 @@ def chosen_methods(
     upscale: bool = False,
     network: tuple[str | None, str] = (None, "cpu"),
 ) -> dict[str, Method]:
-    """Methods and groups by name (None: all of them, but shading correction's where there are no weights, and
+    """Return methods and groups by name (None: all of them, except shading correction's where there are no weights, and
     those of `_ON_REQUEST`; upscaling's with `upscale`), and networks as "NAME=FILE", in the order of the table.
     `network`: file (None: the package's own) and execution provider of the shading correction network. Raises
     GffeError."""
@@ -328,7 +328,7 @@ def chosen_methods(
 
 
 def _with_network(method: Method, model: str | None, provider: str) -> Method:
-    """The method with another shading correction network or provider, where it has a network."""
+    """Return the method with another shading correction network or provider, where it has a network."""
     options = method.options
     if options is None or options.shading_correction is False or (model is None and provider == options.scn_provider):
         return method

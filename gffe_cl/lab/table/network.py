@@ -1,4 +1,4 @@
-"""Frame generation networks of other people, through ONNX (`gffe eval --onnx NAME=FILE`).
+"""Frame generation networks of others, through ONNX (`gffe eval --onnx NAME=FILE`).
 
 The contract, all tensors float32, pictures (1, 3 · K, h, w) of display values from 0 to 1 in RGB, padded at the right
 and the bottom by repeating the border to multiples of 32 (or to a size that the model fixes, if it is large enough):
@@ -27,7 +27,7 @@ _TENSORS = "inputs previous, next (optional), timestep (optional) and an output 
 
 
 class OnnxModel:
-    """A model of that contract. GffeError unless it is one."""
+    """A model of that contract. Raises GffeError unless it is one."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -62,11 +62,12 @@ class OnnxModel:
 
     @property
     def identity(self) -> str:
-        """A hash of the file."""
+        """Hash of the model's file."""
         return hashlib.sha256(self.path.read_bytes()).hexdigest()
 
     def run(self, previous: list[np.ndarray], following: np.ndarray | None, alpha: float) -> np.ndarray:
-        """Display values (H, W, 3), oldest first, of as many frames as the model takes → display values (H, W, 3)."""
+        """Return the display values (H, W, 3) of the new frame. `previous`: display values (H, W, 3) of as many
+        rendered frames as the model takes, oldest first."""
         height, width = previous[0].shape[:2]
         size = [fixed or -(-n // _MULTIPLE) * _MULTIPLE for fixed, n in zip(self._fixed, (height, width), strict=True)]
         if size[0] < height or size[1] < width:
@@ -91,7 +92,7 @@ class OnnxModel:
 
 
 class OnnxRunner:
-    """Runs a model on the newest rendered frames; after a reset the first one stands for those before it."""
+    """Runs a model on the newest rendered frames. After a reset the first one stands for those before it."""
 
     def __init__(self, model: OnnxModel, exposure: float):
         self._model, self._exposure, self._frames = model, exposure, []

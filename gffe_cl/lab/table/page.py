@@ -1,4 +1,4 @@
-"""The report as one HTML file: figures and pictures are in it, nothing is fetched, `page.js` does the rest."""
+"""Report as one HTML file: figures and pictures are in it, nothing is fetched, `page.js` does the rest."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FRAME = """<!doctype html>
 
 
 def page(results: dict, filled: Filled) -> str:
-    """Of `results_of(filled)`: an HTML document."""
+    """Return an HTML document of `results`, which come from `results_of(filled)`."""
     pictures: dict[str, dict] = {name: {"": _data(cell.pictures)} for name, cell in filled.described.items()}
     for (sequence, method), cell in filled.cells.items():
         pictures[sequence][method] = _data(cell.pictures)
@@ -49,7 +49,7 @@ def _data(pictures: dict[str, bytes]) -> dict[str, str]:
 
 
 def _embedded(document: dict) -> str:
-    """JSON that no name of a file can end early."""
+    """Return JSON for a script element, which no name of a file can end early."""
     return json.dumps(document, allow_nan=False).replace("<", "\\u003c")
 
 

@@ -1,4 +1,4 @@
-"""Our pipeline as a method of the table, and upscaling done otherwise than the pipeline does it."""
+"""Runners of our pipeline as a method of the table, and of variants that upscale otherwise than the pipeline does."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class PipelineRunner:
         return made.numpy("color")
 
     def camera_of(self, moment: Moment):
-        """None: the pipeline predicts it."""
+        """Return the camera of the new frame; None: the pipeline predicts it."""
         return moment.camera if self._known else None
 
     def pipelines(self) -> tuple[Pipeline, ...]:
@@ -69,13 +69,13 @@ class PipelineRunner:
 
 
 class Resampled(PipelineRunner):
-    """Rendered frames are resampled (cubic), new ones extrapolated from them as they are."""
+    """Resamples rendered frames (cubic), and extrapolates new ones from them without upscaling."""
 
     upscales = False
 
 
 class RenderedUpscaled(PipelineRunner):
-    """Rendered frames alone go through upscaling; new ones are shown as they are extrapolated from the small frames."""
+    """Upscales rendered frames alone; new ones are shown as they are extrapolated from the small frames."""
 
     def color_of(self, made):
         correction = self.pipeline.stages.get(ShadingCorrection.name)
@@ -83,7 +83,7 @@ class RenderedUpscaled(PipelineRunner):
 
 
 class UpscaledFirst(PipelineRunner):
-    """Upscaling before extrapolation: new frames are extrapolated from upscaled frames, all at the display's size."""
+    """Upscales before extrapolation: new frames are extrapolated from upscaled frames, all at the display's size."""
 
     def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
         super().__init__(options, window, knows_camera, footage, device)

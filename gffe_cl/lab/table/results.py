@@ -49,7 +49,7 @@ PAPER = {
 
 @dataclass(frozen=True)
 class Column:
-    """A figure of the table: its key in JSON, how people read it, and whether more of it is better."""
+    """A figure of the table: its key in JSON, its label and unit for people, and whether higher is better."""
 
     name: str
     title: str
@@ -79,7 +79,7 @@ COLUMNS = {c.name: c for c in (*_PICTURE, *VIDEO_COLUMNS, *COST)}
 
 
 def results_of(filled: Filled, late: dict[float, Filled] | None = None, command: str = "") -> dict:
-    """Everything, for JSON. `late`: tables of late warps by degrees of turn; `command`: how it was made."""
+    """Return all results, for JSON. `late`: tables of late warps by degrees of turn; `command`: how it was made."""
     cells = [_cell(sequence, name, cell) for (sequence, name), cell in filled.cells.items()]
     full = {cell["sequence"]: cell["psnr"] for cell in cells if cell["method"] == FULL}
     for cell in cells:
@@ -118,7 +118,7 @@ def versions() -> dict[str, str]:
 
 
 def budget(errors: RegionErrors) -> list[dict]:
-    """Where the squared error is: by region its share of the pixels and of the error, and the gain in dB of the whole
+    """Return the squared error by region: its share of the pixels and of the error, and the gain in dB of the whole
     frame if the region were perfect (None: all of the error is there)."""
     sums = errors.sums["psnr"]
     total = sums["whole"]
@@ -164,7 +164,7 @@ def gains(filled: Filled) -> list[dict]:
 
 
 def to_csv(results: dict) -> str:
-    """One figure a line: sequence, method, region, metric, value."""
+    """Return one figure a line: sequence, method, region, metric, value."""
     stream = io.StringIO()
     lines = csv.writer(stream, lineterminator="\n")
     lines.writerow(("sequence", "method", "region", "metric", "value"))
@@ -194,7 +194,7 @@ def _cell(sequence: str, method: str, cell: Cell) -> dict:
 
 
 def _mean(name: str, cells: list[dict], filled: Filled, names: list[str]) -> dict | None:
-    """Over sequences; regions are pooled."""
+    """Return the means over sequences; regions are pooled. None without any cell."""
     own = [cell for cell in cells if cell["method"] == name]
     if not own:
         return None
@@ -214,8 +214,8 @@ def _budgeted(filled: Filled) -> dict[str, RegionErrors]:
 
 
 def _late(late: dict[float, Filled]) -> list[dict]:
-    """By method and degrees of turn: means over sequences, and the share of the pixels that the rendered frame does not
-    show."""
+    """Return results by method and degrees of turn: means over sequences, and the share of the pixels that the rendered
+    frame does not show."""
     rows = []
     hidden = [name for name in REGIONS if name.endswith("disocclusion") or name == "out of screen"]
     for turn, filled in late.items():
@@ -231,7 +231,7 @@ def _late(late: dict[float, Filled]) -> list[dict]:
 
 
 def _skipped(filled: Filled) -> list[dict]:
-    """Why something is missing: once for each reason."""
+    """Return why cells are missing: once for each reason."""
     reasons: dict[tuple[str, str], list[str]] = {}
     for (sequence, method), reason in filled.skipped.items():
         reasons.setdefault((method, reason), []).append(sequence)
@@ -259,6 +259,6 @@ def columns_of(results: dict) -> list[Column]:
 
 
 def ranked(rows: Iterable[dict], column: Column) -> list[dict]:
-    """Best first; rows without a figure last."""
+    """Return the rows, best first; rows without a figure last."""
     sign = -1 if column.higher_is_better else 1
     return sorted(rows, key=lambda row: (row.get(column.name) is None, sign * (row.get(column.name) or 0)))

@@ -1,4 +1,4 @@
-"""Filling the table: cells that are there are taken, others are computed, here or on a cluster, and kept one by one."""
+"""Filling of the table: cached cells are reused, others are computed, here or on a cluster, and stored one by one."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Filled:
 @dataclass(frozen=True)
 class Order:
     """Requested evaluation. `methods`, `onnx` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`; `recompute`:
-    take no cell that is there; `network`: as of `chosen_methods`."""
+    ignore cached cells; `network`: as of `chosen_methods`."""
 
     subjects: tuple[Subject, ...]
     methods: tuple[str, ...] | None = None
@@ -71,9 +71,9 @@ def fill(
     executor: Executor | None = None,
     on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
 ) -> Filled:
-    """Fill the table; cells are cached in `folder`. `on_plan` takes the number of moments to come and returns a
-    function that is called after each of them. Finished cells survive an interrupt. Sequences with faults are left
-    out. Raises GffeError if all have faults."""
+    """Fill the table and return it; cells are cached in `folder`. `on_plan` takes the number of moments to come and
+    returns a function that is called after each of them. Finished cells survive an interrupt. Sequences with faults are
+    left out. Raises GffeError if all have faults."""
     names = [subject.name for subject in order.subjects]
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
@@ -114,7 +114,8 @@ def fill(
 
 
 def _machine(device: str | None, executor: Executor | None) -> str:
-    """This one; a machine without a device may have others compute."""
+    """Return the name of this machine for times. A machine without a device may have others compute: then "a
+    cluster"."""
     try:
         return machine_of(device)
     except GffeError:
@@ -136,7 +137,7 @@ def _in_this_process(items: list[Work], arguments: dict) -> Iterator[tuple[Work,
 
 
 def _tried(cell: Cell) -> set[str]:
-    """Names of the video metrics that were measured, or could not be."""
+    """Return the names of the video metrics that were measured, or could not be."""
     return {*cell.document.get("videos", {}), *cell.document.get("skipped", {})}
 
 

@@ -1,5 +1,5 @@
-"""Metrics of whole sequences, or with networks of their own: optional, slow, and skipped with the reason where they
-cannot run."""
+"""Metrics of whole sequences, or with networks of their own. They are optional and slow, and skipped with the reason
+where they cannot run."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gffe_cl.engine.core.errors import how_to_install
 
 @dataclass(frozen=True)
 class VideoMetric:
-    """`measure(shown, truth, fps)` takes lists of display values (H, W, 3), rendered and generated frames in the order
-    of display, and the rate of display in frames per second; generated frames alone if `generated_only`. Other
-    attributes as of `gffe_cl.lab.metrics.Metric`."""
+    """Metric of a whole sequence. `measure(shown, truth, fps)` takes lists of display values (H, W, 3), rendered and
+    generated frames in the order of display, and the rate of display in frames per second; generated frames alone if
+    `generated_only`. Other attributes are those of `gffe_cl.lab.metrics.Metric`."""
 
     name: str
     label: str

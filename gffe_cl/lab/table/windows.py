@@ -12,19 +12,20 @@ DENSER = {"adaptive, dense": 1.2, "wide": 1.5}
 
 
 def rendered_size(mode: str, size: tuple[int, int]) -> tuple[int, int]:
-    """Width and height of frames rendered through a window, for a display of `size`, pixels. Whole pixels are added on
-    both sides: rendered pixels lie on those of the display."""
+    """Return width and height of frames rendered through a window, for a display of `size`, pixels. Whole pixels are
+    added on both sides: rendered pixels lie on those of the display."""
     width, height = (n + 2 * round((DENSER.get(mode, 1) - 1) / 2 * n) for n in size)
     return width, height
 
 
 def chooser_of(mode: str, size: tuple[int, int], alphas: Iterable[float]) -> WindowChooser:
-    """The chooser of a mode of `WindowChooser` or `DENSER`. Raises GffeError for others."""
+    """Return the chooser of a mode of `WindowChooser` or `DENSER`. Raises GffeError for others."""
     return _Grown(mode, size, alphas) if mode in DENSER else WindowChooser(mode, size, alphas)
 
 
 class _Grown(WindowChooser):
-    """The adaptive window, or for "wide" none, grown evenly to the size at which rendered pixels are the display's."""
+    """Chooser of the adaptive window, or for "wide" of none, grown evenly to the size at which rendered pixels are the
+    display's."""
 
     def __init__(self, mode: str, size: tuple[int, int], alphas: Iterable[float]):
         self._render_size = rendered_size(mode, size)

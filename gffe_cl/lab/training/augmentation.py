@@ -1,4 +1,4 @@
-"""How training batches are varied: mirrored and turned, other exposures and hues, noise, and shading that moves."""
+"""Augmentation of training batches: mirrored and turned, other exposures and hues, noise, and shading that moves."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _UNKNOWN_BEFORE = 0.08  # share of crops that are taken as from the second frame
 class Augmentation:
     """Random variation of batches: mirroring, rotation, exposure, hue, noise, and additional shading.
 
-    That shading stands for lights, unseen casters and reflections: a pattern multiplies (shadows, pools of light) or is
-    added to (reflections) the frames, each as it is by then, on what is not dynamic. All frames of a sample show the
-    geometry at t + α, so shading that moves by v pixels per interval is at x in the GAE frame, at x − v in the warped
-    previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which only the trend is known.
-    Trends follow as the stage `Trend` would find them.
+    The additional shading stands for lights, unseen casters and reflections. On pixels that are not dynamic, a pattern
+    multiplies (shadows, pools of light) or is added to (reflections) each frame, as the pattern is at its time. All
+    frames of a sample show the geometry at t + α, so shading that moves by v pixels per interval is at x in the GAE
+    frame, at x − v in the warped previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which
+    only the trend is known. Trends follow as the stage `ShadingTrend` would find them.
 
     `shading`: how often a crop gets any; two fifths of these have lights that switch. `changing`: the share of patterns
-    that do not move steadily: they jump, are somewhere else in every frame, flicker or fade. Of these only fading goes
-    on.
+    that do not move steadily: they jump, are somewhere else in every frame, flicker or fade. Of these only fading
+    continues.
     """
 
     def __init__(self, generator: torch.Generator, shading: float = 0.6, noise: float = 0.25, changing: float = 1 / 3):
@@ -69,7 +69,7 @@ class Augmentation:
         return Batch(gae, previous, truth, side, trends, alpha, batch.heights, batch.halved)
 
     def _turned(self, colors: Tensor, *others: Tensor) -> list[Tensor]:
-        """All of them mirrored either way, and transposed."""
+        """Return all images mirrored either way, and transposed, at random."""
         images = [colors, *others]
         for change in (lambda x: x.flip(-1), lambda x: x.flip(-2), lambda x: x.transpose(-1, -2)):
             if self._chance() < 0.5:
@@ -84,18 +84,18 @@ class Augmentation:
         return torch.rand(shape, generator=self.generator) * (high - low) + low
 
     def _some(self, count: int, share: float) -> Tensor:
-        """Indices of samples, each with probability `share`."""
+        """Return indices of samples, each with probability `share`."""
         return (torch.rand(count, generator=self.generator) < share).nonzero()[:, 0]
 
     def _grainy(self, colors: Tensor) -> Tensor:
-        """Add a path tracer's noise to the inputs, not to the truth; less of it to the resampled GAE frame."""
+        """Return the inputs (not the truth) with a path tracer's noise; less of it in the resampled GAE frame."""
         amount = torch.exp2(self._uniform((1, colors.shape[1], 1, 1, 1), -9, -5.5)) * (colors.shape[-1] / CROP)
         grain = torch.randn(colors.shape, generator=self.generator) * torch.tensor((0.6, 1.0)).view(2, 1, 1, 1, 1)
         return (colors + grain * amount * (0.02 + colors).sqrt()).clamp(min=0)
 
     def _course(self, count: int, alpha: Tensor) -> tuple[Tensor, Tensor]:
-        """How patterns go on: where they are along their way, in intervals, and how strong, each (4, N), at t, t − 1,
-        t + α and t − 2."""
+        """Return the course of patterns: where they are along their way, in intervals, and how strong, each (4, N), at
+        t, t − 1, t + α and t − 2."""
         times = torch.stack((torch.zeros(count), -torch.ones(count), alpha, torch.full((count,), -2.0)))
         strength = torch.ones(4, count)
         kind = torch.rand(count, generator=self.generator) / max(self.changing, 1e-9)  # 1 and more: steady
@@ -108,7 +108,8 @@ class Augmentation:
         return times, torch.where((kind >= 0.7) & (kind < 1.0), fading.clamp(0, 1), strength)
 
     def _grids(self, times: Tensor, height: int, width: int) -> Tensor:
-        """(4, N, H, W, 2) sampling positions of moving patterns at these times (4, N); a pattern is 2 × 2 around 0."""
+        """Return sampling positions (4, N, H, W, 2) of moving patterns at these times (4, N); a pattern is 2 × 2 around
+        0."""
         count = times.shape[1]
         speed = torch.exp2(self._uniform((count,), -1.0, 6.3))  # pixels of the whole frame per interval
         heading, turned = self._uniform((2, count), -torch.pi, torch.pi)
@@ -130,7 +131,7 @@ class Augmentation:
         return torch.stack(grids)
 
     def _moved(self, image: Tensor, grids: Tensor) -> Tensor:
-        """`image` (N, C, h, w) at the four times: (4, N, C, H, W)."""
+        """Return `image` (N, C, h, w) at the four times: (4, N, C, H, W)."""
         return torch.stack(
             [
                 functional.grid_sample(image, grid, mode="bilinear", padding_mode="reflection", align_corners=False)
@@ -139,7 +140,8 @@ class Augmentation:
         )
 
     def _lit(self, colors: Tensor, side: Tensor, alpha: Tensor) -> Tensor:
-        """Shadows and pools of light, from one large blob to foliage and bars, of sharp or soft edges."""
+        """Return the frames with shadows and pools of light, from one large blob to foliage and bars, of sharp or soft
+        edges."""
         _, count, _, height, width = colors.shape
         size = height * 5 // 4  # of the pattern
         cells = 2 ** int(torch.randint(1, 6, (), generator=self.generator))
@@ -161,8 +163,8 @@ class Augmentation:
         return colors * factor
 
     def _switched(self, colors: Tensor, side: Tensor, alpha: Tensor) -> Tensor:
-        """Lights, screens and windows that switch, each by itself, and stay so for a while: from one area to a wall of
-        them, in part of each sample. Nothing of that goes on."""
+        """Return the frames with lights, screens and windows that switch, each by itself, and stay so for a while: from
+        one area to a wall of them, in part of each sample. None of these changes continues."""
         _, count, _, height, width = colors.shape
         cells = 2 ** int(torch.randint(0, 5, (), generator=self.generator))
         levels = self._uniform((4, count, 1, cells, cells), -1.0, 1.0)
@@ -180,7 +182,7 @@ class Augmentation:
         return colors * torch.exp2(used * shape * self._uniform((count, 3, 1, 1), 0.2, 2.0))
 
     def _reflected(self, colors: Tensor, side: Tensor, alpha: Tensor) -> Tensor:
-        """Another sample as a reflection on part of each."""
+        """Return the frames with another sample as a reflection on part of each."""
         _, count, _, height, width = colors.shape
         strength = self._uniform((count, 1, 1, 1), 0.05, 0.6)
         where = torch.randn((count, 1, 5, 5), generator=self.generator)
@@ -193,22 +195,24 @@ class Augmentation:
 
 
 def _earlier(batch: Batch) -> Tensor:
-    """The frame before the warped previous one, as far as is known: linear color, at the batch's resolution."""
+    """Return the frame before the warped previous one, as far as it is known: linear color, at the batch's
+    resolution."""
     change = functional.interpolate(batch.trends[:, 7:8], batch.gae.shape[-2:], mode="bilinear", align_corners=False)
     return decode(encode(batch.previous) - change)
 
 
 def _changes(colors: Tensor, halved: bool) -> Tensor:
-    """(N, 6, h, w): change of encoded color at half resolution over the last interval, and over the one before."""
+    """Return (N, 6, h, w): change of encoded color at half resolution over the last interval, and over the one
+    before."""
     now, previous, earlier = (encode(colors[k]) for k in (0, 1, 3))
     changes = torch.cat((now - previous, previous - earlier), 1)
     return changes if halved else halve(changes)
 
 
 def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> Tensor:
-    """Means of `changes` (N, C, h, w; half resolution) over cells of 8×8 pixels of the frame, of pixels that are
-    `known` (N, 1, h, w); around, too, in frames of these `heights` (N,): as kernels/shading_trend.cl has them, at a
-    quarter of the resolution."""
+    """Return means of `changes` (N, C, h, w; half resolution), where they are `known` (N, 1, h, w), over cells of 8×8
+    pixels of the frame, at a quarter of the resolution as in kernels/shading_trend.cl. With `heights` (N,) of the
+    frames in pixels, cells around are part of the means."""
     size = [-(-side // 2) for side in changes.shape[-2:]]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
     if heights is not None:

@@ -1,9 +1,9 @@
-"""Convolutions whose input channels are a multiple of four, for providers that compute others wrongly.
+"""Padding of convolutions to input channels that are a multiple of four, for providers that compute others wrongly.
 
 onnxruntime's WebGPU provider (plug-in 0.4.0) gives wrong results for a convolution of more than 4 input channels where
-they are no multiple of 4. Such a one gets channels of zeros, and weights of zeros for them: the result stays the same
-but for the order of sums. `python -m gffe_cl.lab.training.channels IN.onnx OUT.onnx` does it to a network of old;
-`gffe train` to all that it writes.
+they are no multiple of 4. Such a convolution gets channels of zeros, and weights of zeros for them: the result stays
+the same but for the order of sums. `python -m gffe_cl.lab.training.channels IN.onnx OUT.onnx` pads an older network;
+`gffe train` pads all networks that it writes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CHANNELS = 1  # the axis, of images and of weights
 
 
 def pad_channels(model: onnx.ModelProto) -> int:
-    """Pad the channels of `model`, in place, as its convolutions require. Returns the number of padded convolutions."""
+    """Pad the channels of `model`, in place, as its convolutions require. Return the number of padded convolutions."""
     graph = model.graph
     narrow = {tensor.name: tensor for tensor in graph.initializer if _is_narrow(graph, tensor)}
     more = {name: -tensor.dims[_CHANNELS] % _LANES for name, tensor in narrow.items()}
@@ -45,8 +45,8 @@ def pad_channels(model: onnx.ModelProto) -> int:
 
 
 def pad_file(source: Path, target: Path, metadata: Mapping[str, str] = MappingProxyType({})) -> int:
-    """Write the network of the ONNX file `source` to `target`, padded, with `metadata`; for how many convolutions that
-    was done. Raises GffeError."""
+    """Write the network of the ONNX file `source` to `target`, padded, with `metadata`, and return the number of padded
+    convolutions. Raises GffeError."""
     try:
         model = onnx.load(str(source))
         padded = pad_channels(model)
@@ -65,7 +65,7 @@ def pad_file(source: Path, target: Path, metadata: Mapping[str, str] = MappingPr
 
 
 def _is_narrow(graph: onnx.GraphProto, tensor: onnx.TensorProto) -> bool:
-    """Whether it is the weights of convolutions, and of nothing else, that need more input channels."""
+    """Return whether `tensor` holds the weights of convolutions, and of nothing else, that need more input channels."""
     users = [node for node in graph.node if tensor.name in node.input]
     channels = tensor.dims[_CHANNELS] if len(tensor.dims) > _CHANNELS else 0
     return bool(users and channels > _LANES and channels % _LANES) and all(
@@ -74,7 +74,7 @@ def _is_narrow(graph: onnx.GraphProto, tensor: onnx.TensorProto) -> bool:
 
 
 def _wider_input(graph: onnx.GraphProto, node: onnx.NodeProto, more: int) -> onnx.NodeProto:
-    """Give a convolution `more` channels of zeros; the node that adds them to its input."""
+    """Give a convolution `more` channels of zeros, and return the node that adds them to its input."""
     axes = len(next(tensor for tensor in graph.initializer if tensor.name == node.input[1]).dims)
     pads = np.zeros((2, axes), np.int64)
     pads[1, _CHANNELS] = more

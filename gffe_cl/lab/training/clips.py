@@ -74,8 +74,8 @@ class ClipPlan:
 
 
 def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 8, H/2, W/2),
-    of which the pipeline has every second row and column, and α."""
+    """Render and extrapolate a clip, and return samples (S, 11, H, W) float16 (`PLANES`), their trends (S, 8, H/2,
+    W/2), of which the pipeline has every second row and column, and α."""
     scene = plan.make_scene()
     scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
     options = Options(shading_inputs=True, shading_correction=False)
@@ -106,15 +106,15 @@ def _sample(gae, previous, truth, depth, mask, exposure) -> np.ndarray:
 
 
 def inverse_depth(depth: np.ndarray) -> np.ndarray:
-    """median / depth, clamped to [0, 8]; 0 for sky. Design: 'Shading correction network'."""
+    """Return median / depth, clamped to [0, 8]; 0 for sky (paper: 'Shading correction network')."""
     finite = depth[np.isfinite(depth)]
     median = np.median(finite) if finite.size else 1.0
     return np.clip(median / np.maximum(depth, 1e-6), 0, _MOST_INVERSE_DEPTH).astype(np.float32)
 
 
 def crops_of(sample: np.ndarray, rng: np.random.Generator) -> list[tuple[int, int, float]]:
-    """Random crops of a sample: (y, x, share of focus pixels that lie in areas at least three pixels wide). Thin lines
-    are outlines, where geometry was wrong: fences have more focus pixels than any shadow."""
+    """Return random crops of a sample: (y, x, share of focus pixels that lie in areas at least three pixels wide). Thin
+    lines are outlines, where geometry was wrong: fences have more focus pixels than any shadow."""
     _, height, width = sample.shape
     planes = {name: sample[part].astype(np.float32).transpose(1, 2, 0) for name, part in PLANES.items()}
     focus = _opened(focus_mask(planes["gae"], planes["truth"], planes["side"][..., 1] == 1))
@@ -136,30 +136,30 @@ def _opened(mask: np.ndarray) -> np.ndarray:
 
 
 def halve(samples: np.ndarray) -> np.ndarray:
-    """Samples at half resolution: means over 2×2 pixels, of colors' codes as the network's input has them."""
+    """Return samples at half resolution: means over 2×2 pixels, of colors' codes as in the network's input."""
     colors, side = torch.from_numpy(samples.astype(np.float32)).tensor_split((PLANES["side"].start,), 1)
     seen = network.decode(images.halve(network.encode(colors)))
     return torch.cat((seen, images.halve(side)), 1).half().numpy()
 
 
 def halved_path(path: Path) -> Path:
-    """Where the samples of `path` are at half resolution, with their trends."""
+    """Return the path of the samples of `path` at half resolution, with their trends."""
     return path.with_name(f"{path.stem}_half.npy")
 
 
 def clip_path(folder: Path, seed: int, index: int) -> Path:
-    """Of a clip's files, which end in .npy and .json."""
+    """Return the path of the .npy file of a clip; the path of its description ends in .json instead."""
     return Path(folder) / f"clip_{seed}_{index:06d}.npy"
 
 
 def finished_clips(folder: Path, seed: int, count: int) -> list[Path]:
-    """Descriptions (`clip_*.json`) of those of the clips 0 … count − 1 that are in `folder`."""
+    """Return the descriptions (`clip_*.json`) of those of the clips 0 … count − 1 that are in `folder`."""
     paths = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
     return [path for path in paths if path.exists()]
 
 
 def complete_clips(folder: Path, seed: int, count: int) -> int:
-    """How many of the clips 0 … count − 1 are in `folder` before the first that is not."""
+    """Return how many of the clips 0 … count − 1 are in `folder` before the first that is not."""
     names = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
     return next((index for index, name in enumerate(names) if not name.exists()), count)
 
@@ -175,13 +175,13 @@ def make_clips(
     least: int = 0,
     cluster: Cluster | None = None,
 ) -> int:
-    """Make the missing clips of 0 … count − 1 in `folder`. Returns the number made.
+    """Make the missing clips of 0 … count − 1 in `folder`, and return the number made.
 
     Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
-    from i on.
-    Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart. `on_clip` is told
-    after each whether it was made or there already. With a `cluster` its workers make them, each on the device that
-    GFFE_DEVICE chooses there, and `device` may be None. Raises GffeError where nothing can be written.
+    from i on. Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart.
+    `on_clip` is called after each with whether it was made; otherwise it was there already. With a `cluster` its
+    workers make them, each on the device that GFFE_DEVICE chooses there, and `device` may be None. Raises GffeError
+    where nothing can be written.
     """
     indices = range(part[0], count, part[1])
     made = 0
@@ -200,7 +200,7 @@ def make_clips(
 
 
 def _made(indices, seed, device, cluster, until, least) -> Iterator[tuple[int, tuple]]:
-    """Yield the result of `clip_data` for each, in order, as far as time allows."""
+    """Yield the index and the result of `clip_data` for each clip, in order, as far as time allows."""
     plans = {str(index): (ClipPlan.draw(seed, index),) for index in indices}
     if cluster:
         results = cluster.compute(_clip_on_worker, plans, in_order=True)

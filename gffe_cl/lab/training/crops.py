@@ -1,4 +1,4 @@
-"""Training crops: which ones are kept, and batches of them."""
+"""Selection of training crops, and batches of them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it i
 
 @dataclass(frozen=True)
 class Crop:
-    """Where a crop is; `focus` is its share of focus pixels (`clips.crops_of`), `height` that of the clip's frames."""
+    """Position of a crop; `focus` is its share of focus pixels (`clips.crops_of`), `height` that of the clip's
+    frames."""
 
     path: Path
     sample: int
@@ -41,7 +42,7 @@ class Crop:
 
 @dataclass
 class Batch:
-    """Exposed linear color (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
+    """Batch of crops: exposed linear color (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
     `side` (N, 2, H, W): inverse depth and input mask; `trends` (N, 8, h, w) of shading, always at a quarter of the
     frames' resolution; alpha (N,); `heights` (N,) of the frames that the crops are of, in pixels. `halved`: all at half
     resolution."""
@@ -63,23 +64,24 @@ class Batch:
         return Batch(*images, halved=self.halved)
 
     def frames(self) -> Tensor:
-        """The network's input, its trends apart."""
+        """Return the network's input without trends."""
         planes = torch.cat((encode(self.gae), encode(self.previous), self.side), 1)
         return planes if self.halved else halve(planes)
 
     def focus(self) -> Tensor:
-        """(N, 1, H, W) bool: the focus mask that the truth gives."""
+        """Return the focus mask by the truth, (N, 1, H, W) bool."""
         dynamic = self.side[:, 1:] > DYNAMIC
         return focus_truth(self.gae, self.truth, dynamic, _HALF_REACH if self.halved else 1.0)
 
     def regions(self) -> dict[str, Tensor]:
-        """`gffe_cl.lab.metrics.shading_regions`, (N, 1, H, W) bool: where results are measured.
-        Whole samples only."""
+        """Return the regions in which results are measured, (N, 1, H, W) bool: `gffe_cl.lab.metrics.shading_regions`.
+        They are defined for whole samples only."""
         return shading_regions(self.focus(), self.side[:, 1:] == _DISOCCLUDED)
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
-    """M^focus, (N, 1, H, W) bool: as `gffe_cl.lab.metrics.focus_mask`; neighbors are `reach` pixels away."""
+    """Return M^focus, (N, 1, H, W) bool, as `gffe_cl.lab.metrics.focus_mask` does; neighbors are `reach` pixels
+    away."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
     least = None
@@ -95,7 +97,7 @@ def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0)
 
 
 def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:
-    """All crops of the clips 0 … `clips` − 1 of `seed` that are finished in `folder`.
+    """Return all crops of the clips 0 … `clips` − 1 of `seed` that are finished in `folder`.
 
     Raises GffeError if there are none or they are of another version.
     """
@@ -117,7 +119,7 @@ def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:
 
 
 def keep_crops(crops: list[Crop], seed: int) -> list[Crop]:
-    """The top 15% by focus pixels, and 6% of all from the rest, at random."""
+    """Return the top 15% by focus pixels, and 6% of all from the rest, at random."""
     ranked = sorted(crops, key=lambda crop: -crop.focus)
     top = max(1, round(TOP_SHARE * len(ranked)))
     rest = ranked[top:]
@@ -127,7 +129,8 @@ def keep_crops(crops: list[Crop], seed: int) -> list[Crop]:
 
 
 def load_batch(crops: list[Crop], halved: bool = False) -> Batch:
-    """Read crops from disk. Raises GffeError for a file that is missing, truncated or of another shape."""
+    """Read crops from disk and return them as a batch. Raises GffeError for a file that is missing, truncated or of
+    another shape."""
     half = np.stack([_read(crop, halved_path(crop.path), HALVED_CHANNELS, 2) for crop in crops])
     planes = half if halved else np.stack([_read(crop, crop.path, CHANNELS, 1) for crop in crops])
     planes, trends = (torch.from_numpy(x).float() for x in (planes, half[:, CHANNELS:, ::2, ::2]))

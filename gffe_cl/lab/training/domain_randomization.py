@@ -1,4 +1,5 @@
-"""Changes to built-in scenes that make training data varied: other lights, casters and finishes, moving shading."""
+"""Random changes to built-in scenes that make training data varied: other lights, casters and finishes, moving
+shading."""
 
 from __future__ import annotations
 
@@ -64,11 +65,11 @@ class _View:
 
     @property
     def yaw(self) -> float:
-        """Degrees that turn an object's +z side to the camera."""
+        """Yaw in degrees that turns an object's +z side to the camera."""
         return float(np.degrees(np.arctan2(-self.ahead[0], -self.ahead[2])))
 
     def point(self, rng, near: float, far: float, spread: float = 0.6) -> np.ndarray:
-        """A point in, or `spread` times as far out as, the middle of the picture."""
+        """Return a random point in, or `spread` times as far out as, the middle of the picture."""
         distance = rng.uniform(near, far)
         x, y = rng.uniform(-spread, spread, 2)
         return self.eye + distance * (self.ahead + x * self.right + 0.6 * y * self.up)
@@ -92,7 +93,7 @@ def _relit(light: Light, rng) -> Light:
 
 
 def _refinished(groups: list[Group], rng) -> list[Group]:
-    """Some materials become glossy or mirrors, some lose it."""
+    """Return the groups with another finish on some materials: glossy, mirrors, or dull."""
     known: dict[Material, Material] = {}
 
     def finish(material: Material) -> Material:
@@ -117,7 +118,7 @@ def _refinished(groups: list[Group], rng) -> list[Group]:
 
 
 def _motion(rng, size: float) -> Motion:
-    """To and fro, and perhaps turning; `size` meters."""
+    """Return a motion to and fro, and perhaps turning; `size` meters."""
     direction = rng.normal(size=3) * (1.0, 0.4, 1.0)
     direction *= size / max(np.linalg.norm(direction), 1e-6)
     motion: Motion = Slide(tuple(direction), rng.uniform(0.8, 4.0), rng.random())
@@ -127,7 +128,8 @@ def _motion(rng, size: float) -> Motion:
 
 
 def _moving_lamp(view: _View, rng, level: float, time: float) -> tuple[Light, list[Group]]:
-    """A lamp or spot that moves or, as a beacon, turns; sometimes with blades round it that throw turning shadows."""
+    """Return A lamp or spot that moves or, as a beacon, turns; sometimes with blades round it that throw turning
+    shadows."""
     where = view.point(rng, 1.5, 7.0, 1.0) + (0, rng.uniform(0.2, 1.2), 0)
     at = Place(*where) @ _motion(rng, rng.uniform(0.3, 2.0))
     warm = np.array((1.0, rng.uniform(0.55, 1.0), rng.uniform(0.3, 1.1)))
@@ -187,7 +189,7 @@ def _caster(view: _View, rng, lights: list[Light], time: float) -> Group:
 
 
 def _pane(view: _View, rng) -> Group:
-    """A standing sheet of glass or tinted plastic ahead."""
+    """Return A standing sheet of glass or tinted plastic ahead."""
     glass = Material(
         tuple(rng.uniform(0.6, 1.0, 3)), transparency=rng.uniform(0.4, 0.9), mirror=0.05, specular=0.04, roughness=0.05
     )
@@ -209,7 +211,7 @@ def _posts(view: _View, rng) -> list[Group]:
 
 
 def _flag(view: _View, rng) -> list[Group]:
-    """A sheet with fine checks that swings: its texture stays, and the light on it changes."""
+    """Return a sheet with fine checks that swings: its texture stays, and the light on it changes."""
     checks = Material(
         tuple(rng.uniform(0.4, 0.9, 3)),
         tuple(rng.uniform(0.02, 0.4, 3)),
@@ -223,7 +225,7 @@ def _flag(view: _View, rng) -> list[Group]:
 
 
 def _screens(view: _View, rng) -> list[Group]:
-    """Screens side by side, whose brightness jumps."""
+    """Return screens side by side, whose brightness jumps."""
     at = Place(*view.point(rng, 2.0, 6.0, 0.4), yaw=view.yaw + rng.uniform(-40, 40))
     rate, side = rng.uniform(8, 30), rng.uniform(0.1, 0.5)
     groups = []

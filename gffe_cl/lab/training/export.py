@@ -37,9 +37,9 @@ INTEGER_TOLERANCE = 0.2  # of integers, the root of the mean square of values in
 
 
 def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = False) -> float:
-    """Write `network` to `path`: its convolutions, for frames of any height and width, and the head's weights; returns
+    """Write `network` to `path`: its convolutions, for frames of any height and width, and the head's weights. Return
     the largest difference between onnxruntime and PyTorch on random input of two sizes. `integers`: the network was
-    quantized; returns the root of the mean squared difference, for integers may be off by one.
+    quantized; then the root of the mean squared difference is returned, because integers may be off by one.
 
     Raises GffeError if they disagree, or the file cannot be written; then there is none.
     """
@@ -83,14 +83,14 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = 
 
 
 def example_inputs(height: int, width: int) -> dict[str, torch.Tensor]:
-    """Random input of the model, in the order of its arguments; equal sizes, equal numbers."""
+    """Return random input of the model, in the order of its arguments. Equal sizes get equal numbers."""
     generator, shapes = torch.Generator().manual_seed(height), shapes_at(height, width)
     return {name: torch.rand(shapes[name], generator=generator) for name in INPUTS}
 
 
 def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The weights in a network that `export_onnx` wrote: of the convolutions, by the names of their parameters, and of
-    the head. Raises GffeError."""
+    """Return the weights in a network that `export_onnx` wrote: of the convolutions, by the names of their parameters,
+    and of the head. Raises GffeError."""
     import onnx
 
     try:
@@ -105,7 +105,8 @@ def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
 
 
 def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, float]:
-    """Between the outputs of onnxruntime and PyTorch: the largest, and the root of the mean square."""
+    """Return two differences between the outputs of onnxruntime and PyTorch: the largest, and the root of the mean
+    square."""
     session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     found = []
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
@@ -118,7 +119,8 @@ def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, f
 
 
 def count_operations(network: ShadingCorrectionNetwork, width: int, height: int) -> tuple[int, float]:
-    """Parameters, and GFLOP (two per multiply-add) for one frame of `width` × `height` display pixels."""
+    """Return the number of parameters, and GFLOP (two per multiply-add) for one frame of `width` × `height` display
+    pixels."""
     from torch.utils.flop_counter import FlopCounterMode
 
     sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
@@ -130,7 +132,8 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
 
 
 def commit() -> str:
-    """Of the source this runs from; "unknown" outside a git checkout, "…, changed" where it is not committed."""
+    """Return the commit of the running source; "unknown" outside a git checkout, "…, changed" with uncommitted
+    changes."""
     folder = Path(__file__).resolve().parent
 
     def git(*arguments):
@@ -148,7 +151,7 @@ def commit() -> str:
 
 
 def model_card(facts: dict[str, str], figures: dict[str, float], command: str) -> str:
-    """Markdown: data, recipe, figures and the command that gives the weights again."""
+    """Return the model card in Markdown: data, recipe, figures and the command that gives the weights again."""
     rows = "\n".join(f"| {name} | {value} |" for name, value in facts.items())
     numbers = "\n".join(f"| {name} | {value:.4g} |" for name, value in figures.items())
     return f"""# Shading correction network

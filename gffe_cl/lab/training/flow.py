@@ -1,7 +1,7 @@
-"""How shading moved between two frames, by least squares (Lucas and Kanade, 1981), coarse to fine.
+"""Flow of shading between two frames, by least squares (Lucas and Kanade, 1981), coarse to fine.
 
-The shading correction network may follow it (`network.ShadingCorrectionNetwork`). For training: in the pipeline it is
-kernels/shading_flow.cl.
+The shading correction network may follow it (`network.ShadingCorrectionNetwork`). This is the version for training; the
+pipeline uses kernels/shading_flow.cl.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ _LONGEST = 2.0  # pixels of a step
 
 
 def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the flow: the content at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides multiples of
-    8.
+    """Return the flow and its errors. The content at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides
+    multiples of 8.
 
-    Returns the flow, (N, 2, h, w) in pixels, and (N, 4, h, w) mean squared differences around: of `now` from `before`
-    as it is and along the flow, and of that change from the one of the interval before, `repeated` (N, 1, h, w), as it
-    is and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is found.
+    The flow is (N, 2, h, w) in pixels. The errors are (N, 4, h, w) mean squared differences around: of `now` from
+    `before` as it is and along the flow, and of that change from the one of the interval before, `repeated` (N, 1, h,
+    w), as it is and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is
+    found.
     """
     images = [(now, before)]
     while len(images) < _LEVELS:
@@ -45,7 +46,7 @@ def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Te
 
 
 def _step(a: Tensor, b: Tensor) -> Tensor:
-    """By how much to move b, by least squares, that it may equal a; at half the resolution, in pixels of a."""
+    """Return by how much to move b, by least squares, to equal a; at half the resolution, in pixels of a."""
     x, y = _gradient(a + b)
     rest = 4.0 * (b - a)
     xx, xy, yy, xr, yr = _mean_around(torch.cat((x * x, x * y, y * y, x * rest, y * rest), 1)).split(1, 1)
@@ -55,16 +56,16 @@ def _step(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _gradient(image: Tensor) -> tuple[Tensor, Tensor]:
-    """Twice the gradient along x and y."""
+    """Return twice the gradient along x and y."""
     padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
     return padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2], padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1]
 
 
 def _mean_around(image: Tensor) -> Tensor:
-    """At half the resolution: of 3×3 of its pixels."""
+    """Return means of 3×3 pixels at half the resolution."""
     return _means(halve(image))
 
 
 def _means(image: Tensor) -> Tensor:
-    """Of the 3×3 pixels around each, or those of them that there are."""
+    """Return means of the 3×3 pixels around each, or at borders of those that exist."""
     return functional.avg_pool2d(image, 3, 1, 1, count_include_pad=False)

@@ -1,4 +1,4 @@
-"""Images as tensors (N, C, H, W): other resolutions, and sampling along a flow."""
+"""Operations on images as tensors (N, C, H, W): other resolutions, and sampling along a flow."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from torch import Tensor
 
 
 def halve(image: Tensor) -> Tensor:
-    """(N, C, H, W), even sizes → means over 2×2 pixels."""
+    """Return means over 2×2 pixels of an image (N, C, H, W) with even sizes."""
     return functional.avg_pool2d(image, 2)
 
 
 def double(image: Tensor) -> Tensor:
-    """Bilinear, pixel centers of both images on one plane, borders repeated."""
+    """Return an image of twice the size: bilinear, pixel centers of both images on one plane, borders repeated."""
     return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 def warp(image: Tensor, flow: Tensor) -> Tensor:
-    """(N, C, H, W) sampled at x + flow[x], (N, 2, h, w) in pixels of the image; bilinear, borders repeated. The
-    flow may have a lower resolution: pixel centers of both lie on one plane."""
+    """Return an image (N, C, H, W) sampled at x + flow[x], (N, 2, h, w) in pixels of the image; bilinear, borders
+    repeated. The flow may have a lower resolution: pixel centers of both lie on one plane."""
     image, flow = image.float(), flow.float()
     height, width = flow.shape[-2:]
     ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)

@@ -25,15 +25,15 @@ _TOE = float(SRGB_TOE)
 
 
 def charbonnier(a: Tensor, b: Tensor) -> Tensor:
-    """Mean of √((a − b)² + ε²) − ε."""
+    """Return the mean of √((a − b)² + ε²) − ε."""
     return (torch.sqrt((a - b) ** 2 + _CHARBONNIER**2) - _CHARBONNIER).mean()
 
 
 def shown_loss(a: Tensor, b: Tensor) -> Tensor:
     """Return the loss of exposed linear frames as they are displayed.
 
-    The terms: Charbonnier of encoded color; the squared error of display values (sRGB), which PSNR counts; and
-    1 − SSIM of them, which sees texture that is carried along with moving light.
+    The terms are Charbonnier of encoded color; the squared error of display values (sRGB), which PSNR counts; and 1 −
+    SSIM of them, which penalizes texture that is carried along with moving light.
     """
     shown, truth = display(a), display(b)
     squared = ((shown - truth) ** 2).mean()
@@ -41,7 +41,7 @@ def shown_loss(a: Tensor, b: Tensor) -> Tensor:
 
 
 def ssim(a: Tensor, b: Tensor) -> Tensor:
-    """Return the mean structural similarity of display values (N, 3, H, W), as `gffe_cl.lab.metrics.ssim`."""
+    """Return the mean structural similarity of display values (N, 3, H, W), as `gffe_cl.lab.metrics.ssim` does."""
 
     def mean(x: Tensor) -> Tensor:
         return functional.avg_pool2d(x, _WINDOW, stride=1)
@@ -55,24 +55,24 @@ def ssim(a: Tensor, b: Tensor) -> Tensor:
 
 
 def display(color: Tensor) -> Tensor:
-    """sRGB of exposed linear color, clipped to 0 … 1: as `gffe_cl.lab.metrics.to_display`."""
+    """Return sRGB of exposed linear color, clipped to 0 … 1, as `gffe_cl.lab.metrics.to_display` does."""
     linear = color.clamp(0, 1)
     curve = 1.055 * linear.clamp(min=_TOE) ** (1 / 2.4) - 0.055
     return torch.where(linear <= _TOE, 12.92 * linear, curve)
 
 
 def focus_loss(likely: Tensor, truth: Tensor) -> Tensor:
-    """Mean squared error of the focus mask, where the paper writes ‖M̄ − M‖₂, on purpose.
+    """Return the mean squared error of the focus mask. The paper writes ‖M̄ − M‖₂; the difference is on purpose.
 
-    Not rooted: per crop or batch, crops in which more is wrong would count less, and the mask would be too small where
-    it is needed. Not summed, as that would grow with the crop and outweigh all else.
+    With a root, per crop or batch, crops with larger errors would count less, and the mask would be too small where it
+    is needed. A sum would grow with the crop and outweigh all other terms.
     """
     return ((likely - truth) ** 2).mean()
 
 
 class PyramidLoss(nn.Module):
-    """Stands in for the perceptual loss where VGG's weights are not on disk: mean |difference| of the bands of a
-    Laplacian pyramid, which counts edges at every scale."""
+    """Replaces the perceptual loss where VGG's weights are not on disk: mean |difference| of the bands of a Laplacian
+    pyramid, which counts edges at every scale."""
 
     name = "Laplacian pyramid"
 
@@ -131,7 +131,7 @@ class VggLoss(nn.Module):
 
 
 def perceptual_loss(vgg: Path | None) -> nn.Module:
-    """VGG where its weights are: at `vgg`, else in torch's cache; its substitute otherwise."""
+    """Return the VGG loss where its weights are: at `vgg`, else in torch's cache; its substitute otherwise."""
     if vgg is None:
         found = sorted(Path(torch.hub.get_dir(), "checkpoints").glob("vgg19-*.pth"))
         vgg = found[0] if found else None

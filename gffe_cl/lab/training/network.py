@@ -1,10 +1,10 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-Two things may go on: what moved, along the flow that `flow.find_flow` finds from the GAE frame into the warped previous
-one, coarse to fine, and what changed over wide areas (kernels/shading_trend.cl). The network judges per pixel how far:
-four levels of features at a quarter of the display's resolution and below see both frames and what is known about both
-candidates; a head at half resolution makes the correction. `compose` makes the frame of it, as kernels/correction.cl
-does.
+Two changes of shading may continue: movement, along the flow that `flow.find_flow` finds from the GAE frame into the
+warped previous one, coarse to fine, and trends over wide areas (kernels/shading_trend.cl). The network judges per pixel
+how far. Its input are both frames and the confidence in both candidates; four levels of features work at a quarter of
+the display's resolution and below; a head at half resolution makes the correction. `compose` applies it to the frame,
+as kernels/correction.cl does.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ _MOST = math.log1p(65504 * MU / HEADROOM) / _LOG
 
 
 def encode(color: Tensor) -> Tensor:
-    """μ-law of exposed linear color: ln(1 + μ c / 8) / ln(1 + μ); 1 at three stops above display white."""
+    """Return the μ-law of exposed linear color: ln(1 + μ c / 8) / ln(1 + μ); 1 at three stops above display white."""
     return torch.log1p(color.clamp(min=0) * (MU / HEADROOM)) / _LOG
 
 
 def decode(encoded: Tensor) -> Tensor:
-    """Inverse of `encode`; negative codes are black, and none is brighter than half floats are."""
+    """Return the inverse of `encode`; negative codes are black, and none is brighter than half floats are."""
     return torch.expm1(encoded.clamp(0, _MOST) * _LOG) * (HEADROOM / MU)
 
 
 class _Convolution(nn.Conv2d):
-    """Convolution. `weight_rounding`, if given, maps the weights to those in use."""
+    """Convolution layer. `weight_rounding`, if given, maps the weights to those in use."""
 
     weight_rounding: Callable[[Tensor], Tensor] | None = None
 
@@ -106,13 +106,14 @@ class Convolutions(nn.Module):
 
 
 class ShadingCorrectionNetwork(nn.Module):
-    """`forward(frames, alpha, trends)`.
+    """The shading correction network, called with `forward(frames, alpha, trends)`.
 
     frames : (N, 8, h, w): encoded GAE color (3), encoded warped previous frame (3), inverse depth, input mask; half
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
     trends : (N, 8, h/2, w/2): change of encoded color until t + α as the last interval has it (3), as the interval
-        before has it (3), share of the surroundings that tells; change of brightness close by in the interval before
+        before has it (3), share of the surroundings that is evidence; change of brightness close by in the interval
+        before
 
     Returns (N, 5, h, w): Δ (3; encoded color), keep, focus mask M. While training also p, (N, 1, h, w), of which
     M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
@@ -132,7 +133,8 @@ class ShadingCorrectionNetwork(nn.Module):
 
     @torch.no_grad()
     def _begin(self) -> None:
-        """Weights of a network that changes little yet, and whose signals neither fade nor grow from layer to layer."""
+        """Set the initial weights: the network changes little yet, and signals neither fade nor grow from layer to
+        layer."""
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
@@ -144,14 +146,14 @@ class ShadingCorrectionNetwork(nn.Module):
         last.bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
 
     def head_weights(self) -> np.ndarray:
-        """(374,): of each layer rows, then biases."""
+        """Return the weights of the head, (374,): of each layer rows, then biases."""
         parameters = [parameter.detach().cpu().numpy().ravel() for parameter in self.head.parameters()]
         return np.concatenate(parameters).astype(np.float32)
 
     @torch.no_grad()
     def take(self, weights: Mapping[str, np.ndarray], head: np.ndarray) -> None:
-        """Begin with `weights` of the convolutions by the parameters' names, and those of the `head`; inputs and
-        outputs that they do not have count for nothing yet. Raises ValueError for those of another network."""
+        """Load `weights` of the convolutions by the parameters' names, and those of the `head`. Inputs and outputs that
+        they do not have count for nothing yet. Raises ValueError for those of another network."""
         for name, parameter in self.convolutions.named_parameters():
             given = weights.get(name)
             if given is None or given.ndim != parameter.ndim or any(np.greater(given.shape, parameter.shape)):
@@ -185,9 +187,9 @@ class ShadingCorrectionNetwork(nn.Module):
 
 
 def moved_light(now: Tensor, before: Tensor, flow: Tensor) -> Tensor:
-    """Return (N, 3, h, w) the difference of `now`, moved along `flow` (N, 2, h, w; pixels), from `now` itself,
-    limited to twice the change from `before` to `now` here and where the flow leads. Texture is in both frames, so
-    it does not move where light is constant."""
+    """Return the difference (N, 3, h, w) of `now`, moved along `flow` (N, 2, h, w; pixels), from `now` itself, limited
+    to twice the change from `before` to `now` here and where the flow leads. Texture is in both frames, so it does not
+    move where light is constant."""
     there, before_there = warp(torch.cat((now, before), 1), flow).split(3, 1)
     moved, changed, changed_there = there - now, _MARGIN * (now - before), _MARGIN * (there - before_there)
     none = torch.zeros_like(moved)
@@ -201,8 +203,8 @@ def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tenso
     agreement of the last interval's trend with the interval before (1), the trust in the focus mask (1), and the
     confidence in both candidates (`CANDIDATE_PLANES`).
 
-    Trusted is not light that flickers, so that the last interval's change of brightness is no longer that of the
-    interval before, neither as it is nor along the flow.
+    Flickering light is not trusted: there the last interval's change of brightness differs from that of the interval
+    before, both in place and along the flow.
     """
     now, before = frames[:, :3], frames[:, 3:6]
     with torch.no_grad():  # of inputs alone
@@ -220,11 +222,12 @@ def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tenso
 
 
 def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:
-    """The corrected frame at full resolution, from exposed linear GAE `color` (N, 3, H, W) and the network's output.
+    """Return the corrected frame at full resolution, from exposed linear GAE `color` (N, 3, H, W) and the network's
+    output.
 
-    The correction is added to the image at half resolution; `keep` says how much of the detail between the two
-    resolutions stays. `color` at half resolution has none. Returns refined, final (both linear) and the focus mask
-    (N, 1, H, W), 0 below `FOCUS_THRESHOLD`.
+    The correction is added to the image at half resolution; `keep` is the share of the detail between the two
+    resolutions that stays. `color` at half resolution has none. The result is refined, final (both linear) and the
+    focus mask (N, 1, H, W), 0 below `FOCUS_THRESHOLD`.
     """
     encoded = encode(color)
     if color.shape[-2:] == correction.shape[-2:]:

@@ -1,8 +1,9 @@
-"""The network's convolutions in 8-bit integers, for CPUs: quantization-aware training, and the ONNX file of it.
+"""Quantization of the network's convolutions to 8-bit integers, for CPUs: quantization-aware training, and its ONNX
+file.
 
 Activations have 8 bits per tensor, weights 7 bits per output channel: sums of two products of an unsigned and a signed
-byte then fit 16 bits, and CPUs without VNNI get what CPUs with it get. The first convolution, on colors, and the last
-one stay in floats.
+byte then fit 16 bits, and CPUs with and without VNNI give the same results. The first convolution, on colors, and the
+last one stay in floats.
 """
 
 from __future__ import annotations
@@ -45,19 +46,19 @@ class RoundedActivation(nn.Module):
 
 
 def unit_of(weight: Tensor) -> Tensor:
-    """(outputs,): the step to which weights of each output channel are rounded."""
+    """Return the steps (outputs,) to which weights of each output channel are rounded."""
     return (weight.abs().amax((1, 2, 3)) / _LARGEST_WEIGHT).clamp(min=1e-8)
 
 
 def rounded(weight: Tensor) -> Tensor:
-    """Weights as integers hold them."""
+    """Return the weights rounded to values that integers hold."""
     unit = unit_of(weight.detach())
     zero = torch.zeros_like(unit, dtype=torch.int32)
     return torch.fake_quantize_per_channel_affine(weight, unit, zero, 0, -_LARGEST_WEIGHT, _LARGEST_WEIGHT)
 
 
 class Gain(nn.Module):
-    """Candidates of all channels in one range."""
+    """Gain layer that scales the candidates, so that all channels share one range."""
 
     def __init__(self, gain: Tensor):
         super().__init__()
@@ -68,7 +69,7 @@ class Gain(nn.Module):
 
 
 def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
-    """Let `network` compute as its integers will, with channels equalized and ranges found on `inputs`."""
+    """Make `network` compute as its integers will, with channels equalized and ranges found on `inputs`."""
     inputs = list(inputs)
     equalize(network, inputs)
     for name, values in _activations(network, inputs, _rounded(network)).items():
@@ -80,7 +81,7 @@ def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
 
 
 def rounded_weights(network: Convolutions) -> Convolutions:
-    """A copy of a network that was quantized, with the rounded weights in place of those that are trained."""
+    """Return a copy of a network that was quantized, with the rounded weights in place of those that are trained."""
     network = copy.deepcopy(network)
     for convolution in _in_integers(network):
         convolution.weight.data = rounded(convolution.weight.data)
@@ -113,7 +114,7 @@ def equalize(network: Any, inputs: list[Inputs]) -> None:
 
 
 def _readers(network: Any) -> dict[str, list[tuple[nn.Conv2d, int]]]:
-    """Of the modules that make channels: the convolutions that read these, and from which input channel on."""
+    """Return by the modules that make channels the convolutions that read these, and from which input channel on."""
     encoder, narrow, decoder = network.encoder, network.narrow, network.decoder
     last = len(decoder)
     seen = network.seen[0].out_channels
@@ -140,7 +141,7 @@ def _in_integers(network: Any) -> Iterator[Any]:
 
 
 def _rounded(network: Convolutions) -> list[str]:
-    """The modules that give integers."""
+    """Return the names of the modules whose outputs are integers."""
     names = ["seen.1", "given"]
     for name in _readers(network):
         if name not in ("seen", "given"):
@@ -156,7 +157,7 @@ def _round(module: Any, _, x: Tensor) -> Tensor:
 def _activations(
     network: Convolutions, inputs: list[Inputs], names: list[str], by_channel: bool = False
 ) -> dict[str, np.ndarray]:
-    """Some of the values that the modules `names` give, by name: (n,), or (channels, n)."""
+    """Return some of the output values of the modules `names`, by name: (n,), or (channels, n)."""
     found: dict[str, list[Tensor]] = {name: [] for name in names}
     generator = torch.Generator().manual_seed(0)
 

@@ -1,4 +1,4 @@
-"""Training the shading correction network: resumable, on a CPU, a GPU or several (`gffe train`)."""
+"""Training of the shading correction network: resumable, on a CPU, a GPU or several (`gffe train`)."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Recipe:
     """Recipe of a training: everything that determines the result, except the data.
 
     Learning rates are the paper's (appendix, 'Training'); a step takes `batch` crops, in all processes together.
-    `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` counts the error of the frame as it
-    is shown, which the paper's reconstruction loss, with the ground truth in place of the GAE frame, does not see. Full
-    resolution, where the network's output is composed, is needed for its `keep` only, and takes more than half of a
-    step's time: all but every `full_every`-th step do with half. `integers`: for convolutions in 8-bit integers
-    (`quantization`).
+    `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` weights the error of the frame as
+    it is shown, which the paper's reconstruction loss, with the ground truth in place of the GAE frame, does not
+    contain. Full resolution, where the network's output is composed, is needed for its `keep` only, and takes more than
+    half of a step's time: all but every `full_every`-th step use half resolution. `integers`: for convolutions in 8-bit
+    integers (`quantization`).
     """
 
     seed: int = 0
@@ -83,7 +83,7 @@ class Recipe:
             )
 
     def learning_rate_at(self, step: int) -> float:
-        """From the first to the final one along half a cosine."""
+        """Return the learning rate at `step`: from the first to the final one along half a cosine."""
         share = 0.5 + 0.5 * math.cos(math.pi * min(step / self.steps, 1.0))
         return self.final_learning_rate + share * (self.learning_rate - self.final_learning_rate)
 
@@ -141,12 +141,12 @@ def loss_terms(
     perceptual,
     taught_by: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """The terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
+    """Return the terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
 
     The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
     of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing, and, a
-    little, all others. How much of it is worth showing, and so the mask, is for the error of the final frame to say:
-    small changes of shading are many, and no focus pixels. `taught_by`: the correction of a network to stay close to.
+    little, all others. The error of the final frame decides how much of it is worth showing, and so the mask: small
+    changes of shading are many, and no focus pixels. `taught_by`: the correction of a network to stay close to.
     """
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
@@ -234,7 +234,7 @@ class Training:
         on_step: Callable[[Progress], None] = lambda progress: None,
         validate_every: int = 500,
     ) -> bool:
-        """Train until all steps are done, or `time.monotonic()` passes `until`; returns whether all are.
+        """Train until all steps are done, or `time.monotonic()` passes `until`, and return whether all are done.
 
         A checkpoint is written every two minutes and at the end, also when interrupted: SIGINT and SIGTERM wait for the
         end of a step. Raises GffeError, and leaves the last checkpoint, if the loss is not finite.
@@ -273,7 +273,7 @@ class Training:
         return self.step >= self.recipe.steps
 
     def _train_step(self) -> tuple[bool, dict[str, float]]:
-        """Whether it was at half resolution, and the terms of its loss."""
+        """Train one step, and return whether it was at half resolution, and the terms of its loss."""
         recipe, processes = self.recipe, self.processes
         halved = (self.step + 1) % recipe.full_every != 0
         batch = self._batch(self.step, halved).to(self.device)
@@ -298,12 +298,12 @@ class Training:
         return halved, {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
 
     def _batch(self, step: int, halved: bool) -> Batch:
-        """Augmented crops of a step."""
+        """Return the augmented crops of a step."""
         generator = torch.Generator().manual_seed(_mixed(self.recipe.seed, step, self.processes.rank))
         return Augmentation(generator, self.recipe.shading)(load_batch(self._chosen(step), halved))
 
     def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        """The network's arguments."""
+        """Return the network's arguments."""
         frames, trends = (x.contiguous(memory_format=torch.channels_last) for x in (batch.frames(), batch.trends))
         return frames, batch.alpha, trends
 
@@ -322,8 +322,9 @@ class Training:
         return chosen
 
     def validate(self) -> dict[str, float]:
-        """On crops of clips that are not trained on, not augmented: mean absolute encoded error of the GAE and the
-        final frame on focus pixels that are not disoccluded, and on all; recall and precision of the focus mask."""
+        """Return the figures on crops of clips that are not trained on, not augmented: mean absolute encoded error of
+        the GAE and the final frame on focus pixels that are not disoccluded, and on all; recall and precision of the
+        focus mask."""
         self.network.eval()
         sums: dict[str, float] = {}
 
@@ -358,7 +359,7 @@ class Training:
 
     @torch.no_grad()
     def _seen_by_convolutions(self) -> list[tuple[Tensor, Tensor]]:
-        """Inputs of the convolutions in some steps, for their ranges."""
+        """Return the inputs of the convolutions in some steps, for their ranges."""
         seen: list[tuple[Tensor, Tensor]] = []
         hook = self.network.convolutions.register_forward_pre_hook(lambda _, inputs: seen.append(inputs))
         for step in range(_CALIBRATION_STEPS):
@@ -375,7 +376,7 @@ class Training:
     # ---- checkpoints -----------------------------------------------------------------------------------
 
     def save(self) -> None:
-        """Write the checkpoint; whole, or the one before stays."""
+        """Write the checkpoint. If that fails, the one before stays."""
         if not self.processes.first:
             return
         state = {
@@ -418,7 +419,7 @@ class Training:
 
 
 def clips_of_run(folder: Path) -> int | None:
-    """How many clips the run in `folder` was started with; None if none was. Raises GffeError as `Training`."""
+    """Return how many clips the run in `folder` was started with; None if none was. Raises GffeError as `Training`."""
     path = Path(folder) / CHECKPOINT
     if not path.exists():
         return None
@@ -434,7 +435,7 @@ def _read(path: Path, device: torch.device) -> dict:
 
 
 class _Log:
-    """TensorBoard's files in `folder`/log."""
+    """TensorBoard log in `folder`/log."""
 
     _EVERY = 50
 
@@ -445,7 +446,7 @@ class _Log:
         self.pending: dict[str, list[dict[str, float]]] = {}
 
     def add(self, group: str, terms: dict[str, float], step: int) -> None:
-        """Means of the terms since the last point are written now and then."""
+        """Collect the terms of a step, and write their means every `_EVERY` steps."""
         self.pending.setdefault(group, []).append(terms)
         if step % self._EVERY == 0 or step == 1:
             for name, rows in self.pending.items():
@@ -462,7 +463,8 @@ class _Log:
 
 @contextmanager
 def _signals():
-    """The list of SIGINT and SIGTERM received meanwhile, which do nothing else; in the main thread only."""
+    """Yield the list of SIGINT and SIGTERM received during the block, which have no other effect; in the main thread
+    only."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield received
@@ -477,7 +479,8 @@ def _signals():
 
 
 def split_crops(crops: list[Crop], seed: int) -> tuple[list[Crop], list[Crop]]:
-    """Crops of some clips, of each those with the most focus pixels, to validate with; and those of the others."""
+    """Return the crops to validate with, of some clips those with the most focus pixels, and the crops of the other
+    clips."""
     paths = sorted({crop.path for crop in crops})
     count = math.ceil(_VALIDATION_SHARE * len(paths)) if len(paths) > 1 else 0
     held = {paths[i] for i in np.random.default_rng([seed, 5]).choice(len(paths), count, replace=False)}

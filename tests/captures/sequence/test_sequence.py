@@ -273,10 +273,11 @@ def test_bad_pixels_of_every_type(dtype):
                 color[1 + k, 2, k % 3] = value
                 expected[1 + k, 2, k % 3] = np.clip(np.nan_to_num(value), -most, most)
             frame = RenderedFrame(color, np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32), None, 0.0)
-            packed = host_arrays(frame, 5, 7).packed()
+            host = host_arrays(frame, 5, 7)
+            laid = host.in_device_layout().color
             clamped = sum(map(np.isfinite, bad))
-            assert packed.bad == BadPixels(color=len(bad) - clamped, clamped=clamped)
-            assert np.array_equal(packed.color[..., :3], expected.astype(np.float16)) and not packed.color[..., 3].any()
+            assert host.bad == BadPixels(color=len(bad) - clamped, clamped=clamped)
+            assert np.array_equal(laid[..., :3], expected.astype(np.float16)) and not laid[..., 3].any()
 
 
 def test_bad_depth_and_motion_are_counted():
@@ -295,8 +296,7 @@ def test_halves_that_were_read_are_not_copied(tmp_path):
     host = host_arrays(frame, H, W)
     assert np.shares_memory(host.color, frame.color) and not host.color[..., 3].any()
     frame.color[1, 2, 0] = np.nan
-    packed = host.packed()
-    assert packed.bad.color == 1 and packed.color[1, 2, 0] == 0 and np.isnan(frame.color[1, 2, 0])
+    assert host.bad.color == 1 and host.in_device_layout().color[1, 2, 0] == 0 and np.isnan(frame.color[1, 2, 0])
 
 
 def test_freed_memory_is_kept():

@@ -27,7 +27,6 @@ from gffe_cl import (
     open_sequence,
 )
 from gffe_cl.captures.sequence.description import checked_entry
-from gffe_cl.engine.frame.rendered_frame import host_arrays
 from gffe_cl.engine.options import OPTIONS
 
 W, H = 24, 16
@@ -151,7 +150,6 @@ def host_calls():
             gffe_cl.motion_from_uv, {"motion": MOTION, "size": (W, H), "direction": "to_previous", "y": "up"}
         ),
         "motion_from_unreal": Call(gffe_cl.motion_from_unreal, {"rg": MOTION, "size": (W, H), "scale": 2.0}),
-        "pack_frame": Call(gffe_cl.pack_frame, {"frame": FRAME, "height": H, "width": W}),
         "Options": Call(Options, {name: option.default for name, option in OPTIONS.items()}),
         "Options.changed": Call(Options().changed, {"name": "levels", "value": 1}),
         "Window.camera": Call(
@@ -236,7 +234,6 @@ def file_calls(folder):
 def device_calls(pipeline, frame):
     """Of what needs a device, by name."""
     device = pipeline.device
-    packed = host_arrays(frame, H, W).packed()
     nbytes = {"color": 8 * W * H, "depth": 4 * W * H, "motion": 8 * W * H}
     layers = {
         "fixed_mask": DEPTH > 5,
@@ -270,7 +267,6 @@ def device_calls(pipeline, frame):
             {"wait_for": [cl.enqueue_marker(device.queue)], "zero_copy": True},
         ),
         "Pipeline.present": Call(pipeline.present, {"wait_for": [cl.enqueue_marker(device.queue)]}),
-        "Pipeline.submit, packed": Call(lambda packed: pipeline.submit(frame, packed), {"packed": packed}),
         "Pipeline.submit, fields": Call(lambda **fields: pipeline.submit(replace(frame, **fields)), submitted),
         "Pipeline.submit, overlays": Call(
             lambda **layers: pipeline.submit(replace(frame, overlays=Overlays(**layers))), layers
@@ -379,23 +375,6 @@ def bits(pipeline):
         pipeline.submit(frame)
     made = pipeline.extrapolate()
     return [made.numpy(name).tobytes() for name in ("color", "depth", "motion", "filled_by")]
-
-
-@pytest.mark.device
-def test_packed_beside_a_frame_is_deprecated(device):
-    """It still works, and so do both ways to it; bad pixels count. The warnings name the lines of the caller."""
-    frame = next(frames())
-    frame.color[3, 4] = np.nan
-    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
-    with pytest.warns(DeprecationWarning, match=r"pack_frame is deprecated") as told:
-        packed = gffe_cl.pack_frame(frame, H, W)
-    with pytest.warns(DeprecationWarning, match=r"RenderedFrame\.pack is deprecated") as told_too:
-        assert frame.pack().color.tobytes() == packed.color.tobytes() and frame.pack().bad == packed.bad
-    with pytest.warns(DeprecationWarning, match=r"packed is deprecated \(submit converts arrays\)") as told_of_submit:
-        pipeline.submit(replace(frame, color=np.zeros_like(frame.color)), packed)
-    assert {warning[0].filename for warning in (told, told_too, told_of_submit)} == {__file__}
-    assert (pipeline.present().numpy("depth") == frame.depth).all() and pipeline.bad_pixels.color == 1
-    assert pipeline.present().numpy("color").tobytes() == packed.color[..., :3].tobytes()
 
 
 def test_misuse_leaves_a_pipeline_that_works(device):

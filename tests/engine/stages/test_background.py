@@ -213,7 +213,7 @@ def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
         for k, cam in enumerate(cams):
             previous = (cams[k - 1], (k - 1) / 30) if k % 5 else None
             pipeline.submit(scene.frame(cam, k / 30, W, H, previous, reset=previous is None))
-            for stage, spec in pipeline.board.transient:
+            for stage, spec in pipeline.board.memory.borrowing:
                 buffer = stage.buffer[spec.name]
                 cl.enqueue_fill_buffer(device.queue, buffer, np.uint8(filler), 0, buffer.size)
             for part in (0.3, 0.6):
@@ -235,8 +235,8 @@ def test_silhouettes_take_no_memory_of_their_own(device, int64):
     marks of blocks is lent."""
     pipeline = Pipeline(device, 640, 360, Options(levels=2), int64_atomics=int64)
     board = pipeline.board
-    lent = [(board.stages[stage].spec(name), *where) for (stage, name), where in board._places.items() if where]
-    used = {spec.name: board._use(stage, spec) for stage, spec in board.transient}
+    lent = [(board.stages[stage].spec(name), *where) for (stage, name), where in board.memory.places.items() if where]
+    used = {spec.name: board.memory.use(stage, spec) for stage, spec in board.memory.borrowing}
     overlaps = set()
     for a, memory, start in lent:
         for b, other, begin in lent:

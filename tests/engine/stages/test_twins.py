@@ -60,7 +60,7 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
 
 
 OPTIONS = [
-    Options(shading_inputs=True, blocks=False),  # blocks: test_blocks.py
+    Options(shading_inputs=True, blocks=False),  # blocks: test_backward_blocks.py
     Options(history=4, order=3, levels=3, blocks=False),
     Options(hole_filling="push-pull", blocks=False, acceleration=False),
     Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample", resampling="linear"),

@@ -1,4 +1,4 @@
-"""NumPy twin of kernels/scene_cuts.cl; see twins.py."""
+"""NumPy twin of kernels/scene_cuts.cl; `twins/__init__.py` describes all twins."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""NumPy twin of kernels/upscaling.cl; see twins.py."""
+"""NumPy twin of kernels/upscaling.cl; `twins/__init__.py` describes all twins."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""How cameras may be meant: hypotheses about matrices and view axes."""
+"""Hypotheses about cameras: matrices and view axes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class CameraReading:
     focal: float = 1.0
 
     def read(self, camera: Camera) -> Camera:
-        """Return the camera by this hypothesis."""
+        """Return the camera with this hypothesis applied."""
         matrix = camera.world_to_view
         if self.axes_before is not None:
             matrix = _four(self.axes_before) @ matrix
@@ -71,22 +71,22 @@ class CameraReading:
 
     @property
     def is_usual(self) -> bool:
-        """Whether no two axes change places: that is rare."""
+        """Whether no two axes are swapped, which is rare."""
         return all(axes[k][k] for axes in (self.axes, self.axes_before or self.axes) for k in range(3))
 
     def opposite(self) -> CameraReading:
-        """With all three axes the other way round."""
+        """Return this reading with all three axes reversed."""
         before = None if self.axes_before is None else np.array(self.axes_before)
         made = _reading(self.layout, -np.array(self.axes), before)
         return replace(made, focal=self.focal)
 
     def mirrored(self) -> CameraReading:
-        """With y the other way round."""
+        """Return this reading with y reversed."""
         before = None if self.axes_before is None else np.array(self.axes_before)
         return replace(_reading(self.layout, np.diag([1, -1, 1]) @ np.array(self.axes), before), focal=self.focal)
 
     def keeping(self, parts: tuple[str, ...]) -> CameraReading:
-        """With only those of its parts, and "field of view", that are among `parts`."""
+        """Return this reading with only those of its parts, and "field of view", that are among `parts`."""
         one = np.eye(3)
         before = None if self.axes_before is None else np.array(self.axes_before)
         if before is not None and not set(_named(before)) & set(parts):
@@ -109,7 +109,7 @@ def _four(axes) -> np.ndarray:
 
 
 def axes_in_words(axes) -> str:
-    """Return the view axes of stored matrices that `axes` converts to ours."""
+    """Return in words the view axes of stored matrices that `axes` converts to ours."""
     stored = np.array(axes).T  # rows: our axes by theirs
     words = []
     for letter, row in zip("xyz", stored.T.tolist(), strict=True):
@@ -120,7 +120,7 @@ def axes_in_words(axes) -> str:
 
 def camera_readings() -> list[CameraReading]:
     """Return all hypotheses to try, the usual one first. Of two with opposite axes only one is listed: `opposite`
-    makes the other, and negative depths decide between them."""
+    returns the other, and negative depths decide between them."""
     flips = [np.diag(signs) for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))]
     found = []
     for layout in _LAYOUTS:

@@ -1,4 +1,4 @@
-"""The wide part of the search: all cameras and depths at once, on few samples.
+"""Coarse part of the search: all cameras and depths at once, on few samples.
 
 With the pixel position that motion leads to, the depth of a sample is one linear equation, a · w = b with w = 1 / depth
 (see `depths.py`): so the parameters of each depth model are found directly, and nothing is projected.
@@ -17,7 +17,7 @@ _JUDGES = 120  # samples that decide between them
 
 
 class WideField:
-    """Cameras with all depth models, against motion vectors that lead in the direction `step`."""
+    """Test of all cameras with all depth models, against motion vectors that lead in the direction `step`."""
 
     def __init__(self, bench: Bench, cameras: list[CameraReading], step: int):
         self._bench, self._cameras = bench, cameras
@@ -28,7 +28,7 @@ class WideField:
         self._center = reaches[0].center
 
     def scores(self, motion: np.ndarray, scale: tuple[float, float], jitter: bool) -> list[tuple]:
-        """Yield (agreement, CameraReading, DepthReading) for all hypotheses that `motion` (N, 2) pixels can decide.
+        """Return (agreement, CameraReading, DepthReading) for all hypotheses that `motion` (N, 2) pixels can decide.
         `scale`: the coarsest and finest residuals that count (`log_score`). With `jitter` each frame may have a
         constant offset."""
         bench = self._bench
@@ -65,7 +65,7 @@ class WideField:
 
 
 def _pixels_off(a, b, w, turned, shift) -> np.ndarray:
-    """(C, N, 2) pixels; large behind the camera."""
+    """Return residuals (C, N, 2) in pixels; large behind the camera."""
     with np.errstate(all="ignore"):
         depth = turned[..., 2] + w * shift[..., 2]
         off = (a * w[..., None] - b) / depth[..., None]
@@ -83,7 +83,8 @@ def _agreement(off, frame, scale, jitter) -> np.ndarray:
 
 
 def _medians(basis, w, power) -> np.ndarray:
-    """(C,) the factor in w = factor · basis: the median, samples counting as far as translation moves them."""
+    """Return the factors (C,) in w = factor · basis: weighted medians, where samples count as far as translation moves
+    them."""
     with np.errstate(all="ignore"):
         ratio, weight = w / basis, np.sqrt(power) * np.abs(basis)
     known = np.isfinite(ratio) & np.isfinite(weight)
@@ -96,8 +97,8 @@ def _medians(basis, w, power) -> np.ndarray:
 
 
 def _lines(basis, w, power, cross, rest) -> np.ndarray:
-    """(C, 2) the line in w = c₀ + c₁ · basis₁: of some through two samples, the one with the least logarithms of
-    residuals."""
+    """Return the lines (C, 2) in w = c₀ + c₁ · basis₁: of some through two samples, the one with the least logarithms
+    of residuals."""
     one, two = np.random.default_rng(7).integers(w.shape[-1], size=(2, _DRAWS))
     some = slice(None, None, max(1, w.shape[-1] // _JUDGES))
     x = basis[..., 1]
@@ -115,7 +116,8 @@ def _lines(basis, w, power, cross, rest) -> np.ndarray:
 
 
 def _with_constants(fit, basis, a, b, frame, rounds: int = 5) -> np.ndarray:
-    """(C, terms) refined from `fit`, every frame being off by a constant; by reweighted least squares."""
+    """Return parameters (C, terms) refined from `fit` by reweighted least squares; every frame may be off by a
+    constant."""
     left = np.nan_to_num(basis[:, :, None, :] * a[..., None])
     fit = np.nan_to_num(fit)
     starts = np.flatnonzero(np.diff(frame, prepend=-1))

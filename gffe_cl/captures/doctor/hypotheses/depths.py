@@ -1,6 +1,6 @@
-"""How depths may be meant: hypotheses whose parameters (near, far, units) are fitted to motion vectors.
+"""Hypotheses about depths, whose parameters (near, far, units) are fitted to motion vectors.
 
-Everything is in terms of w = 1 / depth, which is linear in what is unknown: w = Σ c · φ(stored).
+Everything is in terms of w = 1 / depth, which is linear in the unknown parameters: w = Σ c · φ(stored).
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ _SIGNED = 0.01  # device depths below minus this reach from −1 to 1
 
 
 def rays(camera: Camera, px: np.ndarray) -> np.ndarray:
-    """(N, 3) float64: view positions at depth 1 of pixels (N, 2)."""
+    """Return view positions (N, 3) float64 at depth 1 of pixels (N, 2)."""
     x, y = (px[:, 0] - camera.cx) / camera.fx, (px[:, 1] - camera.cy) / camera.fy
     return np.stack([x, y, np.ones_like(x)], -1)
 
 
 @dataclass(frozen=True)
 class DepthModel:
-    """`name` of the hypothesis and how many functions φ it has."""
+    """Model of a depth buffer: its `name`, and how many functions φ it has."""
 
     name: str
     terms: int
 
     def basis(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
-        """(N, terms) of stored depths (N,) and rays (N, 3)."""
+        """Return the basis (N, terms) of stored depths (N,) and rays (N, 3)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.name == "planar":
                 return (1 / stored)[..., None]
@@ -55,14 +55,14 @@ def misread_range(factor: float) -> float | None:
 
 @dataclass(frozen=True)
 class DepthReading:
-    """A model with its parameters: 1 / depth = basis · coefficients."""
+    """Depth model with its parameters: 1 / depth = basis · coefficients."""
 
     model: DepthModel = PLANAR
     coefficients: tuple[float, ...] = (1.0,)
 
     @property
     def is_possible(self) -> bool:
-        """Whether the parameters have a meaning, perhaps under axes that are all the other way round."""
+        """Whether the parameters have a meaning, perhaps with all axes reversed."""
         return self.model is not RANGE or misread_range(abs(self.coefficients[1])) is not None
 
     @property
@@ -71,7 +71,7 @@ class DepthReading:
         return self.model is not RANGE or misread_range(self.coefficients[1]) is not None
 
     def inverse(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
-        """(N,) float64: 1 / planar depth in units of the camera's translation; 0 for nothing."""
+        """Return 1 / planar depth (N,) float64 in units of the camera's translation; 0 for no surface."""
         with np.errstate(invalid="ignore"):
             w = self.model.basis(stored, ray) @ np.array(self.coefficients)
         return np.where(np.isinf(stored), 0.0, w)
@@ -82,8 +82,8 @@ AS_GIVEN = DepthReading()
 
 @dataclass(frozen=True)
 class Planes:
-    """Device depth in words: `near` and `far` (may be infinite) in world units; `reverse`: far is at the `low` end,
-    which is 0 or −1, the other one being 1."""
+    """Clipping planes of device depth: `near` and `far` (may be infinite) in world units; `reverse`: far is at the
+    `low` end, which is 0 or −1, the other one being 1."""
 
     near: float
     far: float
@@ -92,7 +92,7 @@ class Planes:
 
     @classmethod
     def of(cls, depth: DepthReading, stored: np.ndarray) -> Planes:
-        """Of a reading by the model DEVICE; `stored`: some of the depths."""
+        """Return the planes of a reading by the model DEVICE; `stored`: some of the depths."""
         low = -1.0 if np.nanmin(stored) < -_SIGNED else 0.0
         first, last = (depth.coefficients[0] + depth.coefficients[1] * end for end in (low, 1.0))
         nearest, farthest = max(first, last), min(first, last)
@@ -136,7 +136,7 @@ def _median_start(basis, w, power) -> np.ndarray | None:
 
 
 def _drawn_start(basis, w, a, b) -> np.ndarray | None:
-    """Of the lines through two samples, the one with the smallest logarithms of residuals."""
+    """Return, of the lines through two samples, the one with the smallest logarithms of residuals."""
     one, two = np.random.default_rng(7).integers(len(w), size=(2, _DRAWS))
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (w[two] - w[one]) / (basis[two, 1] - basis[one, 1])
@@ -151,7 +151,7 @@ def _drawn_start(basis, w, a, b) -> np.ndarray | None:
 
 
 def _polished(start, basis, a, b, frame=None) -> np.ndarray:
-    """By iteratively reweighted least squares, with a scale that follows the residuals."""
+    """Return the parameters after iteratively reweighted least squares, with a scale that follows the residuals."""
     found, constant = start, 0.0
     for _ in range(6 if frame is None else 12):
         off = ((a * (basis @ found)[:, None] - b - constant) ** 2).sum(-1)
@@ -177,7 +177,7 @@ def _polished(start, basis, a, b, frame=None) -> np.ndarray:
 
 
 def _frame_means(values: np.ndarray, weight: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Weighted means of `values` (N, …) over each frame, at each sample."""
+    """Return weighted means of `values` (N, …) over each frame, at each sample."""
     flat = values.reshape(len(values), -1)
     total = np.bincount(frame, weight) + 1e-300
     means = np.stack([np.bincount(frame, weight * column) / total for column in flat.T], -1)

@@ -1,4 +1,4 @@
-"""Silhouettes: where the depth jumps from one surface to another, the colors change as well, if rows are the same."""
+"""Comparison of silhouettes: where the depth jumps from one surface to another, colors change as well if rows match."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SILENT = 0.08  # agreement below this may be chance
 
 
 def lines_of(look: Look) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """(color, color upside down, depth) of lines across the image of `look`, and of lines down."""
+    """Return (color, color upside down, depth) of lines across the image of `look`, and of lines down."""
     assert look.image is not None and look.deep is not None  # kept of the looks that are asked for
     image, deep = look.image, np.nan_to_num(look.deep, posinf=0.0, neginf=0.0)
     every = max(1, deep.size // _PIXELS)
@@ -24,7 +24,7 @@ def lines_of(look: Look) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def silhouettes(depth: np.ndarray) -> np.ndarray:
-    """(H, W − 4) bool: of every five pixels in a line, whether the first two and the last two show two surfaces,
+    """Return (H, W − 4) bool: of every five pixels in a line, whether the first two and the last two show two surfaces,
     whatever the depth means."""
     first, second, _, fourth, fifth = (depth[:, k : depth.shape[1] - 4 + k] for k in range(5))
     along = np.maximum(np.abs(second - first), np.abs(fifth - fourth))

@@ -1,4 +1,4 @@
-"""Motion vectors without the camera's part, or zero: cameras and depth are judged by the colors alone then."""
+"""Test of motion vectors without the camera's part, or zero: then the colors alone judge cameras and depth."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _PLANES = np.exp(np.linspace(np.log(0.005), np.log(20), 25))  # near planes trie
 
 
 def without_camera(search: Search) -> Verdict | None:
-    """The verdict on motion vectors that lack the camera's part; None unless most are zero though the camera moves."""
+    """Return the verdict on motion vectors that lack the camera's part; None unless most are zero though the camera
+    moves."""
     stored = search.full.motion(MotionReading())
     length = np.linalg.norm(stored, axis=-1)
     solid = search.full.solid & np.isfinite(length)
@@ -81,7 +82,7 @@ def _scaled(depth: DepthReading, factor: float) -> DepthReading:
 
 
 def _of_movers(search: Search, static: np.ndarray, movers: np.ndarray) -> MotionReading | None:
-    """How the vectors of movers are to be read; None if there are too few of them."""
+    """Return how the vectors of movers are to be read; None if there are too few of them."""
     scores = {}
     for reading in motion_readings():
         if reading.step != PREVIOUS or reading.held_by:

@@ -1,4 +1,4 @@
-"""How motion vectors may be meant: hypotheses about sign, axes, unit, and which frames they connect."""
+"""Hypotheses about motion vectors: sign, axes, unit, and the frames that they connect."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ SENTENCES = {
 class MotionReading:
     """One way to read motion vectors: pixels = `turn` · (stored · unit · factor).
 
-    `parts` names what is unusual about it; `step`: whether they lead to the PREVIOUS or the NEXT frame; `held_by`: in
-    which frame's file those of a frame are, counted from it; `adds_camera`: they lack the motion of static points.
+    `parts` names its differences from our convention; `step`: whether they lead to the PREVIOUS or the NEXT frame;
+    `held_by`: in which frame's file those of a frame are, counted from it; `adds_camera`: they lack the motion of
+    static points.
     """
 
     parts: tuple[str, ...] = ()
@@ -58,34 +59,35 @@ class MotionReading:
     adds_camera: bool = False
 
     def matrix(self, size: tuple[int, int]) -> np.ndarray:
-        """(2, 2) float64: stored → pixels, in images of `size`."""
+        """Return the matrix (2, 2) float64 from stored values to pixels, in images of `size`."""
         turn = np.array(self.turn, np.float64)
         scale = np.diag(np.full(2, self.factor) if self.unit is None else np.multiply(size, self.unit * self.factor))
         return turn @ scale if self.unit_first else scale @ turn
 
     def stored(self, look: Look) -> np.ndarray | None:
-        """(N, 2) as stored, of the samples of `look`; None where there are none."""
+        """Return the vectors (N, 2), as stored, of the samples of `look`; None where there are none."""
         holder = look.neighbors.get(self.held_by) if self.held_by else look
         if holder is None or (self.step == PREVIOUS and look.reset):
             return None
         return holder.motion if self.held_by == 0 or len(holder.px) == len(look.px) else None
 
     def pixels(self, look: Look) -> np.ndarray | None:
-        """(N, 2) pixels, of the samples of `look`; None where there are none, or no frame that they lead to."""
+        """Return the vectors (N, 2), in pixels, of the samples of `look`; None where there are none, or no frame that
+        they lead to."""
         stored = self.stored(look)
         if stored is None or self.step not in look.neighbors:
             return None
         return stored @ self.matrix(look.size).T
 
     def mirrored(self) -> MotionReading:
-        """With y the other way round."""
+        """Return this reading with y reversed."""
         turn = tuple(tuple(row) for row in (np.diag([1, -1]) @ np.array(self.turn)).tolist())
         named = next(parts for parts, other in _TURNS.items() if other == turn)
         turned = next(parts for parts, other in _TURNS.items() if other == self.turn)
         return replace(self, turn=turn, parts=(*named, *(part for part in self.parts if part not in turned)))
 
     def keeping(self, parts: tuple[str, ...]) -> MotionReading:
-        """With only those of its parts that are among `parts`."""
+        """Return this reading with only those of its parts that are among `parts`."""
         kept = tuple(part for part in self.parts if part in parts)
         if kept == self.parts:
             return self
@@ -107,7 +109,7 @@ MOTION_AS_GIVEN = MotionReading()
 
 
 def motion_readings() -> list[MotionReading]:
-    """All that are tried, the usual one first."""
+    """Return all hypotheses to try, the usual one first."""
     found = []
     for (turned, turn), (named, unit), (scaled, factor) in product(_TURNS.items(), _UNITS.items(), _FACTORS.items()):
         parts = turned + named + scaled

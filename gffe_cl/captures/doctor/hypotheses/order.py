@@ -1,4 +1,4 @@
-"""Frames in the wrong place, gaps and cuts: pairs of frames that do not fit although most pairs do."""
+"""Detection of frames in the wrong place, gaps and cuts: pairs of frames that do not fit although most pairs do."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WINDOW = 24  # frames before and after, among which the right one is looked for
 
 @dataclass
 class Order:
-    """Evidence from pairs of frames.
+    """Evidence from pairs of frames on their order.
 
     `fits`: {frame → share of samples that agree with the frame before}; `misfits`: frames that do not follow the one
     before them; `order`: the frames in the order in which they follow each other, or None.
@@ -38,7 +38,7 @@ class Order:
 
 
 class Reordered:
-    """A clip with its rendered frames in another order, at the same times."""
+    """Clip with its rendered frames in another order, at the same times."""
 
     def __init__(self, clip: Clip, order: list[int]):
         self._clip, entries = clip, clip.rendered
@@ -53,7 +53,8 @@ class Reordered:
 
 
 def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: float) -> Order:
-    """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantized vectors."""
+    """Return the evidence of `looks` of some of `count` rendered frames, with `reading` right for most. `step`: of
+    quantized vectors."""
     if reading.motion.adds_camera:  # such vectors do not depend on the camera
         return Order({}, [], None)
     fits = {}
@@ -94,7 +95,7 @@ def shuffled_order(looks: dict[int, Look], count: int, step: float) -> list[int]
 
 
 def _best_other(looks: dict[int, Look], index: int, reading: Reading, step: float) -> tuple[int, float]:
-    """The frame whose camera fits the vectors of the frame `index` best, and the share of samples that agree."""
+    """Return the frame whose camera fits the vectors of the frame `index` best, and the share of samples that agree."""
     shares = {
         other: np.nan_to_num(_share(looks[index], looks[index].camera, look.camera, reading, step))
         for other, look in looks.items()
@@ -117,7 +118,8 @@ def _chain(before: dict[int, int], count: int) -> list[int] | None:
 
 
 def _share(look: Look, here: Camera, there: Camera, reading: Reading, step: float) -> float:
-    """Share of samples whose motion agrees with a camera that went from `there` to `here`; NaN without motion."""
+    """Return the share of samples whose motion agrees with a camera that went from `there` to `here`; NaN without
+    motion."""
     stored = look.motion if reading.motion == MOTION_AS_GIVEN else reading.motion.stored(look)
     motion = None if stored is None else stored @ reading.motion.matrix(look.size).T
     if motion is None:

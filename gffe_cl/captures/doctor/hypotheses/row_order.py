@@ -1,7 +1,7 @@
-"""Which way up: the row order of each buffer, and whether the picture is upright.
+"""Search for the row order of each buffer, and whether the picture is upright.
 
 Turning all buffers, with y of motion vectors and cameras, makes a mirror image that fits as well. So every reading has
-a twin, and where neither is what is given, other evidence tells them apart: the sky, the ground, the world's axes.
+a twin, and where neither is the given one, other evidence decides between them: the sky, the ground, the world's axes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,8 @@ class WhichWayUp:
 
 
 def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
-    """Search all row orders in which something is to be expected; `search_of`: the search with such rows."""
+    """Search all row orders in which a better fit is possible, and return the verdicts; `search_of`: the search with
+    such rows."""
     plain = [search_of(rows).verdict(Reading(rows=rows)) for rows in _ORDERS]
     best = max(plain, key=lambda verdict: verdict.total)
     settled = _is_settled(best, search_of)
@@ -74,7 +75,7 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
 
 
 def _is_settled(best: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
-    """Whether other row orders need no search: all agree, and colors would not agree better upside down."""
+    """Return whether other row orders need no search: all agree, and colors would not agree better upside down."""
     if not best.agreement >= GOOD or best.edges < 0 or (best.edges == 0 and best.colors < _BLIND):
         return False
     if "color" in best.reading.rows or best.reading.jitter:

@@ -37,7 +37,7 @@ class Look:
     Attributes
     ----------
     index : int
-        Which of the rendered frames.
+        Number among the rendered frames.
     size : (width, height), pixels
     px : (N, 2) float64, centers of the sampled pixels
     depth : (N,) float64, as stored
@@ -71,16 +71,16 @@ class Look:
 
     @property
     def solid(self) -> np.ndarray:
-        """(N,) bool: the pixel shows a surface, for any meaning of its depth."""
+        """Mask (N,) bool of samples whose pixel shows a surface, for any meaning of its depth."""
         return np.isfinite(self.depth) & (np.abs(self.depth) < _FAR)
 
     @property
     def textured(self) -> np.ndarray:
-        """(N,) bool: the color distinguishes this place from others nearby."""
+        """Mask (N,) bool of samples whose color distinguishes their place from others nearby."""
         return self.contrast > _TEXTURED
 
     def is_long(self, motion: np.ndarray) -> np.ndarray:
-        """Return `is_long` for this frame."""
+        """Return (…) bool: vectors (…, 2) as long as the diagonal of this frame, which were never written."""
         return is_long(motion, self.size)
 
     def camera_of(self, step: int) -> Camera:
@@ -94,13 +94,13 @@ def is_long(motion: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def encoded(color: np.ndarray, exposure: float) -> np.ndarray:
-    """Linear color as it differs to the eye: (…, 3) float32, logarithmic above mid-gray."""
+    """Return linear color in perceptual steps: (…, 3) float32, logarithmic above mid-gray."""
     values = np.nan_to_num(np.asarray(color, np.float32) * np.float32(exposure), posinf=0.0, neginf=0.0)
     return np.log1p(16 * np.maximum(values, 0)) / np.float32(np.log(17))
 
 
 def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int], exposure: float = 1.0) -> dict:
-    """{index: Look} of rendered frames; whole images are kept of those in `images`."""
+    """Return {index: Look} of rendered frames; whole images are kept of those in `images`."""
     entries = clip.rendered
     wanted = sorted(set(indices))
 
@@ -122,8 +122,8 @@ def _linked(looks: dict[int, Look]) -> dict[int, Look]:
 
 
 def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
-    """`looks` at images in which the BUFFERS `rows` are turned upside down. Two of them, or three, are turned as the
-    others are and everything after that, so that the samples are those of the same points."""
+    """Return `looks` at images in which the BUFFERS `rows` are turned upside down. If these are two or three, the other
+    buffers are turned, and then all images as a whole: so the samples are those of the same points."""
     if not rows:
         return looks
     if len(rows) > 1:
@@ -152,7 +152,7 @@ def _turned(image: np.ndarray | None) -> np.ndarray | None:
 
 
 def grid(size: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """(x, y) indices of about `samples` pixels, evenly spread with an offset that changes from row to row."""
+    """Return (x, y) indices of about `samples` pixels, evenly spread with an offset that changes from row to row."""
     width, height = size
     step = max(1.0, np.sqrt(width * height / samples))
     rows = np.arange(step / 2, height, step)
@@ -213,7 +213,8 @@ def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, i
 
 
 def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Encoded color (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is inside."""
+    """Return the encoded color (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is
+    inside."""
     image = look.image
     assert image is not None  # kept of the looks that are asked for
     height, width = image.shape[:2]

@@ -1,6 +1,6 @@
 """Scores of hypotheses from two kinds of evidence: motion vectors against depth and cameras, and colors against both.
 
-Samples of several frames lie one after the other: `Bench`. Nothing here knows what is right.
+Samples of several frames lie one after the other: `Bench`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FEWEST = 16  # samples
 
 @dataclass
 class Reach:
-    """Samples as they are seen from the frame that motion leads to, after the camera's rotation and its translation.
+    """Samples seen from the frame that motion leads to, after the camera's rotation and its translation.
 
     `turned` (N, 3): rays after the rotation; `shift` (N, 3): translation in view space of the other frame; `focal`,
     `center` (N, 2): of its camera, pixels; `ray` (N, 3): before the rotation.
@@ -39,7 +39,7 @@ class Reach:
     center: np.ndarray
 
     def pixels(self, w: np.ndarray) -> np.ndarray:
-        """(N, 2) pixel positions of static points at 1 / depth `w` (N,); NaN behind the camera."""
+        """Return pixel positions (N, 2) of static points at 1 / depth `w` (N,); NaN behind the camera."""
         v = self.turned + w[:, None] * self.shift
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             at = v[:, :2] / v[:, 2:] * self.focal + self.center
@@ -47,7 +47,8 @@ class Reach:
         return at
 
     def equations(self, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """a, b (N, 2) with a · w = b for points that are seen at `px`: their differences are in pixels at depth 1."""
+        """Return a, b (N, 2) with a · w = b for points that are seen at `px`: their differences are in pixels at depth
+        1."""
         u = (px - self.center) / self.focal
         a = u * self.shift[:, 2:] - self.shift[:, :2]
         b = self.turned[:, :2] - u * self.turned[:, 2:]
@@ -72,11 +73,11 @@ class Bench:
 
     @cached_property
     def has(self) -> dict[int, np.ndarray]:
-        """{step → (N,) bool: the sample has a frame in that direction}"""
+        """Masks {step → (N,) bool} of samples that have a frame in that direction."""
         return {s: np.repeat([s in look.neighbors for look in self.looks], self._counts) for s in (PREVIOUS, NEXT)}
 
     def motion(self, reading: MotionReading) -> np.ndarray:
-        """(N, 2) pixels; NaN where the file has none."""
+        """Return motion (N, 2) in pixels; NaN where the file has none."""
         found = []
         for look, count in zip(self.looks, self._counts, strict=True):
             v = reading.pixels(look)
@@ -102,7 +103,8 @@ class Bench:
         return Reach(*(np.concatenate(part) for part in parts))
 
     def static(self, camera: CameraReading, depth: DepthReading, step: int = PREVIOUS) -> np.ndarray:
-        """(N, 2) pixels: the motion of every sample if nothing but the camera moves; NaN where that is unknown."""
+        """Return the motion (N, 2), in pixels, of every sample if nothing but the camera moves; NaN where that is
+        unknown."""
         reach = self.reach(camera, step)
         moved = reach.pixels(depth.inverse(self.stored, reach.ray)) - self.px
         return np.where(self.has[step][:, None], moved, np.nan)
@@ -112,7 +114,7 @@ class Bench:
         return [chosen & (self.frame == k) for k in range(len(self.looks))]
 
     def by_frame(self, values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """(looks,) mean of the chosen `values` (N,); NaN where there are few."""
+        """Return the mean (looks,) of the chosen `values` (N,); NaN where there are few."""
         count = np.bincount(self.frame[chosen], minlength=len(self.looks))
         total = np.bincount(self.frame[chosen], values[chosen], minlength=len(self.looks))
         return np.where(count >= 8, total / np.maximum(count, 1), np.nan)
@@ -145,8 +147,8 @@ class Comparison:
 
     @classmethod
     def of(cls, given: Vectors, read: Vectors, solid: np.ndarray, step: float = 0.0) -> Comparison | None:
-        """Compare the vectors at the samples `solid` (N,); None if the camera moves so few of them visibly that the
-        frame cannot tell."""
+        """Compare the vectors at the samples `solid` (N,), and return the residuals; None if the camera moves so few of
+        them visibly that the frame is no evidence."""
         moved = [np.linalg.norm(np.nan_to_num(static), axis=-1) for _, static in (given, read)]
         telling = solid & (np.maximum(moved[0], moved[1]) > _VISIBLE)
         low = []
@@ -167,7 +169,7 @@ class Comparison:
 
 
 def mostly_nothing(length: np.ndarray) -> bool:
-    """Whether most of these motion vectors, by their lengths (N,), are none."""
+    """Return whether most of these motion vectors, by their lengths (N,), are none."""
     return not len(length) or bool(np.median(length) <= _NOTHING * np.quantile(length, 0.999))
 
 
@@ -179,7 +181,7 @@ def trimmed(by_frame: np.ndarray) -> float:
 
 
 def frame_offsets(bench: Bench, off: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """Return (looks, 2) the common offset of most of `off` (N, 2) in each frame: the center of the densest region."""
+    """Return the common offset (looks, 2) of most of `off` (N, 2) in each frame: the center of the densest region."""
     found = np.zeros((len(bench.looks), 2))
     for k in range(len(found)):
         values = off[use & (bench.frame == k)]
@@ -196,13 +198,14 @@ def frame_offsets(bench: Bench, off: np.ndarray, use: np.ndarray) -> np.ndarray:
 
 
 def moving(motion: np.ndarray) -> np.ndarray:
-    """(N,) bool: samples whose motion, in whatever unit, is one."""
+    """Return the mask (N,) bool of samples whose motion, in whatever unit, is not zero."""
     length = np.linalg.norm(np.nan_to_num(motion), axis=-1)
     return length > _STILL * np.quantile(length, 0.95) if length.any() else np.zeros(len(length), bool)
 
 
 def log_score(residual: np.ndarray, coarsest, finest) -> np.ndarray:
-    """1 for residuals (pixels) up to `finest`, 0 from `coarsest` on, logarithmic between; 0 for NaN."""
+    """Return the score of residuals (pixels): 1 up to `finest`, 0 from `coarsest` on, logarithmic between; 0 for
+    NaN."""
     with np.errstate(divide="ignore", invalid="ignore"):
         score = np.log(coarsest / np.maximum(residual, finest)) / np.log(coarsest / finest)
     return np.nan_to_num(np.clip(score, 0, 1))

@@ -1,4 +1,4 @@
-"""The search for a set of hypotheses with which motion, depth, cameras and colors fit each other."""
+"""Search for a set of hypotheses with which motion, depth, cameras and colors fit each other."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ class Verdict:
 
 
 class Search:
-    """Over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantized motion
-    vectors, pixels, or 0; `edges`: how colors agree with depth at silhouettes."""
+    """Search over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantized
+    motion vectors, pixels, or 0; `edges`: how colors agree with depth at silhouettes."""
 
     def __init__(self, looks: list[Look], step: float = 0.0, rows: tuple[str, ...] = (), edges: float = 0.0):
         self.plain, self.edges = Reading(rows=rows), edges
@@ -115,8 +115,8 @@ class Search:
 
     @staticmethod
     def motions(reading: Reading, bench: Bench) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 2) each, pixels: motion vectors, and the motion of static points, both to the frame that the reading's
-        vectors lead to."""
+        """Return (N, 2) each, pixels: motion vectors, and the motion of static points, both to the frame that the
+        reading's vectors lead to."""
         motion = bench.motion(reading.motion)
         static = bench.static(reading.camera, reading.depth, reading.motion.step)
         if reading.motion.adds_camera:
@@ -138,7 +138,7 @@ class Search:
         return trimmed(self.full.by_frame(score, np.isfinite(score) & moving(motion)))
 
     def static_color(self, static: np.ndarray, step: int) -> float:
-        """How well the colors of surfaces are met along `static` (N, 2) pixels."""
+        """Return how well the colors of surfaces agree along `static` (N, 2) pixels."""
         score = self.full.color_scores(np.nan_to_num(static, nan=1e9), step)
         return trimmed(self.full.by_frame(score, np.isfinite(score) & self.full.solid))
 
@@ -160,7 +160,7 @@ class Search:
         return Verdict(reading, agrees, self._along(motion, step), self.static_color(static, step), self.edges)
 
     def fitted(self, bench: Bench, reading: Reading, models=MODELS) -> list[Reading]:
-        """Readings with the depth that fits motion and camera of `reading` best, by each of `models`."""
+        """Return readings with the depth that fits motion and camera of `reading` best, by each of `models`."""
         vectors, reach = bench.motion(reading.motion), bench.reach(reading.camera, reading.motion.step)
         a, b = reach.equations(bench.px + vectors)
         use = bench.solid & np.isfinite(vectors).all(-1)
@@ -174,7 +174,7 @@ class Search:
         return found
 
     def candidates(self) -> list[Verdict]:
-        """Readings that may be right, the best first; the plain one is always among them."""
+        """Return readings that may be right, the best first; the plain one is always among them."""
         found = {self.plain: self.verdict(self.plain)}
 
         def good() -> bool:
@@ -208,12 +208,13 @@ class Search:
         return sorted(found.values(), key=lambda v: -v.total)
 
     def _lacks_motion(self) -> bool:
-        """Whether vectors are mostly zero: then a constant per frame would explain anything."""
+        """Return whether vectors are mostly zero: then a constant per frame would explain anything."""
         length = np.linalg.norm(self.full.motion(MOTION_AS_GIVEN), axis=-1)
         return mostly_nothing(length[self.full.solid & np.isfinite(length)])
 
     def _near_motions(self) -> list[MotionReading]:
-        """Those along which the colors fit about as well as along the best, and the usual one first."""
+        """Return the motion readings along which the colors fit about as well as along the best, and the usual one
+        first."""
         scores = self._motion_colors(motion_readings())
         cost = {reading: EDIT * len(reading.parts) - score for reading, score in scores.items()}
         ranked = sorted(cost, key=cost.__getitem__)
@@ -221,7 +222,7 @@ class Search:
         return list(dict.fromkeys([MOTION_AS_GIVEN, *near]))[:_MOST_MOTIONS]
 
     def _motion_colors(self, readings: list[MotionReading]) -> dict[MotionReading, float]:
-        """As `motion_color`, of many readings at once on few samples."""
+        """Return the agreement of colors, as `motion_color` does, for many readings at once on few samples."""
         groups: dict = {}
         for reading in readings:
             groups.setdefault((reading.step, reading.held_by), []).append(reading)
@@ -235,7 +236,7 @@ class Search:
         return found
 
     def _joint(self, motions: list[MotionReading], cameras: list[CameraReading], jitter: str = "") -> list[Reading]:
-        """The best readings of all combinations of `motions` with `cameras` and depths."""
+        """Return the best readings of all combinations of `motions` with `cameras` and depths."""
         fields = {step: WideField(self.thin, cameras, step) for step in {m.step for m in motions}}
         found = []
         for motion in motions:
@@ -249,7 +250,8 @@ class Search:
         return list(dict.fromkeys(reading for _, reading in found))[:_JOINT]
 
     def _facing(self, reading: Reading) -> Reading:
-        """Negative depths under some axes are positive ones under the opposite axes."""
+        """Return the reading with positive depths: negative ones under some axes are positive under the opposite
+        axes."""
         bench, ray = self.thin, self.thin.reach(reading.camera, reading.motion.step).ray
         if reading.depth != AS_GIVEN and np.nanmedian(reading.depth.inverse(bench.stored, ray)[bench.solid]) < 0:
             depth = replace(reading.depth, coefficients=tuple(-c for c in reading.depth.coefficients))
@@ -259,7 +261,8 @@ class Search:
         return reading
 
     def _refined(self, reading: Reading) -> list[Reading]:
-        """`reading` with parameters fitted to all samples: as it is, and with the focal length that fits best."""
+        """Return `reading` with parameters fitted to all samples: as it is, and with the focal length that fits
+        best."""
         models = [reading.depth.model]
 
         def fits(focal: float) -> list[tuple[float, Reading]]:

@@ -1,8 +1,8 @@
 """Test whether colors are linear, by antialiased silhouettes.
 
-A pixel that a silhouette crosses holds a mixture of both surfaces, with the same share in red, green and blue. So it
-is of linear colors: after a display curve the shares differ from channel to channel. Only silhouettes count, which the
-depth shows: inside a surface it is the texture filter that mixes, and renderers may filter encoded textures.
+A pixel that a silhouette crosses holds a mixture of both surfaces, with the same share in red, green and blue. This
+holds for linear colors: after a display curve the shares differ from channel to channel. Only silhouettes count, which
+are visible in the depth: inside a surface the texture filter mixes colors, and renderers may filter encoded textures.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SURE, _DOUBTFUL = 0.75, 0.5  # shares of them that are evidence of a curve
 
 
 def srgb_to_linear(color: np.ndarray) -> np.ndarray:
-    """Display values 0 … 1 → linear; float32."""
+    """Return linear color, float32, of display values 0 … 1."""
     return linear_values(np.clip(np.asarray(color, np.float32), 0, 1))
 
 
@@ -45,15 +45,15 @@ class Votes(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """ "display values", "doubtful", or "" for linear colors and without evidence."""
+        """Verdict of the votes: "display values", "doubtful", or "" for linear colors and without evidence."""
         if self.telling < _LEAST or self.mixed < _MIXED * self.silhouettes or self.share < _DOUBTFUL:
             return ""
         return "display values" if self.share >= _SURE else "doubtful"
 
 
 def display_curve_votes(looks: list[Look]) -> Votes:
-    """Votes on the images of `looks`, which are given as linear; none where values beyond 0 … 1 show that they are no
-    display values."""
+    """Return votes on the images of `looks`, which are given as linear; none where values beyond 0 … 1 show that they
+    are no display values."""
     total = np.zeros(4, int)
     for look in looks:
         for color, _, depth in lines_of(look):
@@ -65,7 +65,7 @@ def display_curve_votes(looks: list[Look]) -> Votes:
 
 
 def _of_lines(color: np.ndarray, depth: np.ndarray) -> tuple[int, int, int, int]:
-    """Votes of vertical silhouettes one pixel wide."""
+    """Return votes of vertical silhouettes one pixel wide."""
     at = silhouettes(depth)
     far_left, left, middle, right, far_right = (color[:, k : color.shape[1] - 4 + k][at] for k in range(5))
     contrast = np.abs(right - left)
@@ -81,7 +81,7 @@ def _of_lines(color: np.ndarray, depth: np.ndarray) -> tuple[int, int, int, int]
 
 
 def _spread(a: np.ndarray, m: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) how much the shares of the channels (N, 3) differ; NaN where `m` is no mixture of `a` and `b`."""
+    """Return (N,) how much the shares of the channels (N, 3) differ; NaN where `m` is no mixture of `a` and `b`."""
     with np.errstate(all="ignore"):
         share = (m - a) / (b - a)
     inside = ((share > 0.1) & (share < 0.9)).all(-1)

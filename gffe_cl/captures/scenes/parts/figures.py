@@ -27,7 +27,7 @@ _HAIR = ((0.03, 0.02, 0.015), (0.12, 0.06, 0.025), (0.35, 0.24, 0.1), (0.3, 0.3,
 
 @dataclass(frozen=True)
 class _Joint(Motion):
-    """A limb, attached at `offset` in its parent's space. It swings about x by `angle(phase of the gait)` radians."""
+    """Limb, attached at `offset` in its parent's space. It swings about x by `angle(phase of the gait)` radians."""
 
     parent: Motion
     offset: tuple
@@ -41,7 +41,7 @@ class _Joint(Motion):
 
 @dataclass(frozen=True)
 class _Body(Motion):
-    """The path, with the bob and sway of the gait."""
+    """Motion along the path, with the bob and sway of the gait."""
 
     path: Path
     gait: Callable
@@ -58,7 +58,7 @@ class _Body(Motion):
 
 
 def walker(path: Path, rng: np.random.Generator, height: float | None = None) -> list[Group]:
-    """A person who walks along `path` at its speed: ten rigid groups; looks come from `rng`."""
+    """Return a person who walks along `path` at its speed: ten rigid groups; looks come from `rng`."""
     h = (height or float(rng.uniform(1.58, 1.9))) / 1.75
     shirt_color = vary(rng, pick(rng, *_SHIRTS))
     seed = int(rng.integers(1 << 16))
@@ -149,7 +149,7 @@ def walker(path: Path, rng: np.random.Generator, height: float | None = None) ->
 
 
 def animal(path: Path, rng: np.random.Generator, size: float = 1.0) -> list[Group]:
-    """A four-legged animal (dog at size 0.6, deer at 1.0) trotting along `path`: six rigid groups."""
+    """Return a four-legged animal (dog at size 0.6, deer at 1.0) trotting along `path`: six rigid groups."""
     coat = Material(
         vary(rng, pick(rng, (0.34, 0.2, 0.09), (0.22, 0.17, 0.13), (0.5, 0.42, 0.32), (0.08, 0.07, 0.06)), 0.2),
         (0.1, 0.06, 0.03),

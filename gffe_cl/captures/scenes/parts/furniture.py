@@ -1,4 +1,4 @@
-"""Things that scenes share: railings, plants, trees, benches, window walls. Each returns groups."""
+"""Furniture that scenes share: railings, plants, trees, benches, window walls. Each function returns groups."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MIRROR = Material((0.92, 0.93, 0.94), specular=0.93, roughness=0.0, mirror=1.0, 
 
 
 def railing(start, end, height, spacing, material, at: Motion | None = None, radius=0.014) -> list[Group]:
-    """Thin upright bars between two ground points (x, z), with a top and a bottom rail."""
+    """Return thin upright bars between two ground points (x, z), with a top and a bottom rail."""
     start, end = np.asarray(start, float), np.asarray(end, float)
     length = np.linalg.norm(end - start)
     groups, at = [], at or Place()
@@ -50,9 +50,8 @@ def railing(start, end, height, spacing, material, at: Motion | None = None, rad
 
 
 def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True) -> list[Group]:
-    """Wall in the plane x, from z_start down to z_end, with a window every `pitch` meters; frames and
-    panes included.
-    """
+    """Return a wall in the plane x, from z_start down to z_end, with a window every `pitch` meters; frames and panes
+    included."""
     thick = 0.22
     length = z_start - z_end
     middle = (z_start + z_end) / 2
@@ -84,7 +83,7 @@ def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall,
 
 
 def bench(at: Motion, wood: Material = WOOD, legs: Material = IRON) -> list[Group]:
-    """A slatted seat 1.6 m long along x, with a back."""
+    """Return A slatted seat 1.6 m long along x, with a back."""
     prims = [Box((0, 0.44, -0.19 + 0.13 * k), (1.6, 0.035, 0.1), wood) for k in range(4)]
     prims += [Box((0, 0.62 + 0.14 * k, -0.27 - 0.02 * k), (1.6, 0.1, 0.03), wood) for k in range(2)]
     for x in (-0.65, 0.65):
@@ -96,7 +95,7 @@ def bench(at: Motion, wood: Material = WOOD, legs: Material = IRON) -> list[Grou
 
 
 def potted_plant(x, z, rng: np.random.Generator, height=1.1) -> list[Group]:
-    """A pot on the ground and a crown that sways a little."""
+    """Return A pot on the ground and a crown that sways a little."""
     pot = Material(vary(rng, pick(rng, (0.5, 0.22, 0.12), (0.55, 0.55, 0.52), (0.1, 0.18, 0.25)), 0.2), roughness=0.4)
     leaf = leaf_material(rng)
     soil = Material((0.05, 0.035, 0.02), roughness=1.0)
@@ -117,7 +116,7 @@ def potted_plant(x, z, rng: np.random.Generator, height=1.1) -> list[Group]:
 
 
 def leaf_material(rng: np.random.Generator, autumn=0.0) -> Material:
-    """Foliage green, turning yellow and red with `autumn` from 0 to 1."""
+    """Return foliage green, turning yellow and red with `autumn` from 0 to 1."""
     green = np.array(vary(rng, (0.12, 0.24, 0.05), 0.35))
     turned = np.array(vary(rng, pick(rng, (0.5, 0.28, 0.04), (0.45, 0.14, 0.03), (0.5, 0.38, 0.06)), 0.2))
     color = tuple(green + (turned - green) * autumn)
@@ -138,7 +137,7 @@ def bark_material(rng: np.random.Generator) -> Material:
 
 
 def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> list[Group]:
-    """Trunk with branches, and a crown of leafy blobs in two parts that sway."""
+    """Return trunk with branches, and a crown of leafy blobs in two parts that sway."""
     trunk_top, radius = 0.5 * height, 0.028 * height * rng.uniform(0.8, 1.25)
     trunk = [
         Cone((0, -0.1, 0), (0, 0.35, 0), radius * 1.7, radius * 1.05, bark),
@@ -165,7 +164,7 @@ def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> 
 
 
 def conifer(x, z, rng: np.random.Generator, height, bark, leaf) -> list[Group]:
-    """A spruce: a thin trunk and stacked cones."""
+    """Return A spruce: a thin trunk and stacked cones."""
     lean = Place(x, 0, z, yaw=float(rng.uniform(0, 360)), roll=float(rng.uniform(-2, 2)))
     prims = [Cone((0, -0.1, 0), (0, 0.9 * height, 0), 0.03 * height, 0.006 * height, bark)]
     tiers = 6
@@ -184,7 +183,7 @@ def conifer(x, z, rng: np.random.Generator, height, bark, leaf) -> list[Group]:
 
 
 def pendant(x, y, z, drop, color, swing: Motion, shade: Material) -> list[Group]:
-    """A lamp on a cord below (x, y, z); its bulb is at (0, −drop, 0) of the returned motion's space."""
+    """Return A lamp on a cord below (x, y, z); its bulb is at (0, −drop, 0) of the returned motion's space."""
     bulb = Material(tint(color, 0.5), emission=tint(color, 1.0))
     at = Place(x, y, z) @ swing
     return [

@@ -19,7 +19,7 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class Motion:
-    """Base: `motion(time)` → (4, 4)."""
+    """Base of motions: `motion(time)` returns (4, 4)."""
 
     moves = True  # False: the same at every time
 
@@ -32,7 +32,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Chain(Motion):
-    """`outer` after `inner`."""
+    """Motion `outer` after motion `inner`."""
 
     outer: Motion
     inner: Motion
@@ -92,7 +92,7 @@ class Swing(Motion):
 
 @dataclass(frozen=True)
 class Slide(Motion):
-    """To and fro along `vector` (meters, from the middle to one end), once per `period`."""
+    """Motion to and fro along `vector` (meters, from the middle to one end), once per `period`."""
 
     vector: tuple
     period: float
@@ -104,7 +104,7 @@ class Slide(Motion):
 
 @dataclass(frozen=True)
 class Bounce(Motion):
-    """A ball's parabolas of `height` meters, one per `period`."""
+    """Bouncing in parabolas of `height` meters, one per `period`."""
 
     height: float
     period: float
@@ -117,7 +117,7 @@ class Bounce(Motion):
 
 @dataclass(frozen=True)
 class Carry(Motion):
-    """Along `vector` (meters) at constant speed, once per `period`; then again from its start."""
+    """Motion along `vector` (meters) at constant speed, once per `period`; then again from its start."""
 
     vector: tuple
     period: float
@@ -129,7 +129,8 @@ class Carry(Motion):
 
 @dataclass(frozen=True)
 class Held(Motion):
-    """Fixed to a camera at `eye` that looks at `target`, both functions of time: x right, y up, −z ahead of it."""
+    """Fixed position relative to a camera at `eye` that looks at `target`, both functions of time: x right, y up, −z
+    ahead of it."""
 
     eye: Callable[[float], np.ndarray]
     target: Callable[[float], np.ndarray]
@@ -140,7 +141,7 @@ class Held(Motion):
 
 
 class Path(Motion):
-    """Along a smooth closed curve at constant speed, facing forward (+z is ahead).
+    """Motion along a smooth closed curve at constant speed, facing forward (+z is ahead).
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ class Path(Motion):
     speed : float
         Meters per second.
     start : float
-        Where it begins, as a fraction of the loop.
+        Start position, as a fraction of the loop.
     """
 
     _STEPS = 48
@@ -166,7 +167,7 @@ class Path(Motion):
         self.start = start
 
     def distance(self, time: float) -> float:
-        """Meters traveled along the loop, not wrapped."""
+        """Return the meters traveled along the loop at `time`, not wrapped."""
         return self.start * self.length + self.speed * time
 
     def position(self, distance: float) -> np.ndarray:
@@ -193,7 +194,7 @@ class Roll(Motion):
 
 
 def rotation(axis: str | tuple, degrees: float) -> np.ndarray:
-    """(4, 4) right-handed rotation about an axis through the origin."""
+    """Return the right-handed rotation (4, 4) about an axis through the origin."""
     x, y, z = np.asarray(_AXES.get(axis, axis) if isinstance(axis, str) else axis, np.float64)
     norm = np.sqrt(x * x + y * y + z * z)
     x, y, z = x / norm, y / norm, z / norm

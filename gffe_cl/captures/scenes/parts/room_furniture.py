@@ -1,4 +1,4 @@
-"""Furniture of the living room; each function returns groups."""
+"""Furniture of the living room. Each function returns groups."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def wood_frame(rng) -> Material:
 
 
 def sofa(at, fabric, rng, width) -> list[Group]:
-    """Seat along x, facing +z."""
+    """Return a sofa with its seat along x, facing +z."""
     cushion = Material(
         vary(rng, pick(rng, (0.6, 0.4, 0.1), (0.5, 0.16, 0.1), (0.12, 0.3, 0.32), (0.55, 0.5, 0.42))),
         (0.5, 0.46, 0.4),
@@ -51,7 +51,7 @@ def sofa(at, fabric, rng, width) -> list[Group]:
 
 
 def coffee_table(rng, wood) -> list[Group]:
-    """Low table with a glass top, a bowl of fruit, books, a cup."""
+    """Return a low table with a glass top, a bowl of fruit, books, a cup."""
     groups = []
     legs = [
         Cylinder((sx * 0.5, 0, sz * 0.28), (sx * 0.5, 0.4, sz * 0.28), 0.025, STEEL) for sx in (-1, 1) for sz in (-1, 1)
@@ -89,7 +89,7 @@ def coffee_table(rng, wood) -> list[Group]:
 
 
 def bookcase(rng, wood, wall_x) -> list[Group]:
-    """A bookcase against the left wall."""
+    """Return A bookcase against the left wall."""
     books = Material(
         (0.4, 0.2, 0.1),
         (0.6, 0.55, 0.4),
@@ -107,7 +107,7 @@ def bookcase(rng, wood, wall_x) -> list[Group]:
 
 
 def sideboard(rng, wood, wall_z) -> list[Group]:
-    """Below the mirror: a cabinet with a vase, a clock with a pendulum and a steel globe."""
+    """Return a cabinet below the mirror, with a vase, a clock with a pendulum and a steel globe."""
     z = wall_z - 0.25
     front = Material(wood.color, wood.second, "tiles", scale=0.55, contrast=0.3, roughness=0.4)
     prims = [Box((-0.6, 0.42, z), (1.9, 0.6, 0.42), front), Box((-0.6, 0.74, z), (1.98, 0.04, 0.46), wood)]
@@ -155,7 +155,7 @@ def sideboard(rng, wood, wall_z) -> list[Group]:
 
 
 def glass_screen(rng) -> list[Group]:
-    """Two standing panels of tinted glass in a frame."""
+    """Return two standing panels of tinted glass in a frame."""
     tinted = Material(
         vary(rng, pick(rng, (0.75, 0.9, 0.95), (0.95, 0.82, 0.6), (0.8, 0.92, 0.8))),
         transparency=0.75,

@@ -22,7 +22,7 @@ _PAINTS = ((0.35, 0.03, 0.03), (0.03, 0.06, 0.2), (0.4, 0.4, 0.42), (0.02, 0.02,
 
 
 def car(at: Motion, rng: np.random.Generator) -> list[Group]:
-    """A small car, 4 m long, its front towards +z; lamps glow, see `headlight`."""
+    """Return A small car, 4 m long, its front towards +z; lamps glow, see `headlight`."""
     paint = Material(vary(rng, pick(rng, *_PAINTS)), roughness=0.06, specular=0.06, mirror=1.0, contrast=0.02)
     pane = Material((0.02, 0.025, 0.03), roughness=0.02, specular=0.06, mirror=1.0, contrast=0.0)
     rubber = Material((0.02, 0.02, 0.02), roughness=0.9)
@@ -45,5 +45,5 @@ def car(at: Motion, rng: np.random.Generator) -> list[Group]:
 
 
 def headlight(at: Motion, strength: float, color=(1.0, 0.95, 0.84), angle=64.0) -> Light:
-    """The beam of a `car`'s two headlights, as one."""
+    """Return the beam of a `car`'s two headlights, as one."""
     return Light("spot", (0, 0.66, 2.02), tint(color, strength), 0.012, (0, -0.03, 1), angle, motion=at)

@@ -80,7 +80,8 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def _mouse_look(rng):
-    """A slow walk on a small loop; the head turns in quick strokes with pauses between them."""
+    """Return paths of eye and target: a slow walk on a small loop; the head turns in quick strokes with pauses between
+    them."""
     strokes = rng.uniform(35, 80, 12) * np.where(rng.random(12) < 0.6, 1, -1)
     strokes[-1] += 360 * round(strokes.sum() / 360) - strokes.sum()  # closes the loop
     strokes[-1] = (strokes[-1] + 180) % 360 - 180
@@ -108,7 +109,7 @@ def _mouse_look(rng):
 
 
 def _side(rng, yaw, plaster, stone) -> list[Group]:
-    """One side of the court in its own space: arcade in the plane z = −HALF, upper storey with windows above."""
+    """Return one side of the court in its own space: arcade in the plane z = −HALF, upper storey with windows above."""
     at, bays = Place(yaw=yaw), 5
     pitch = 2 * HALF / bays
     pane = Material((0.04, 0.055, 0.07), specular=0.06, roughness=0.02, mirror=1.0, contrast=0.0)
@@ -150,7 +151,7 @@ def _side(rng, yaw, plaster, stone) -> list[Group]:
 
 
 def _fountain(rng, stone) -> list[Group]:
-    """A basin of water, a column with a bowl, drops that the wind carries round."""
+    """Return a basin of water, a column with a bowl, and drops that the wind carries round."""
     water = Material(
         (0.03, 0.1, 0.12), (0.06, 0.17, 0.19), "water", scale=0.4, specular=0.06, roughness=0.03, mirror=1.0
     )
@@ -165,7 +166,7 @@ def _fountain(rng, stone) -> list[Group]:
 
 
 def _laundry(rng) -> list[Group]:
-    """Lines across the court with sheets and slatted blinds that swing in the wind."""
+    """Return lines across the court with sheets and slatted blinds that swing in the wind."""
     groups, along_x = [], bool(rng.integers(2))
     for offset in (-4.6, -0.8, 3.2, 5.4):
         y = rng.uniform(4.0, 4.8)
@@ -192,12 +193,12 @@ def _laundry(rng) -> list[Group]:
 
 
 def _above(point, sun, height) -> np.ndarray:
-    """Where something at `height` has to be for its shadow to fall on the ground at (x, z)."""
+    """Return the position at `height` from which a shadow falls on the ground at (x, z)."""
     return np.array((point[0], 0.0, point[1])) + sun * (height / sun[1])
 
 
 def _wind_wheels(rng, sun) -> list[Group]:
-    """Wheels on masts on the roof, out of sight mostly, whose shadows turn on the ground."""
+    """Return wheels on masts on the roof, out of sight mostly, whose shadows turn on the ground."""
     groups, vane = [], Material((0.5, 0.5, 0.48), roughness=0.5)
     for x, z in ((3.2, -3.6), (-3.6, 3.0), (3.4, 4.4)):
         hub = _above((x + rng.uniform(-0.5, 0.5), z + rng.uniform(-0.5, 0.5)), sun, rng.uniform(9.0, 10.5))
@@ -214,7 +215,7 @@ def _wind_wheels(rng, sun) -> list[Group]:
 
 
 def _birds(rng, sun) -> list[Group]:
-    """A flock that circles over the roofs, so that its shadows cross the court."""
+    """Return A flock that circles over the roofs, so that its shadows cross the court."""
     groups = []
     feather = Material(vary(rng, pick(rng, (0.5, 0.5, 0.5), (0.1, 0.1, 0.11), (0.4, 0.36, 0.3))), roughness=0.7)
     height, turn = rng.uniform(9.5, 11.5), pick(rng, -1, 1)

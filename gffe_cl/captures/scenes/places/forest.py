@@ -83,7 +83,8 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def _look_around(rng):
-    """A slow walk in a figure of eight; the head turns quickly from side to side."""
+    """Return paths of eye and target, and a focal length: a slow walk in a figure of eight; the head turns quickly from
+    side to side."""
     period, size, lag = rng.uniform(24, 34), rng.uniform(1.8, 2.6), rng.random()
     turn, turn_period, heading = rng.uniform(0.55, 0.85), rng.uniform(3.8, 5.4), rng.uniform(0, 2 * np.pi)
     height = rng.uniform(1.5, 1.7)
@@ -103,7 +104,7 @@ def _look_around(rng):
 
 
 def _loops(rng) -> list[Path]:
-    """Closed ways round the clearing, outside the camera's own."""
+    """Return closed ways round the clearing, outside the camera's own."""
     loops = []
     for radius, speed in ((4.6, 1.9), (7.2, 2.6), (5.8, 1.25)):
         angles = np.linspace(0, 2 * np.pi, 8)[:-1] * pick(rng, -1, 1)
@@ -123,7 +124,7 @@ def _clear(x, z, keep_clear, distance) -> bool:
 
 
 def _scatter(rng, count, nearest, farthest, keep_clear, distance, apart=0.0):
-    """Up to `count` places in a ring, not on anyone's way."""
+    """Return up to `count` places in a ring, not on anyone's way."""
     places: list = []
     for _ in range(count * 6):
         a, r = rng.uniform(0, 2 * np.pi), np.sqrt(rng.uniform(nearest**2, farthest**2))
@@ -182,7 +183,7 @@ def _trees(rng, keep_clear, autumn) -> list[Group]:
 
 
 def _edge_of_the_wood(rng, autumn) -> list[Group]:
-    """A closed backdrop of crowns and trunks behind everything."""
+    """Return A closed backdrop of crowns and trunks behind everything."""
     groups = []
     bark = bark_material(rng)
     for k in range(16):
@@ -201,7 +202,7 @@ def _edge_of_the_wood(rng, autumn) -> list[Group]:
 
 
 def _undergrowth(rng, keep_clear, autumn) -> list[Group]:
-    """Bushes, ferns, rocks, mushrooms and a fallen log."""
+    """Return bushes, ferns, rocks, mushrooms and a fallen log."""
     groups = []
     for x, z in _scatter(rng, 20, 2.8, 16, keep_clear, 0.9, apart=1.2):
         leaf, size = leaf_material(rng, autumn * rng.random()), rng.uniform(0.3, 0.7)
@@ -255,7 +256,7 @@ def _undergrowth(rng, keep_clear, autumn) -> list[Group]:
 
 
 def _small_life(rng) -> list[Group]:
-    """Hopping hares, birds that flap, falling leaves."""
+    """Return hopping hares, birds that flap, falling leaves."""
     groups = []
     fur = Material(vary(rng, (0.34, 0.26, 0.17)), (0.2, 0.14, 0.09), "bark", scale=0.08, roughness=1.0)
     for k in range(2):
@@ -299,7 +300,7 @@ def _small_life(rng) -> list[Group]:
 
 
 class _Fall(Motion):
-    """Down from `height` with a sideways sway, once per `period`; it then starts again from above."""
+    """Fall from `height` with a sideways sway, once per `period`; it then starts again from above."""
 
     def __init__(self, height, period, phase):
         self.height, self.period, self.phase = height, period, phase

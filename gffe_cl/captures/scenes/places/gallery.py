@@ -57,7 +57,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def _shell(rng, seed, white) -> list[Group]:
-    """Floor with a lacquered runner, walls, partitions, ceiling with beams."""
+    """Return floor with a lacquered runner, walls, partitions, ceiling with beams."""
     stone = Material(
         *pick(
             rng,
@@ -102,7 +102,7 @@ def _shell(rng, seed, white) -> list[Group]:
 
 
 def _art(rng, white) -> list[Group]:
-    """Pictures and mirrors on the walls, a slatted screen, benches."""
+    """Return pictures and mirrors on the walls, a slatted screen, benches."""
     groups = []
     mirrors = {(1, int(rng.integers(1, 3))), (-1, int(rng.integers(2, 4)))}
     for s in (-1, 1):
@@ -141,13 +141,13 @@ def _art(rng, white) -> list[Group]:
 
 
 def _hoop(radius, thick, material, count=18) -> list:
-    """A ring in the plane z = 0, of capsules."""
+    """Return A ring in the plane z = 0, of capsules."""
     corners = [(radius * np.cos(a), radius * np.sin(a), 0.0) for a in np.linspace(0, 2 * np.pi, count, endpoint=False)]
     return [Capsule(a, b, thick, material) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
 
 
 def _sculpture(kind, at: Motion, rng, metal) -> list[Group]:
-    """Turning metal on top of a plinth at the origin of `at`."""
+    """Return turning metal on top of a plinth at the origin of `at`."""
     rate = rng.uniform(70, 130) * pick(rng, -1, 1)
     if kind == 0:  # rings in rings
         groups, center = [], at @ Place(0, 0.62, 0)
@@ -208,7 +208,7 @@ def _people(rng) -> list[Group]:
 
 
 def _lights(rng) -> tuple[list[Light], list[Group]]:
-    """A lamp that travels on its rail, one that swings, a lantern and a ball of mirrors that turn."""
+    """Return A lamp that travels on its rail, one that swings, a lantern and a ball of mirrors that turn."""
     warm = np.array(vary(rng, (1.0, 0.86, 0.68), 0.1))
     cool = np.array(vary(rng, (0.8, 0.9, 1.0), 0.1))
     black = Material((0.05, 0.05, 0.055), roughness=0.35)

@@ -109,7 +109,7 @@ def _at(place, y) -> tuple:
 
 
 def _fountain(rng) -> list[Group]:
-    """Basin, statue and drops that rise and fall."""
+    """Return basin, statue and drops that rise and fall."""
     stone = Material(
         vary(rng, pick(rng, (0.5, 0.46, 0.4), (0.45, 0.45, 0.46), (0.55, 0.42, 0.33))),
         scale=0.4,
@@ -178,7 +178,7 @@ def _fountain(rng) -> list[Group]:
 
 
 def _facade(rng, width, height, depth) -> Group:
-    """A town house in its own space: front in the plane z = 0, door in the middle."""
+    """Return A town house in its own space: front in the plane z = 0, door in the middle."""
     wall = Material(
         vary(
             rng,
@@ -315,7 +315,7 @@ def _greenery_and_seats(rng) -> list[Group]:
 
 
 def _people(rng) -> list[Group]:
-    """Walkers on loops between fence and fountain and around it; a dog; a ball; balloons."""
+    """Return walkers on loops between fence and fountain and around it; a dog; a ball; balloons."""
     groups = []
     near = int(rng.integers(2, 4))
     for k in range(near):

@@ -80,7 +80,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def _ground(rng, seed) -> list[Group]:
-    """Wet asphalt with puddles, pavements of slabs."""
+    """Return wet asphalt with puddles, pavements of slabs."""
     asphalt = Material(
         (0.045, 0.046, 0.05), contrast=0.5, scale=0.5, roughness=0.06, specular=0.05, mirror=0.9, seed=seed
     )
@@ -107,7 +107,7 @@ def _ground(rng, seed) -> list[Group]:
 
 
 def _house(at: Place, rng, width, height) -> list[Group]:
-    """Front in the plane z = 0; some windows lit, a shop below."""
+    """Return a house with its front in the plane z = 0; some windows lit, a shop below."""
     wall = Material(
         vary(rng, pick(rng, (0.5, 0.46, 0.4), (0.42, 0.24, 0.17), (0.4, 0.42, 0.44), (0.52, 0.42, 0.28))),
         (0.3, 0.28, 0.26), pick(rng, "plain", "plain", "bricks"), scale=0.13, contrast=0.2, roughness=0.9,
@@ -156,7 +156,7 @@ def _houses(rng) -> list[Group]:
 
 
 def _kerbside(rng) -> list[Group]:
-    """Railing, poles, bollards, a bench."""
+    """Return railing, poles, bollards, a bench."""
     groups = []
     steel = Material((0.12, 0.12, 0.13), specular=0.2, roughness=0.3, contrast=0.1)
     for x, near, far in ((-KERB - 0.25, 9.0, -8.0), (KERB + 0.25, 2.0, -9.0)):
@@ -176,7 +176,7 @@ def _kerbside(rng) -> list[Group]:
 
 
 def _people(rng) -> list[Group]:
-    """Passers-by on the other pavement, ahead on this one, and far away across the street."""
+    """Return passers-by on the other pavement, ahead on this one, and far away across the street."""
     groups = []
     for k in range(3):
         near, far = rng.uniform(2, 5) - 7 * k, rng.uniform(-9, -6) - 7 * k
@@ -191,7 +191,7 @@ def _people(rng) -> list[Group]:
 
 
 def _lanterns(rng) -> tuple[list[Light], list[Group]]:
-    """Lanterns on wires across the street, swinging in the wind."""
+    """Return lanterns on wires across the street, swinging in the wind."""
     lights, groups = [], []
     color = np.array(vary(rng, pick(rng, (1.0, 0.6, 0.25), (1.0, 0.75, 0.45)), 0.1))
     shade = Material((0.04, 0.05, 0.05), roughness=0.4)
@@ -208,7 +208,7 @@ def _lanterns(rng) -> tuple[list[Light], list[Group]]:
 
 
 def _neon(rng, lights) -> list[Group]:
-    """Signs, two of which turn; each adds a fill of its color to `lights`."""
+    """Return neon signs, two of which turn; each adds a fill of its color to `lights`."""
     groups = []
     order = rng.permutation(len(_NEON))
     for k, (s, z) in enumerate(((1, -1.0), (1, -10.0), (-1, -11.5), (1, -19.0), (-1, -24.0))):

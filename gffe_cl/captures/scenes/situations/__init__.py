@@ -1,4 +1,4 @@
-"""Situations: small built-in scenes that each hold one thing that frame extrapolation finds hard, and little else."""
+"""Situations: small built-in scenes, each with one difficulty for frame extrapolation and little else."""
 
 from __future__ import annotations
 
@@ -24,5 +24,5 @@ BUILDERS = {
 
 
 def build(name: str, seed: int, rng: np.random.Generator) -> Scene:
-    """The situation `name`, one of `SITUATIONS` of `gffe_cl.captures.scenes`."""
+    """Return the situation `name`, one of `SITUATIONS` of `gffe_cl.captures.scenes`."""
     return BUILDERS[name](seed, rng)

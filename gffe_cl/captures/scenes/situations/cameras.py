@@ -1,4 +1,5 @@
-"""Situations of how frames are made: a camera that accelerates; a cab that shakes with it; rounded motion vectors."""
+"""Situations with difficult cameras and vectors: a camera that accelerates; a cab that shakes with it; rounded motion
+vectors."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from gffe_cl.captures.scenes.situations.places import hall, lamplight, scene, su
 
 
 def handheld(seed: int, rng: np.random.Generator) -> Scene:
-    """A still room, seen by a camera that is swung to and fro."""
+    """Return a still room, seen by a camera that is swung to and fro."""
     period, phase = rng.uniform(1.5, 1.9), rng.random(3)
     eye = wave((0, 1.55, 1.8), (0.45, 0.05, 0.4), (1.3 * period, 0.6 * period, 1.7 * period), phase)
     target = wave((0, 1.4, -3.0), (1.6, 0.25, 0), (period, 0.8 * period, 1), rng.random(3))
@@ -23,13 +24,13 @@ def handheld(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def cab(seed: int, rng: np.random.Generator) -> Scene:
-    """A shaking cab that drives between trees. Its parts are fixed to the camera."""
+    """Return A shaking cab that drives between trees. Its parts are fixed to the camera."""
     groups, cameras, _ = _cab(seed, rng)
     return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), cameras)
 
 
 def wipers(seed: int, rng: np.random.Generator) -> Scene:
-    """The same cab, whose wipers and a hand on a lever move in it: they shake with the camera, too."""
+    """Return the scene `cab` with wipers and a hand on a lever that move in it: they shake with the camera, too."""
     groups, cameras, held = _cab(seed, rng)
     rubber = Material((0.03, 0.03, 0.03), roughness=0.8)
     period = rng.uniform(0.9, 1.3)
@@ -80,7 +81,7 @@ def _cab(seed: int, rng: np.random.Generator) -> tuple[list[Group], tuple[Callab
 
 
 def quantized(seed: int, rng: np.random.Generator) -> Scene:
-    """People in a yard; motion vectors are rounded to whole pixels."""
+    """Return people in a yard; motion vectors are rounded to whole pixels."""
     groups = yard(rng, seed)
     for k in range(3):
         z = -1.5 - 1.0 * k

@@ -1,4 +1,4 @@
-"""Situations of things that move: behind bars, as thin as ropes, on parabolas, in circles."""
+"""Situations with difficult movers: behind bars, as thin as ropes, on parabolas, in circles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PAINTS = ((0.6, 0.1, 0.06), (0.1, 0.28, 0.55), (0.62, 0.45, 0.06), (0.1, 0.4, 0
 
 
 def bars(seed: int, rng: np.random.Generator) -> Scene:
-    """People and an animal who pass behind upright bars."""
+    """Return people and an animal who pass behind upright bars."""
     paint = pick(rng, IRON, STEEL, Material((0.06, 0.16, 0.1), roughness=0.4))
     groups = yard(rng, seed)
     groups += railing((-2.9, -0.6), (2.9, -0.6), 2.2, rng.uniform(0.2, 0.26), paint, radius=rng.uniform(0.016, 0.024))
@@ -27,7 +27,7 @@ def bars(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def ropes(seed: int, rng: np.random.Generator) -> Scene:
-    """Ropes, a few pixels wide, that swing before a wall."""
+    """Return ropes, a few pixels wide, that swing before a wall."""
     hemp = Material(vary(rng, (0.55, 0.42, 0.24)), (0.3, 0.22, 0.12), "stripes", scale=0.05, roughness=1.0)
     post = Material((0.3, 0.2, 0.12), scale=0.2, contrast=0.4, roughness=0.8)
     top, z, groups = 3.2, -1.4, yard(rng, seed)
@@ -49,7 +49,7 @@ def ropes(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def balls(seed: int, rng: np.random.Generator) -> Scene:
-    """Balls that fly, bounce and roll."""
+    """Return balls that fly, bounce and roll."""
     groups = hall(rng, seed)
     for k in range(3):  # across the room, on parabolas
         radius, period = rng.uniform(0.16, 0.24), rng.uniform(0.85, 1.3)
@@ -65,7 +65,7 @@ def balls(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def rotors(seed: int, rng: np.random.Generator) -> Scene:
-    """A pinwheel, a wheel with spokes, a rotor overhead, and a cart whose wheels roll."""
+    """Return A pinwheel, a wheel with spokes, a rotor overhead, and a cart whose wheels roll."""
     groups, post = yard(rng, seed), Material((0.3, 0.3, 0.32), roughness=0.5)
     sails = Place(-1.5, 2.0, -2.6) @ Spin("z", rng.uniform(140, 230) * pick(rng, -1, 1))
     groups.append(Group([Cylinder((-1.5, 0, -2.75), (-1.5, 2.05, -2.75), 0.06, post)], name="post"))
@@ -98,7 +98,7 @@ def _ball(at: Motion, radius: float, rng) -> Group:
 
 
 def _wheel(at: Motion, radius: float, spokes: int, rng) -> list[Group]:
-    """In the plane z = 0 of `at`: a rim, spokes and a hub, turning as one."""
+    """Return a rim, spokes and a hub in the plane z = 0 of `at`, turning as one."""
     paint = Material(tint(vary(rng, pick(rng, *_PAINTS)), 0.8), contrast=0.4, scale=0.1, roughness=0.6)
     ring = [(radius * np.cos(a), radius * np.sin(a), 0.0) for a in 2 * np.pi * np.arange(25) / 24]
     parts = [Capsule(a, b, 0.06 * radius**0.5, paint) for a, b in zip(ring[:-1], ring[1:], strict=True)]

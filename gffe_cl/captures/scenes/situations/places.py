@@ -1,5 +1,5 @@
-"""Where situations take place: a yard in the sun and a hall under lamps, both still. The camera stands at positive z,
-and the back wall at `BACK`."""
+"""Places of situations: a yard in the sun and a hall under lamps, both still. The camera stands at positive z, and the
+back wall at `BACK`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # meters; width and height of the hal
 
 
 def yard(rng: np.random.Generator, seed: int) -> list[Group]:
-    """Paving before a brick wall with windows, a bench and barrels."""
+    """Return paving before a brick wall with windows, a bench and barrels."""
     paving = Material(
         vary(rng, (0.4, 0.36, 0.31)), (0.16, 0.14, 0.12), pick(rng, "cobbles", "tiles"), scale=0.4, contrast=0.35,
         roughness=0.85, seed=seed,
@@ -59,7 +59,7 @@ def yard(rng: np.random.Generator, seed: int) -> list[Group]:
 
 
 def sunlight(rng: np.random.Generator, strength: float = 1.5) -> tuple[list[Light], Air]:
-    """A sun from the upper left behind the camera, and its sky."""
+    """Return A sun from the upper left behind the camera, and its sky."""
     sun = Light("sun", (-0.55 + rng.uniform(-0.2, 0.2), 0.9, 0.75), tint((1.0, 0.92, 0.8), strength), size=0.01)
     air = Air(
         zenith=(0.1, 0.23, 0.52),
@@ -72,7 +72,7 @@ def sunlight(rng: np.random.Generator, strength: float = 1.5) -> tuple[list[Ligh
 
 
 def hall(rng: np.random.Generator, seed: int) -> list[Group]:
-    """A room with planks, papered walls, pictures, a bookcase, a bench, a vase on a stand; nothing reflects."""
+    """Return A room with planks, papered walls, pictures, a bookcase, a bench, a vase on a stand; nothing reflects."""
     oak = vary(rng, pick(rng, (0.42, 0.27, 0.14), (0.5, 0.38, 0.24), (0.3, 0.18, 0.1)))
     floor = Material(oak, tint(oak, 0.5), "planks", scale=0.14, contrast=0.5, roughness=0.7, seed=seed)
     color = vary(rng, pick(rng, (0.58, 0.53, 0.42), (0.42, 0.5, 0.5), (0.55, 0.42, 0.38), (0.46, 0.5, 0.38)))
@@ -107,7 +107,7 @@ def hall(rng: np.random.Generator, seed: int) -> list[Group]:
 
 
 def lamplight(rng: np.random.Generator, strength: float = 1.0) -> tuple[list[Light], Air]:
-    """Soft light of a room, 1: bright enough to see by. Nothing of it moves."""
+    """Return the soft light of a room; at strength 1 it is bright enough to see by. Nothing of it moves."""
     warm = vary(rng, (1.0, 0.85, 0.66), 0.08)
     lights = [
         Light("lamp", (-1.5, HEIGHT - 0.3, 1.5), tint(warm, 9.0 * strength), size=0.25),
@@ -129,5 +129,5 @@ def still_camera(rng: np.random.Generator, eye=(0.0, 1.55, 2.0), target=(0.0, 1.
 
 
 def scene(name: str, description: str, seed: int, groups, lights, air, cameras, **more) -> Scene:
-    """A `Scene` seen through `cameras`: paths of eye and target."""
+    """Return a `Scene` seen through `cameras`: paths of eye and target."""
     return Scene(name, description, seed, groups, lights, air, *cameras, focal=1.0, **more)

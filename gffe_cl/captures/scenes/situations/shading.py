@@ -1,4 +1,4 @@
-"""Situations of light that moves over static surfaces."""
+"""Situations with light that moves over static surfaces."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _WARM = (1.0, 0.82, 0.58)
 
 
 def lamps(seed: int, rng: np.random.Generator) -> Scene:
-    """Shaded lamps that swing: their light and all shadows go to and fro."""
+    """Return shaded lamps that swing: their light and all shadows go to and fro."""
     shade = Material(vary(rng, (0.12, 0.2, 0.17), 0.5), roughness=0.4)
     groups = hall(rng, seed) + _things(rng)
     lights, air = lamplight(rng, 0.16)
@@ -40,7 +40,7 @@ def lamps(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def shadows(seed: int, rng: np.random.Generator) -> Scene:
-    """Things out of view whose shadows cross steps, columns and corners."""
+    """Return things out of view whose shadows cross steps, columns and corners."""
     stone = Material(vary(rng, (0.5, 0.46, 0.4)), (0.3, 0.28, 0.25), "tiles", scale=0.6, contrast=0.2, seed=seed)
     groups = yard(rng, seed)
     for k in range(4):
@@ -65,7 +65,7 @@ def shadows(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def fan(seed: int, rng: np.random.Generator) -> Scene:
-    """A fan before a lamp: the shadows of its blades turn over walls and floor."""
+    """Return A fan before a lamp: the shadows of its blades turn over walls and floor."""
     groups = hall(rng, seed) + _things(rng)
     lights, air = lamplight(rng, 0.15)
     at = Place(rng.uniform(-0.3, 0.3), 2.5, -1.8, pitch=58)  # its −y looks at the foot of the back wall
@@ -75,7 +75,7 @@ def fan(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def screen(seed: int, rng: np.random.Generator) -> Scene:
-    """A wall of screens whose pictures jump, and the light that they throw."""
+    """Return A wall of screens whose pictures jump, and the light that they throw."""
     groups = hall(rng, seed) + _things(rng)
     lights, air = lamplight(rng, 0.18)
     case = Material((0.03, 0.03, 0.035), roughness=0.5)
@@ -95,7 +95,7 @@ def screen(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def _things(rng) -> list[Group]:
-    """Boxes and a ball on the floor, that shadows fall from and on."""
+    """Return boxes and a ball on the floor, which cast and receive shadows."""
     groups = []
     for k, (x, z) in enumerate(((-1.9, -3.2), (-0.2, -2.6), (1.6, -1.9))):
         card = vary(rng, pick(rng, (0.42, 0.28, 0.15), (0.12, 0.25, 0.4), (0.5, 0.12, 0.08), (0.5, 0.5, 0.46)))
@@ -108,7 +108,7 @@ def _things(rng) -> list[Group]:
 
 
 def _fan(at: Motion, rate: float) -> list[Group]:
-    """Blades and a guard ring round the y axis of `at`."""
+    """Return blades and a guard ring round the y axis of `at`."""
     steel = Material((0.25, 0.26, 0.28), roughness=0.5)
     ring = [(0.5 * np.cos(a), 0.0, 0.5 * np.sin(a)) for a in 2 * np.pi * np.arange(21) / 20]
     guard = [Capsule(a, b, 0.012, IRON) for a, b in zip(ring[:-1], ring[1:], strict=True)]

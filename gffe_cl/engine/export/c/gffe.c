@@ -1,4 +1,4 @@
-/* The order of things, and the state between frames (gffe_cl/engine/pipeline/pipeline.py). */
+/* Order of the stages, and state between frames (gffe_cl/engine/pipeline/pipeline.py). */
 #include "gffe.h"
 
 #include <math.h>
@@ -32,7 +32,8 @@ static gffe_status check_options(gffe *g) {
         return gffe_fail(g, GFFE_INVALID, "options: width and height must be 1 to %d, got %d and %d", GFFE_MOST_PIXELS,
                          options->width, options->height);
     if (!is_side(g->step.source[0]) || !is_side(g->step.source[1]))
-        return gffe_fail(g, GFFE_INVALID, "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
+        return gffe_fail(g, GFFE_INVALID,
+                         "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
                          GFFE_MOST_PIXELS, options->render_width, options->render_height);
     if (!(options->fps >= GFFE_LEAST_FRAME_RATE && options->fps <= GFFE_MOST_FRAME_RATE))
         return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, %g to %g, got %g", GFFE_LEAST_FRAME_RATE,
@@ -44,7 +45,8 @@ static gffe_status check_options(gffe *g) {
     if (options->shared_memory < -1 || options->shared_memory > 1)
         return gffe_fail(g, GFFE_INVALID, "options: shared_memory must be -1, 0 or 1, got %d", options->shared_memory);
     if (options->network && !GFFE_CORRECTS_SHADING)
-        return gffe_fail(g, GFFE_INVALID, "options: there is a network, but it was exported without (gffe export --scn)");
+        return gffe_fail(g, GFFE_INVALID,
+                         "options: there is a network, but it was exported without (gffe export --scn)");
     return GFFE_OK;
 }
 
@@ -54,14 +56,14 @@ static gffe_status check_queue(gffe *g, cl_context context, cl_command_queue que
     cl_int error;
     if (!context || !queue) return gffe_fail(g, GFFE_INVALID, "gffe_create: needs a context and a queue, got NULL");
     error = clGetCommandQueueInfo(queue, CL_QUEUE_CONTEXT, sizeof its, &its, NULL);
-    if (error == CL_SUCCESS)
-        error = clGetCommandQueueInfo(queue, CL_QUEUE_DEVICE, sizeof g->device, &g->device, NULL);
+    if (error == CL_SUCCESS) error = clGetCommandQueueInfo(queue, CL_QUEUE_DEVICE, sizeof g->device, &g->device, NULL);
     if (error == CL_SUCCESS)
         error = clGetCommandQueueInfo(queue, CL_QUEUE_PROPERTIES, sizeof properties, &properties, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "gffe_create: asking about the queue");
     if (its != context) return gffe_fail(g, GFFE_INVALID, "gffe_create: the queue is of another context");
     if (properties & CL_QUEUE_OUT_OF_ORDER_EXEC_MODE_ENABLE)
-        return gffe_fail(g, GFFE_INVALID, "gffe_create: the queue works out of order (expected one that works in order)");
+        return gffe_fail(g, GFFE_INVALID,
+                         "gffe_create: the queue works out of order (expected one that works in order)");
     clRetainContext(context);
     clRetainCommandQueue(queue);
     g->context = context;
@@ -110,7 +112,9 @@ void gffe_destroy(gffe *g) {
     free(g);
 }
 
-const char *gffe_message(const gffe *g) { return g ? g->message : "there is no gffe: NULL was given, or the host has no memory"; }
+const char *gffe_message(const gffe *g) {
+    return g ? g->message : "there is no gffe: NULL was given, or the host has no memory";
+}
 
 int gffe_is_cut(gffe *g) { return g && !decide_cut(g) && g->is_cut; }
 
@@ -136,7 +140,7 @@ static gffe_status check_time(gffe *g, double time, const char *call) {
 
 /* ---- rendered frames ---------------------------------------------------------------------------------- */
 
-/* Zeros where a reset comes without motion. */
+/* Makes a buffer of zeros for a reset without motion. */
 static gffe_status need_no_motion(gffe *g) {
     const size_t nbytes = 8 * (size_t)g->step.source[0] * (size_t)g->step.source[1];
     const cl_uchar zero = 0;
@@ -159,8 +163,9 @@ static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motio
         return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be after the previous rendered frame's (%g s)", time,
                          g->step.times[0]);
     if (!gffe_have_one_pose(camera, display))
-        return gffe_fail(g, GFFE_INVALID,
-                         "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
+        return gffe_fail(
+            g, GFFE_INVALID,
+            "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
     status = gffe_check_buffer(g, color, "color", GFFE_RENDERED_COLOR);
     if (!status) status = gffe_check_buffer(g, depth, "depth", GFFE_RENDERED_DEPTH);
     if (!status && !motion && !reset)
@@ -183,7 +188,7 @@ static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
     }
 }
 
-/* Decision by the counts of samples (gffe_cl/engine/stages/scene_cuts.py). */
+/* Decides by the counts of samples whether the frame is a cut (gffe_cl/engine/stages/scene_cuts.py). */
 static int is_cut(const cl_int *counts, int jumped) {
     const double valid = counts[GFFE_VALID], inside = counts[GFFE_INSIDE], compared = counts[GFFE_COMPARED];
     double depth;
@@ -193,9 +198,9 @@ static int is_cut(const cl_int *counts, int jumped) {
     depth = counts[GFFE_DEPTH_RIGHT] / compared;
     if (counts[GFFE_WITH_CONTRAST] < GFFE_CUT_LEAST_CONTRASTS)
         return depth < (GFFE_CUT_DEPTH_SURE + GFFE_CUT_DEPTH_UNSURE) / 2;
-    return depth < GFFE_CUT_DEPTH_SURE ||
-           (depth < GFFE_CUT_DEPTH_UNSURE &&
-            counts[GFFE_CONTRAST_RIGHT] / (double)counts[GFFE_WITH_CONTRAST] < GFFE_CUT_CONTRAST_RIGHT);
+    return depth < GFFE_CUT_DEPTH_SURE
+           || (depth < GFFE_CUT_DEPTH_UNSURE
+               && counts[GFFE_CONTRAST_RIGHT] / (double)counts[GFFE_WITH_CONTRAST] < GFFE_CUT_CONTRAST_RIGHT);
 }
 
 /* Counts samples of the rendered frame, and copies the counts to the host, which does not wait. */
@@ -229,7 +234,7 @@ static void forget(gffe *g) {
     g->step.cameras[GFFE_PREVIOUS_DISPLAY] = g->step.cameras[GFFE_FRAME_DISPLAY];
 }
 
-/* Puts time and camera at the head of the known ones since the last reset. */
+/* Stores time and camera before the known ones since the last reset. */
 static void remember(gffe *g, double time) {
     gffe_step *step = &g->step;
     int k;
@@ -266,7 +271,8 @@ static gffe_status decide_cut(gffe *g) {
     return gffe_run(g, GFFE_RENDERED_FIRST, 0);
 }
 
-/* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/engine/frame/jitter.py). */
+/* Returns the camera without jitter: a principal point within a pixel of the middle belongs there
+   (gffe_cl/engine/frame/jitter.py). */
 static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) {
     const double x = size[0] / 2.0, y = size[1] / 2.0;
     gffe_camera made = *camera;
@@ -406,8 +412,8 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
 
 static int is_shown_whole(const gffe *g, int camera, int display) {
     const gffe_camera *a = &g->step.cameras[camera], *b = &g->step.cameras[display];
-    return g->step.source[0] == g->step.target[0] && g->step.source[1] == g->step.target[1] && a->fx == b->fx &&
-           a->fy == b->fy && a->cx == b->cx && a->cy == b->cy;
+    return g->step.source[0] == g->step.target[0] && g->step.source[1] == g->step.target[1] && a->fx == b->fx
+           && a->fy == b->fy && a->cx == b->cx && a->cy == b->cy;
 }
 
 /* Resamples the rendered frame, with all of its depth, to its display camera. */
@@ -440,8 +446,8 @@ gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const c
     made->color = g->memory[GFFE_RENDERED_COLOR];
     made->depth = g->memory[GFFE_SHOWN_DEPTH];
     made->motion = g->memory[GFFE_RENDERED_MOTION];
-    if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY) ||
-        (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
+    if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY)
+        || (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
     if (GFFE_UPSCALES) made->color = memory_of(g, sharpened ? "sharpening.rendered" : "upscaling.history");
     if (!status) status = gffe_compose(g, GFFE_COMPOSE_RENDERED, made);

@@ -4,10 +4,10 @@
    - images are row-major, origin top left, y down; render images may differ in size from the display
    - color: half x 4 per pixel, linear scene-referred RGB (the fourth is not read)
    - depth: float, planar view-space z, world units, +inf for sky
-   - motion: float x 2, pixels: (position in the previous rendered frame) - (position here)
-   One gffe serves one in-order queue; calls on one gffe come from one thread at a time.
-   NULL where a pointer is needed, and a gffe that gffe_create failed to make: functions that return a gffe_status return
-   GFFE_INVALID, others do nothing and return NULL or zeros. Which pointers may be NULL stands at each function. */
+   - motion: float x 2, pixels: (position in the previous rendered frame) - (position here) One gffe serves one
+     in-order queue; calls on one gffe come from one thread at a time. NULL where a pointer is needed, and a gffe
+     that gffe_create failed to make: functions that return a gffe_status return GFFE_INVALID, others do nothing and
+     return NULL or zeros. Which pointers may be NULL stands at each function. */
 #ifndef GFFE_H
 #define GFFE_H
 
@@ -30,15 +30,15 @@ typedef struct gffe gffe;
 
 typedef enum gffe_status {
     GFFE_OK = 0,
-    GFFE_INVALID = 1,       /* an argument makes no sense; nothing was changed */
+    GFFE_INVALID = 1,       /* an argument is invalid; nothing was changed */
     GFFE_OPENCL = 2,        /* a call of OpenCL failed: results are lost, destroy the gffe and create another */
-    GFFE_OUT_OF_MEMORY = 3, /* of the host or of the device: likewise */
+    GFFE_OUT_OF_MEMORY = 3, /* no memory is left on host or device: as after GFFE_OPENCL */
     GFFE_NETWORK_FAILED = 4 /* the network's callback failed; the frame was not made */
 } gffe_status;
 
 /* Runs the shading correction network: reads `frames` (8 planes of width x height floats) and `candidates` (16 planes
-   of half the width and height), writes `judgement` (20 planes like these), all on the device, in or after what is enqueued on
-   `queue`. 0: done. See gffe_onnx.c for one. */
+   of half the width and height), writes `judgement` (20 planes like these), all on the device, on `queue` or after the
+   work enqueued there. Returns 0 for success. gffe_onnx.c has an implementation. */
 typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, cl_mem candidates, cl_mem judgement,
                             size_t width, size_t height);
 
@@ -47,21 +47,21 @@ typedef struct gffe_options {
     int render_width, render_height; /* of rendered frames; 0: as the display */
     double fps;                      /* rendered frames per second, 1e-6 to 1e6, until two of them are known */
     int lanes;                       /* pixels per work-item: 1, 8, or 0: as suits the device */
-    int int64_atomics;               /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
-    int shared_memory;               /* whether the network's buffers lie in the host's memory: 0, 1, or -1: where the device
-                                        shares it; the results are the same */
-    gffe_network network;            /* NULL: shading is not corrected; only where the export includes it */
-    void *network_user;              /* handed to `network` */
+    int int64_atomics; /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
+    int shared_memory; /* whether the network's buffers lie in the host's memory: 0, 1, or -1: where the device
+                          shares it; the results are the same */
+    gffe_network network; /* NULL: shading is not corrected; only where the export includes it */
+    void *network_user; /* handed to `network` */
 } gffe_options;
 
-/* A result on the device: buffers that hold it until the next one is made. `motion` points into the rendered frame. Presented
-   frames have color, depth and motion only; the others are NULL. */
+/* A result on the device: buffers that hold it until the next one is made. `motion` points into the rendered frame.
+   Presented frames have color, depth and motion only; the others are NULL. */
 typedef struct gffe_frame {
-    cl_mem color, depth, motion;             /* half x 4, float, float x 2 */
-    cl_mem dynamic, disoccluded, filled_by;  /* uchar */
-    cl_mem gae;                              /* color before shading correction, half x 4 */
-    gffe_camera camera;                      /* in pixels of the display */
-    double time, alpha;                      /* seconds; intervals after the rendered frame */
+    cl_mem color, depth, motion; /* half x 4, float, float x 2 */
+    cl_mem dynamic, disoccluded, filled_by; /* uchar */
+    cl_mem gae; /* color before shading correction, half x 4 */
+    gffe_camera camera; /* in pixels of the display */
+    double time, alpha; /* seconds; intervals after the rendered frame */
 } gffe_frame;
 
 /* A named buffer, "history.dynamic_mask". */
@@ -70,81 +70,83 @@ typedef struct gffe_image {
     size_t width, height, planes, bytes_per_pixel;
 } gffe_image;
 
-/* Options for a display of this size, everything else as recommended. */
+/* Returns options for a display of this size, with recommended values for everything else. */
 gffe_options gffe_default_options(int width, int height);
 
 /* Builds the kernels and allocates all buffers; nothing is built or allocated later but with the first frame that is
-   rendered through a window, comes without motion, or brings overlays. `queue` must work in order. Whatever is returned, *made is
-   to be destroyed; it is NULL only where the host has no memory, and nothing is made where `made` is NULL. After a
-   failure it is good for nothing but gffe_message. */
+   rendered through a window, comes without motion, or brings overlays. `queue` must work in order. Destroy *made
+   whatever is returned; it is NULL only where the host has no memory, and nothing is made where `made` is NULL. After a
+   failure use it for gffe_message only. */
 gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_options *options, gffe **made);
 
-/* Waits for the queue, and frees everything. NULL is taken, too. */
+/* Waits for the queue, and frees everything. NULL is allowed. */
 void gffe_destroy(gffe *g);
 
-/* The last failure: one line, and the compiler's log if kernels do not build. */
+/* Returns the last failure: one line, and the compiler's log if kernels do not build. */
 const char *gffe_message(const gffe *g);
 
-/* Take a rendered frame; they come in order of time (seconds). The buffers are used in place: do not overwrite them
-   before two more frames have been submitted. `camera` is what was rasterized, in render pixels; `display_camera` what
-   is shown, in display pixels, of the same pose (NULL: the same frustum). `reset`: nothing before this frame may be used
-   (a cut); then motion may be NULL. Returns at once. */
+/* Takes a rendered frame; frames must come in order of time (seconds). The buffers are used in place: do not overwrite
+   them before two more frames have been submitted. `camera` is the render camera, in render pixels. `display_camera` is
+   the camera of the displayed image, in display pixels, of the same pose (NULL: the same frustum). `reset`: nothing
+   before this frame may be used (a cut); then motion may be NULL. Returns at once. */
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset);
 
-/* As gffe_submit, with events, as OpenCL's own calls take them: nothing of it begins before all `count` events of
-   `wait_for` are complete (0 and NULL: none), and *done (unless `done` is NULL) becomes an event that is complete when the
-   work on the frame is; release it. They are of the queue's context. The queue has been flushed then, so that other queues
-   can wait for *done. Where this fails there is no event. Events that
-   have failed already are refused. */
+/* Does the same as gffe_submit with events, in the form of OpenCL's own calls: no work begins before all `count` events
+   of `wait_for` are complete (0 and NULL: none). *done (unless `done` is NULL) becomes an event that is complete when
+   the work on the frame is; release it. The events must be of the queue's context. The queue has been flushed then, so
+   that other queues can wait for *done. Where this fails there is no event. Events that have failed already are
+   refused. */
 gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                               const gffe_camera *display_camera, double time, int reset, cl_uint count,
                               const cl_event *wait_for, cl_event *done);
 
-/* What lies over the picture of the next frame that is submitted, and is not to be warped with it; each may be NULL, and
-   NULL in place of them drops them. Colors are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until
-   the frame after that is submitted. */
+/* Layers over the picture of the next submitted frame, which are not warped with it. Each may be NULL, and NULL in
+   place of all drops them. Colors are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until the
+   frame after that is submitted. */
 typedef struct gffe_overlays {
-    cl_mem fixed_mask;     /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
-    cl_mem effects;        /* half x 4, rendered image: effects without depth, such as smoke; not in the frame's own color */
+    cl_mem fixed_mask; /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
+    cl_mem effects; /* half x 4, rendered image: effects without depth, such as smoke; not in the frame's own color */
     cl_mem effects_motion; /* float x 2, rendered image: motion of the effects; NULL: they stay in place */
-    cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own color */
+    cl_mem ui; /* half x 4, display: the user interface; not in the frame's own color */
 } gffe_overlays;
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
 
-/* Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset. This, and what is made next,
-   wait until the samples of the frame are counted, which is the first work on it. */
+/* Returns whether the last submitted frame was detected as an unmarked cut and so is treated as a reset. This call, and
+   the next one that makes a frame, wait until the samples of the frame are counted, which is the first work on it. */
 int gffe_is_cut(gffe *g);
 
-/* Seconds between the last two rendered frames; 1/fps after a reset. */
+/* Returns the seconds between the last two rendered frames; 1/fps after a reset. */
 double gffe_interval(gffe *g);
 
-/* The factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
+/* Sets the factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
 gffe_status gffe_set_exposure(gffe *g, double exposure);
 
-/* The predicted display camera `alpha` intervals after the last rendered frame. */
+/* Predicts the display camera `alpha` intervals after the last rendered frame. */
 gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made);
 
-/* Make the frame at `time`, seconds, seen by `camera`, in display pixels (NULL: the predicted one). Returns at once,
+/* Makes the frame at `time`, seconds, seen by `camera`, in display pixels (NULL: the predicted one). Returns at once,
    unless the network's callback waits. */
 gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made);
 
-/* The same with events, as in gffe_submit_after: wait for what still reads the last frame made on other queues; *done is
-   complete when the buffers of *made hold the frame. A network's callback has been called by then. */
+/* Does the same as gffe_extrapolate with events, as in gffe_submit_after. Wait for readers of the last frame made on
+   other queues; *done is complete when the buffers of *made hold the frame. A network's callback has been called by
+   then. */
 gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
                                    const cl_event *wait_for, cl_event *done);
 
-/* The displayed part of the last rendered frame: resampled if it was rendered through a window, else its own buffers. */
+/* Gives the displayed part of the last rendered frame: resampled if it was rendered through a window, else its own
+   buffers. */
 gffe_status gffe_present(gffe *g, gffe_frame *made);
 gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done);
 
-/* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means the copy of the frame
-   before. It lies as kernels see it: colors of background levels as RGB9E5, places in them as offsets, planar images one
-   channel after another. Valid until the next frame is submitted. */
+/* Finds a buffer by the name in gffe-cl's documentation of the stages; an apostrophe means the copy of the frame
+   before. Its layout is that of the kernels: colors of background levels as RGB9E5, places in them as offsets, planar
+   images one channel after another. Valid until the next frame is submitted. */
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found);
 
-/* The name of buffer 0, 1 ...; NULL after the last one. */
+/* Returns the name of buffer 0, 1 ...; NULL after the last one. */
 const char *gffe_buffer_name(const gffe *g, int number);
 
 #ifdef __cplusplus

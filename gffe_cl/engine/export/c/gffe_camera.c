@@ -11,7 +11,8 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-/* ---- vectors of three (gffe_cl/engine/frame/vectors.py) ------------------------------------------------------------ */
+/* ---- vectors of three (gffe_cl/engine/frame/vectors.py)
+   ------------------------------------------------------------ */
 
 static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -59,7 +60,8 @@ static int normalized(const double v[3], double made[3]) {
     return 1;
 }
 
-/* ---- cameras (gffe_cl/engine/frame/camera.py) ---------------------------------------------------------------------- */
+/* ---- cameras (gffe_cl/engine/frame/camera.py)
+   ---------------------------------------------------------------------- */
 
 static void rotation_of(const gffe_camera *camera, double made[3][3]) {
     int i, j;
@@ -67,7 +69,7 @@ static void rotation_of(const gffe_camera *camera, double made[3][3]) {
         for (j = 0; j < 3; ++j) made[i][j] = camera->world_to_view[i][j];
 }
 
-/* Rotation and translation of view -> world. */
+/* Computes rotation and translation of view -> world. */
 static void view_inverse(const gffe_camera *camera, double rotation[3][3], double translation[3]) {
     double own[3][3], moved[3];
     int k;
@@ -91,7 +93,8 @@ static int same_matrix(const gffe_camera *a, const gffe_camera *b) {
     return 1;
 }
 
-/* View space of `a` -> view space of `b`: rows of a 3x4 matrix; exactly 1 for equal poses. */
+/* Computes the transform from the view space of `a` to that of `b`: rows of a 3x4 matrix, exactly the identity for
+   equal poses. */
 void gffe_view_transform(const gffe_camera *a, const gffe_camera *b, double made[3][4]) {
     double rotation[3][3], translation[3], other[3][3], turned[3][3], moved[3];
     int i, j;
@@ -122,8 +125,8 @@ const char *gffe_camera_fault(const gffe_camera *camera) {
     double m[3][3];
     int i, j;
     if (!camera) return "camera: there is none (expected a gffe_camera)";
-    if (!is_finite(&camera->world_to_view[0][0], 16) || !is_finite(&camera->fx, 1) || !is_finite(&camera->fy, 1) ||
-        !is_finite(&camera->cx, 1) || !is_finite(&camera->cy, 1))
+    if (!is_finite(&camera->world_to_view[0][0], 16) || !is_finite(&camera->fx, 1) || !is_finite(&camera->fy, 1)
+        || !is_finite(&camera->cx, 1) || !is_finite(&camera->cy, 1))
         return "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)";
     rotation_of(camera, m);
     for (i = 0; i < 3; ++i)
@@ -134,12 +137,12 @@ const char *gffe_camera_fault(const gffe_camera *camera) {
         if (fabs(camera->world_to_view[3][j] - (j == 3)) > 1e-9)
             return "camera: the last row of world_to_view must be 0 0 0 1 (column vectors)";
     if (camera->fx <= 0 || camera->fy <= 0) return "camera: singular projection, fx and fy must be positive";
-    if (camera->fx > GFFE_MOST_FOCAL || camera->fx < 1 / GFFE_MOST_FOCAL || camera->fy > GFFE_MOST_FOCAL ||
-        camera->fy < 1 / GFFE_MOST_FOCAL)
+    if (camera->fx > GFFE_MOST_FOCAL || camera->fx < 1 / GFFE_MOST_FOCAL || camera->fy > GFFE_MOST_FOCAL
+        || camera->fy < 1 / GFFE_MOST_FOCAL)
         return "camera: fx and fy must be within 1e-9 and 1e9 pixels";
     for (i = 0; i < 3; ++i)
-        if (fabs(camera->world_to_view[i][3]) > GFFE_MOST_DISTANCE || fabs(camera->cx) > GFFE_MOST_FOCAL ||
-            fabs(camera->cy) > GFFE_MOST_FOCAL)
+        if (fabs(camera->world_to_view[i][3]) > GFFE_MOST_DISTANCE || fabs(camera->cx) > GFFE_MOST_FOCAL
+            || fabs(camera->cy) > GFFE_MOST_FOCAL)
             return "camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units";
     return NULL;
 }
@@ -260,9 +263,10 @@ static const char *predict(const gffe_camera *previous, const gffe_camera *curre
     return NULL;
 }
 
-/* ---- prediction from several cameras (gffe_cl/engine/frame/camera_prediction.py) ------------------------------------------ */
+/* ---- prediction from several cameras (gffe_cl/engine/frame/camera_prediction.py)
+   ------------------------------------------ */
 
-/* The rotation vector from the view of `old` to that of `new`: axis times angle. */
+/* Computes the rotation vector from the view of `old` to that of `new`: axis times angle. */
 static void turn_between(const gffe_camera *older, const gffe_camera *newer, double made[3]) {
     double r[3][3], doubled[3], sine, cosine, scale;
     int i, j;
@@ -307,7 +311,7 @@ static int is_jump(double motion[][3], int k) {
     return gffe_length(motion[k]) > GFFE_JUMP * gffe_length(motion[k + 1]);
 }
 
-/* The part of changes[k] that lasts. */
+/* Computes the part of changes[k] that lasts. */
 static void lasting_change(double motion[][3], const double *steps, double changes[][3], int k, double made[3]) {
     const double square = dot(changes[k + 1], changes[k + 1]), squared = steps[k + 1] * steps[k + 1];
     double lasting = 0;
@@ -325,7 +329,7 @@ typedef struct next_change {
     double gained, moved;  /* correction times error of the usual prediction, and squared correction */
 } next_change;
 
-/* Further inputs to predict the change after changes[k]. */
+/* Computes the further inputs to predict the change after changes[k]. */
 static void make_inputs(double speeds[][3], double changes[][3], int k, double made[3][3]) {
     int c;
     for (c = 0; c < 3; ++c) {
@@ -335,7 +339,7 @@ static void make_inputs(double speeds[][3], double changes[][3], int k, double m
     }
 }
 
-/* x of matrix * x = right, for a symmetric matrix; 0 where rounding leaves none. */
+/* Solves matrix * x = right for a symmetric matrix; x is 0 where rounding leaves no solution. */
 static void solve(double matrix[3][3], const double right[3], double made[3]) {
     double columns[3][3], scale;
     int i;
@@ -346,7 +350,7 @@ static void solve(double matrix[3][3], const double right[3], double made[3]) {
     for (i = 0; i < 3; ++i) made[i] = scale > 0 ? dot(columns[i], right) / scale : 0;
 }
 
-/* By how much the model's prediction differs from `usual`. */
+/* Computes the difference between the model's prediction and `usual`. */
 static void correction_of(const next_change *model, double inputs[3][3], const double usual[3], double made[3]) {
     double matrix[3][3], factors[3], scale;
     int i, c;
@@ -357,17 +361,17 @@ static void correction_of(const next_change *model, double inputs[3][3], const d
     }
     solve(matrix, model->targets, factors);
     for (c = 0; c < 3; ++c)
-        made[c] = inputs[1][c] - usual[c] +
-                  (factors[0] * inputs[0][c] + factors[1] * inputs[1][c] + factors[2] * inputs[2][c]);
+        made[c] = inputs[1][c] - usual[c]
+                  + (factors[0] * inputs[0][c] + factors[1] * inputs[1][c] + factors[2] * inputs[2][c]);
 }
 
-/* The share of `correction` that would have made the errors so far least. */
+/* Returns the share of `correction` that would have minimized the errors so far. */
 static double trust(const next_change *model, const double correction[3]) {
     const double moved = model->moved + GFFE_RIDGE * dot(correction, correction);
     return model->gained > 0 && moved > 0 ? smaller(model->gained / moved, 1) : 0;
 }
 
-/* Takes the change that came after `inputs`, for which `correction` was predicted. */
+/* Adds the change that came after `inputs`, for which `correction` was predicted, to the regression. */
 static void learn(next_change *model, double inputs[3][3], const double usual[3], const double correction[3],
                   const double change[3]) {
     double error[3], wanted[3];

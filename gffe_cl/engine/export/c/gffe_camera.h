@@ -17,7 +17,7 @@ typedef struct gffe_camera {
     double cx, cy;              /* principal point, pixels; jitter is part of it */
 } gffe_camera;
 
-/* What is rendered, in coordinates of the displayed image, which is (-1, -1, 1, 1): u to the right, v down. */
+/* The rendered area, in coordinates of the displayed image, which is (-1, -1, 1, 1): u to the right, v down. */
 typedef struct gffe_window {
     double u0, v0, u1, v1;
     int clamped; /* 1: a predicted frustum does not fit, because of the maximum enlargement, or because a corner of it
@@ -32,54 +32,56 @@ typedef struct gffe_window_options {
     double least;           /* share of the display's side: a smaller demand leaves the side unchanged */
 } gffe_window_options;
 
-/* The fault of a camera, in one line; NULL if it is valid. */
+/* Returns the fault of a camera, in one line; NULL if it is valid. */
 const char *gffe_camera_fault(const gffe_camera *camera);
 
-/* A window's defaults: 1.5 times the display at most, an infinite distance, a margin of 1 pixel. */
+/* Returns a window's defaults: 1.5 times the display at most, an infinite distance, a margin of 1 pixel. */
 gffe_window_options gffe_default_window_options(double width, double height);
 
-/* The window through which to render the frame of `current` so that it covers all of `count` predicted cameras, all in
-   pixels of the display and without jitter. NULL if it was made, else the error. */
+/* Makes the window through which to render the frame of `current` so that it covers all of `count` predicted cameras,
+   all in pixels of the display and without jitter. Returns NULL, or the error if there is one. */
 const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *predicted, int count,
                                  const gffe_window_options *options, gffe_window *made);
 
-/* The off-center pinhole to render through, in pixels of an image of `render_width` x `render_height`; `display` is in
-   pixels of one of `width` x `height`. */
+/* Returns the off-center pinhole to render through, in pixels of an image of `render_width` x `render_height`;
+   `display` is in pixels of one of `width` x `height`. */
 gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *display, double width, double height,
                                double render_width, double render_height);
 
-/* A `distance` for windows: the lower 5% quantile of a depth image, world units; infinite without any depth. Negative if
-   there is no memory for it. */
+/* Returns a `distance` for windows: the lower 5% quantile of a depth image, world units; infinite without any depth.
+   Negative if there is no memory for it. */
 double gffe_nearest_depth(const float *depth, int width, int height);
 
-/* The camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds; `order` 1
-   (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2, and what the frames before taught). NULL if it was made, else the error. */
+/* Predicts the camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds;
+   `order` 1 (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2 with a correction learned from the
+   frames before). Returns NULL, or the error if there is one. */
 const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, const double *times, int count, int order,
                                    gffe_camera *made);
 
 /* ---- used by the pipeline ------------------------------------------------------------------------------ */
 
-/* World position of a camera. */
+/* Computes the world position of a camera. */
 void gffe_position(const gffe_camera *camera, double position[3]);
 
 double gffe_length(const double v[3]);
 
-/* View space of `source` -> view space of `target`: rows of a 3x4 matrix. */
+/* Computes the transform from the view space of `source` to that of `target`: rows of a 3x4 matrix. */
 void gffe_view_transform(const gffe_camera *source, const gffe_camera *target, double made[3][4]);
 
-/* For kernels: source view space -> target view space, three rows; both projections, and the source's inverse. */
+/* Computes the reprojection for kernels: source view space -> target view space, three rows; both projections, and the
+   source's inverse. */
 void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]);
 
-/* Target pixels per source pixel of points equally far from both cameras. */
+/* Computes the target pixels per source pixel of points equally far from both cameras. */
 void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]);
 
-/* Scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
+/* Computes scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
 void gffe_mapping(const gffe_camera *a, const gffe_camera *b, float made[4]);
 
-/* The camera's rendered image on one whose sides are `scale_x`, `scale_y` times as many pixels. */
+/* Returns the same camera for an image whose sides are `scale_x`, `scale_y` times as many pixels. */
 gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_y);
 
-/* Whether both have one pose, as a render camera and a display camera must. */
+/* Returns whether both have one pose, as a render camera and a display camera must. */
 int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-/* Kernels, and carrying out lists of operations. */
+/* Kernels, and execution of lists of operations. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,7 +14,7 @@ enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division
 
 /* ---- capabilities of the device ----------------------------------------------------------------------- */
 
-/* Builds a program of one kernel to try something out; NULL: it does not build, so the device cannot. */
+/* Builds a program of one kernel that tests a capability; NULL: it does not build, so the device lacks it. */
 static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const char *name, cl_program *program) {
     cl_kernel kernel = NULL;
     cl_int error;
@@ -25,7 +25,7 @@ static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const 
     return kernel;
 }
 
-/* Runs it over `size` work-items with `count` buffers; whether that went well. */
+/* Runs a kernel over `size` work-items with `count` buffers, and returns whether that succeeded. */
 static int run_trial(gffe *g, cl_kernel kernel, const cl_mem *buffers, cl_uint count, size_t size) {
     cl_uint k;
     for (k = 0; k < count; ++k)
@@ -38,8 +38,8 @@ static int has_int64_atomics(gffe *g) {
     cl_program program = NULL;
     cl_kernel kernel = try_kernel(g, gffe_int64_source, gffe_int64_source_count, "least", &program);
     cl_mem buffer = clCreateBuffer(g->context, CL_MEM_READ_WRITE | CL_MEM_COPY_HOST_PTR, sizeof found, found, NULL);
-    int works = kernel && run_trial(g, kernel, &buffer, 1, 64) &&
-                clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS;
+    int works = kernel && run_trial(g, kernel, &buffer, 1, 64)
+                && clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS;
     works = works && found[0] == (((cl_ulong)1 << 33) | 62) && found[1] == 63;
     if (buffer) clReleaseMemObject(buffer);
     if (kernel) clReleaseKernel(kernel);
@@ -47,7 +47,7 @@ static int has_int64_atomics(gffe *g) {
     return works;
 }
 
-/* Numbers of either sign over some twelve orders of magnitude. */
+/* Fills in numbers of either sign over some twelve orders of magnitude. */
 static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
     int k;
     for (k = 0; k < count; ++k) {
@@ -60,7 +60,8 @@ static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
     }
 }
 
-/* Whether `one` (as many as work-items) and `eight` are a / b, correctly rounded: a double's quotient, rounded, is. */
+/* Returns whether `one` (as many as work-items) and `eight` are a / b, correctly rounded. A double's quotient,
+   rounded to float, is the reference. */
 static int are_quotients(const float *a, const float *b, const float *one, const float *eight) {
     int k;
     for (k = 0; k < QUOTIENTS; ++k) {
@@ -88,10 +89,10 @@ static int divides_exactly(gffe *g) {
     buffers[0] = clCreateBuffer(g->context, given, nbytes, a, NULL);
     buffers[1] = clCreateBuffer(g->context, given, nbytes, b, NULL);
     for (k = 2; k < 4; ++k) buffers[k] = clCreateBuffer(g->context, CL_MEM_WRITE_ONLY, nbytes, NULL, NULL);
-    works = kernel && run_trial(g, kernel, buffers, 4, QUOTIENTS / EIGHT) &&
-            clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS &&
-            clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS &&
-            are_quotients(a, b, one, eight);
+    works = kernel && run_trial(g, kernel, buffers, 4, QUOTIENTS / EIGHT)
+            && clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS
+            && clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS
+            && are_quotients(a, b, one, eight);
     for (k = 0; k < 4; ++k)
         if (buffers[k]) clReleaseMemObject(buffers[k]);
     if (kernel) clReleaseKernel(kernel);
@@ -251,8 +252,9 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
                                                    : copy(g, operation);
         }
         if (error != CL_SUCCESS)
-            return gffe_opencl_failed(g, error, operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
-                                                                               : "filling or copying a buffer");
+            return gffe_opencl_failed(g, error,
+                                      operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
+                                                                     : "filling or copying a buffer");
     }
     return GFFE_OK;
 }
@@ -262,8 +264,9 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
 gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
     cl_uint k;
     cl_int error;
-    if (!count != !events) return gffe_fail(g, GFFE_INVALID, "wait_for: %u events, and %s", (unsigned)count,
-                                            events ? "a list of some" : "no list of them");
+    if (!count != !events)
+        return gffe_fail(g, GFFE_INVALID, "wait_for: %u events, and %s", (unsigned)count,
+                         events ? "a list of some" : "no list of them");
     for (k = 0; k < count; ++k) {
         cl_context context = NULL;
         cl_int state = CL_COMPLETE;
@@ -275,7 +278,8 @@ gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
         error = clGetEventInfo(events[k], CL_EVENT_COMMAND_EXECUTION_STATUS, sizeof state, &state, NULL);
         if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
         if (state < 0) /* some drivers would wait for ever */
-            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k, (int)state);
+            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k,
+                             (int)state);
     }
     error = count ? clEnqueueBarrierWithWaitList(g->queue, count, events, NULL) : CL_SUCCESS;
     return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "waiting for events");

@@ -1,4 +1,4 @@
-/* How calls fail. */
+/* Errors of calls: status and message. */
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -18,8 +18,8 @@ gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {
 }
 
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing) {
-    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES ||
-                       error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
+    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES
+                       || error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
     return gffe_fail(g, memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
                      memory ? " (out of memory)" : "");
 }

@@ -10,12 +10,26 @@ extern "C" {
 #endif
 
 /* Grids of buffers and launches; a level or a number of levels goes with the last three. */
-enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_DOWNSAMPLED, GFFE_TILES, GFFE_RESIDUALS, GFFE_CUT_SAMPLES,
-       GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS, GFFE_NETWORK, GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
+enum {
+    GFFE_ONCE,
+    GFFE_SOURCE,
+    GFFE_TARGET,
+    GFFE_DOWNSAMPLED,
+    GFFE_TILES,
+    GFFE_RESIDUALS,
+    GFFE_CUT_SAMPLES,
+    GFFE_SOURCE_BLOCKS,
+    GFFE_TARGET_BLOCKS,
+    GFFE_CELLS,
+    GFFE_NETWORK,
+    GFFE_MIP,
+    GFFE_LEVEL,
+    GFFE_LEVELS
+};
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
-/* What an argument is, with two numbers a and b. */
+/* Kinds of arguments, with two numbers a and b. */
 enum {
     GFFE_BUFFER,         /* reference a */
     GFFE_CONSTANT,       /* words from a on, b bytes */
@@ -25,20 +39,46 @@ enum {
 enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY, GFFE_RUN_NETWORK };
 
 /* Occasions, each with a list of operations; those of a frame without one before come first. */
-enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPOLATED, GFFE_CUT, GFFE_PRESENT_FIRST,
-       GFFE_PRESENT, GFFE_LEAVE_OUT, GFFE_COMPOSE, GFFE_COMPOSE_RENDERED, GFFE_OCCASIONS };
+enum {
+    GFFE_RENDERED_FIRST,
+    GFFE_RENDERED,
+    GFFE_EXTRAPOLATED_FIRST,
+    GFFE_EXTRAPOLATED,
+    GFFE_CUT,
+    GFFE_PRESENT_FIRST,
+    GFFE_PRESENT,
+    GFFE_LEAVE_OUT,
+    GFFE_COMPOSE,
+    GFFE_COMPOSE_RENDERED,
+    GFFE_OCCASIONS
+};
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
-/* Of buffers: that of the frame before is kept, too; the host works in it where it shares memory with the device; made with the first windowed frame; the caller's;
-   memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated; made
-   with the first overlays. */
-enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
-       GFFE_LENT_BEFORE = 64, GFFE_OF_OVERLAYS = 128 };
+/* Flags of buffers: the one of the frame before is kept, too; the host works in it where it shares memory with the
+   device; made with the first windowed frame; the caller's; memory that contains others side by side; memory that is
+   free while frames are extrapolated; the copy of the frame before is free then; made with the first overlays. */
+enum {
+    GFFE_KEPT = 1,
+    GFFE_MAPPED = 2,
+    GFFE_LATE = 4,
+    GFFE_GIVEN = 8,
+    GFFE_MEMORY = 16,
+    GFFE_LENT = 32,
+    GFFE_LENT_BEFORE = 64,
+    GFFE_OF_OVERLAYS = 128
+};
 
-/* References of the callers' buffers: the first ones of every plan. */
-enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
-       GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
+/* References of the callers' buffers, which are the first ones of every plan. */
+enum {
+    GFFE_RENDERED_COLOR = 0,
+    GFFE_RENDERED_DEPTH = 2,
+    GFFE_RENDERED_MOTION = 4,
+    GFFE_PREVIOUS_COLOR = 6,
+    GFFE_SHOWN_COLOR = 12,
+    GFFE_SHOWN_DEPTH = 14,
+    GFFE_FIRST_OVERLAY = 16
+};
 enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
 
 typedef struct gffe_program {
@@ -62,7 +102,7 @@ typedef struct gffe_buffer {
     int first, last; /* where it holds nothing but within an extrapolation: the stages that use it; else -1 */
 } gffe_buffer;
 
-/* Where a buffer lies. */
+/* Place of a buffer. */
 typedef struct gffe_place {
     int root;     /* the reference of the buffer in which it lies; -1: its own */
     size_t start; /* bytes */
@@ -154,7 +194,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
 size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
-/* Of the rendered frame or, if `is_new`, of the new one. */
+/* Fills the block of the rendered frame or, if `is_new`, of the new one. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block);
 
 /* gffe_memory.c */
@@ -170,16 +210,16 @@ gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
 void gffe_drop_overlays(gffe *g);
 
 /* gffe_errors.c */
-/* GFFE_INVALID unless `g` was created well and `argument`, of that name, is there. */
+/* Returns GFFE_INVALID unless `g` was created without error and `argument`, of that name, is not NULL. */
 gffe_status gffe_need(gffe *g, const void *argument, const char *name);
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 
 /* gffe_device.c */
 gffe_status gffe_open(gffe *g);
-/* What is enqueued from now on begins when the events are complete; GFFE_INVALID for others than the context's. */
+/* Makes work that is enqueued later wait for the events. Returns GFFE_INVALID for others than the context's. */
 gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events);
-/* An event, unless `done` is NULL, that is complete when all that is enqueued so far is. */
+/* Makes an event, unless `done` is NULL, that is complete when all work enqueued so far is. */
 gffe_status gffe_mark(gffe *g, cl_event *done);
 gffe_status gffe_run(gffe *g, int occasion, int part);
 

@@ -1,5 +1,5 @@
-/* Where buffers lie on the device. Those that hold something only while a frame is extrapolated lie in memory that is
-   free then, several in one place if no stage works with more than one of them, as in Python's Board. */
+/* Placement of buffers on the device. Buffers that hold something only while a frame is extrapolated lie in memory that
+   is free then, several in one place if no stage works with more than one of them, as in Python's Board. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,7 +9,7 @@ enum { SPARES = 8 }; /* times the alignment: lent memory beyond its parts */
 
 static int is_transient(const gffe_buffer *buffer) { return buffer->first >= 0; }
 
-/* Gives parts their places, and memory its size: its parts lie side by side. */
+/* Places parts side by side in the memory that contains them, and sets its size. */
 static void place_parts(gffe *g) {
     int number, part;
     for (number = 0; number < g->plan->buffer_count; ++number) {
@@ -33,12 +33,15 @@ static void place_parts(gffe *g) {
         }
     }
     for (number = 0; number < g->plan->buffer_count; ++number)
-        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE)) g->places[number].bytes += SPARES * g->step.alignment;
+        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE))
+            g->places[number].bytes += SPARES * g->step.alignment;
 }
 
-static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) { return a->first <= b->last && b->first <= a->last; }
+static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) {
+    return a->first <= b->last && b->first <= a->last;
+}
 
-/* The first byte of the memory `root` from which on the transient buffer `number` finds room beside those that are
+/* Returns the first byte of the memory `root` from which on the transient buffer `number` fits beside those that are
    there already. */
 static size_t free_start(const gffe *g, int root, int number) {
     const gffe_buffer *buffer = &g->plan->buffers[number];
@@ -50,7 +53,8 @@ static size_t free_start(const gffe *g, int root, int number) {
         for (k = 0; k < g->plan->buffer_count; ++k) {
             const gffe_place *other = &g->places[k];
             const size_t end = gffe_aligned(&g->step, other->start + other->bytes + 1);
-            if (!is_transient(&g->plan->buffers[k]) || other->root != root || !at_one_time(buffer, &g->plan->buffers[k]))
+            if (!is_transient(&g->plan->buffers[k]) || other->root != root
+                || !at_one_time(buffer, &g->plan->buffers[k]))
                 continue;
             if (start < end && other->start < start + nbytes) {
                 start = end;
@@ -94,7 +98,7 @@ static void place_transients(gffe *g) {
     }
 }
 
-/* A buffer of its own, of zeros. */
+/* Creates a buffer with memory of its own, filled with zeros. */
 static cl_int create(gffe *g, int flags, size_t nbytes, cl_mem *made) {
     const cl_mem_flags mapped = flags & GFFE_MAPPED && g->shares_memory ? CL_MEM_ALLOC_HOST_PTR : 0;
     const cl_uchar zero = 0;
@@ -112,11 +116,12 @@ static cl_int create_part(const gffe *g, const gffe_place *place, int root, cl_m
     return error;
 }
 
-/* Whether there are two of a buffer, which change places with every frame: it is kept, or it lies in such memory. */
+/* Returns whether there are two of a buffer, which change places with every frame: it is kept, or it lies in such
+   memory. */
 static int is_double(const gffe *g, int number) {
     const int root = g->places[number].root;
-    return g->plan->buffers[number].flags & GFFE_KEPT ||
-           (is_transient(&g->plan->buffers[number]) && root >= 0 && g->plan->buffers[root / 2].flags & GFFE_KEPT);
+    return g->plan->buffers[number].flags & GFFE_KEPT
+           || (is_transient(&g->plan->buffers[number]) && root >= 0 && g->plan->buffers[root / 2].flags & GFFE_KEPT);
 }
 
 gffe_status gffe_allocate(gffe *g, int late) {
@@ -133,8 +138,8 @@ gffe_status gffe_allocate(gffe *g, int late) {
             if ((place->root >= 0) != parts || !place->bytes) continue;
             for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
                 cl_mem *made = &g->memory[2 * number + k];
-                const cl_int error = parts ? create_part(g, place, place->root ^ k, made)
-                                           : create(g, buffer->flags, place->bytes, made);
+                const cl_int error =
+                    parts ? create_part(g, place, place->root ^ k, made) : create(g, buffer->flags, place->bytes, made);
                 if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
             }
         }

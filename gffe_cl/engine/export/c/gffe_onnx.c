@@ -13,7 +13,7 @@ struct gffe_onnx {
     OrtMemoryInfo *memory;
 };
 
-/* Whether a call succeeded; prints an error on stderr if not. */
+/* Returns whether a call succeeded; prints an error on stderr if not. */
 static int went_well(const gffe_onnx *n, OrtStatus *status) {
     if (!status) return 1;
     fprintf(stderr, "gffe_onnx: %s\n", n->api->GetErrorMessage(status));
@@ -35,11 +35,11 @@ gffe_onnx *gffe_onnx_open(const char *path) {
         free(n);
         return NULL;
     }
-    good = went_well(n, n->api->CreateEnv(ORT_LOGGING_LEVEL_ERROR, "gffe", &n->env)) &&
-           went_well(n, n->api->DisableTelemetryEvents(n->env)) &&
-           went_well(n, n->api->CreateSessionOptions(&options)) &&
-           went_well(n, n->api->CreateCpuMemoryInfo(OrtArenaAllocator, OrtMemTypeDefault, &n->memory)) &&
-           went_well(n, n->api->CreateSession(n->env, path, options, &n->session));
+    good = went_well(n, n->api->CreateEnv(ORT_LOGGING_LEVEL_ERROR, "gffe", &n->env))
+           && went_well(n, n->api->DisableTelemetryEvents(n->env))
+           && went_well(n, n->api->CreateSessionOptions(&options))
+           && went_well(n, n->api->CreateCpuMemoryInfo(OrtArenaAllocator, OrtMemTypeDefault, &n->memory))
+           && went_well(n, n->api->CreateSession(n->env, path, options, &n->session));
     if (options) n->api->ReleaseSessionOptions(options);
     if (good) return n;
     gffe_onnx_close(n);
@@ -54,7 +54,7 @@ void gffe_onnx_close(gffe_onnx *n) {
     free(n);
 }
 
-/* A tensor of images over memory that is there already. */
+/* Makes a tensor of images over existing memory. */
 static OrtValue *planes(const gffe_onnx *n, void *memory, int64_t count, int64_t width, int64_t height) {
     const int64_t shape[] = {1, count, height, width};
     const size_t nbytes = sizeof(float) * (size_t)(count * height * width);
@@ -65,7 +65,8 @@ static OrtValue *planes(const gffe_onnx *n, void *memory, int64_t count, int64_t
     return made;
 }
 
-static int run_session(const gffe_onnx *n, void *frames, void *candidates, void *judgement, int64_t width, int64_t height) {
+static int run_session(const gffe_onnx *n, void *frames, void *candidates, void *judgement, int64_t width,
+                       int64_t height) {
     static const char *const inputs[] = {"frames", "candidates"};
     static const char *const outputs[] = {"judgement"};
     OrtValue *given[2], *made;
@@ -73,16 +74,16 @@ static int run_session(const gffe_onnx *n, void *frames, void *candidates, void 
     given[0] = planes(n, frames, INPUT_PLANES, width, height);
     given[1] = planes(n, candidates, CANDIDATE_PLANES, width / 2, height / 2);
     made = planes(n, judgement, JUDGEMENT_PLANES, width / 2, height / 2);
-    good = given[0] && given[1] && made &&
-           went_well(n, n->api->Run(n->session, NULL, inputs, (const OrtValue *const *)given, 2, outputs, 1, &made));
+    good = given[0] && given[1] && made
+           && went_well(n, n->api->Run(n->session, NULL, inputs, (const OrtValue *const *)given, 2, outputs, 1, &made));
     for (k = 0; k < 2; ++k)
         if (given[k]) n->api->ReleaseValue(given[k]);
     if (made) n->api->ReleaseValue(made);
     return good;
 }
 
-/* Where host and device share memory nothing is copied; else the driver copies once: here, or when it is unmapped if the
-   host writes. */
+/* Where host and device share memory nothing is copied; else the driver copies once: here, or when it is unmapped if
+   the host writes. */
 static void *map(cl_command_queue queue, cl_mem buffer, cl_map_flags flags, size_t nbytes) {
     return clEnqueueMapBuffer(queue, buffer, CL_TRUE, flags, 0, nbytes, 0, NULL, NULL, NULL);
 }
@@ -97,8 +98,8 @@ int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem c
     at[0] = map(queue, frames, CL_MAP_READ, INPUT_PLANES * plane);
     at[1] = map(queue, candidates, CL_MAP_READ, CANDIDATE_PLANES * plane / 4);
     at[2] = map(queue, judgement, CL_MAP_WRITE_INVALIDATE_REGION, JUDGEMENT_PLANES * plane / 4);
-    good = at[0] && at[1] && at[2] &&
-           run_session((const gffe_onnx *)network, at[0], at[1], at[2], (int64_t)width, (int64_t)height);
+    good = at[0] && at[1] && at[2]
+           && run_session((const gffe_onnx *)network, at[0], at[1], at[2], (int64_t)width, (int64_t)height);
     for (k = 0; k < 3; ++k)
         if (at[k]) clEnqueueUnmapMemObject(queue, buffers[k], at[k], 0, NULL, NULL);
     return good ? 0 : 1;

@@ -1,4 +1,4 @@
-/* The shading correction network with ONNX Runtime's C API: optional, compiled only where that is there. */
+/* The shading correction network with ONNX Runtime's C API: optional, compiled only where that is installed. */
 #ifndef GFFE_ONNX_H
 #define GFFE_ONNX_H
 
@@ -16,7 +16,7 @@ gffe_onnx *gffe_onnx_open(const char *path);
 
 void gffe_onnx_close(gffe_onnx *network);
 
-/* For gffe_options: options.network = gffe_onnx_run; options.network_user = network. */
+/* Callback for gffe_options: options.network = gffe_onnx_run; options.network_user = network. */
 int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem candidates, cl_mem judgement,
                   size_t width, size_t height);
 

@@ -1,4 +1,4 @@
-/* Sizes, and the values that kernels are given. */
+/* Sizes, and the values that kernels receive. */
 #include <math.h>
 #include <string.h>
 
@@ -17,14 +17,15 @@ size_t gffe_level_start(const gffe_step *step, int level) {
     int k;
     for (k = 0; k < level; ++k) {
         const size_t side = (size_t)1 << k;
-        start += gffe_aligned(step, rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
+        start +=
+            gffe_aligned(step, rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
     }
     return start;
 }
 
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
-    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS || grid == GFFE_RESIDUALS
-        || grid == GFFE_LEVEL;
+    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS
+                          || grid == GFFE_RESIDUALS || grid == GFFE_LEVEL;
     const int *image = on_source ? step->source : step->target;
     size_t side[2] = {1, 1};
     int k;
@@ -58,7 +59,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }
 
-/* Until one texel is left of the target; at least one. */
+/* Returns how many halvings leave one texel of the target; at least one. */
 static int halvings(const gffe_step *step) {
     const int longer = step->target[0] > step->target[1] ? step->target[0] : step->target[1];
     int n = 1;
@@ -73,7 +74,8 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
-/* Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8 (gffe_cl/engine/stages/prediction.py). */
+/* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
+   (gffe_cl/engine/stages/prediction.py). */
 static void polynomial(const gffe_step *step, int most, float *weights) {
     int order, i, k;
     memset(weights, 0, (size_t)most * 8 * sizeof *weights);
@@ -118,7 +120,7 @@ static void grid_sides(const gffe_step *step, int grid, cl_int *width, cl_int *h
     *height = (cl_int)size[1];
 }
 
-/* As gffe_cl/engine/stages/frame_block.py does. */
+/* Fills the frame block as gffe_cl/engine/stages/frame_block.py does. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
     const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
     const gffe_camera *target = &step->cameras[GFFE_TARGET_CAMERA], *display = &step->cameras[GFFE_FRAME_DISPLAY];

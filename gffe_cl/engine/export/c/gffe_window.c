@@ -28,7 +28,7 @@ gffe_window_options gffe_default_window_options(double width, double height) {
     return made;
 }
 
-/* The cone of four edges clipped to directions that meet the virtual plane, and how many they are then; `cut`: whether
+/* Clips the cone of four edges to directions that meet the virtual plane, and how many they are then; `cut`: whether
    anything was cut off. */
 static int in_front(double rays[4][3], double kept[MOST_CORNERS][3], int *cut) {
     double z[4];
@@ -95,7 +95,7 @@ static int cover(const gffe_camera *current, const gffe_camera *camera, const gf
     return cut;
 }
 
-/* How much to enlarge on the two sides where they ask for `low` and `high`; whether that is less. */
+/* Computes how much to enlarge on two sides that ask for `low` and `high`, and returns whether that is less. */
 static int limit(double *low, double *high, double most) {
     double less, rest;
     if (*low + *high <= most) return 0;

@@ -80,7 +80,7 @@ static double from_half(unsigned bits) {
     return sign * (exponent ? ldexp(mantissa + 1024, exponent - 25) : ldexp(mantissa, -24));
 }
 
-/* sRGB of linear color, in place: three bytes per pixel. */
+/* Converts linear color to sRGB in place: three bytes per pixel. */
 static void to_display(unsigned char *pixels, size_t count) {
     size_t k;
     int c;
@@ -106,7 +106,7 @@ static int write_picture(const example *e, const char *name, unsigned char *colo
 
 /* ---- OpenCL ------------------------------------------------------------------------------------------- */
 
-/* The first device of the first platform whose name holds `wanted`. */
+/* Opens the first device of the first platform whose name holds `wanted`, and returns whether that succeeded. */
 static int open_device(example *e, const char *wanted) {
     cl_platform_id platforms[MOST_PLATFORMS];
     cl_device_id device = NULL;
@@ -159,7 +159,7 @@ static char *next_number(char *text, double *number) {
     return end == text ? NULL : end;
 }
 
-/* Reads a camera; where the text goes on, or NULL. */
+/* Reads a camera, and returns where the text continues, or NULL. */
 static char *next_camera(char *text, gffe_camera *camera) {
     double *intrinsics[4];
     int k;
@@ -188,7 +188,8 @@ static int submit(example *e, const char *name, char *text) {
     for (part = 0; part < BUFFERS; ++part) {
         if (!read_part(e, name, part)) return 0;
         if (clEnqueueWriteBuffer(e->queue, slot[part], CL_TRUE, 0, BYTES[part] * render_pixels(e), e->pixels, 0, NULL,
-                                 NULL) != CL_SUCCESS)
+                                 NULL)
+            != CL_SUCCESS)
             return failed(name, "cannot be copied to the device");
     }
     if (gffe_submit(e->g, slot[0], slot[1], slot[2], &render, &display, time, reset != 0))
@@ -236,9 +237,11 @@ static int run(example *e, const char *platform) {
     int version = 0, good = 0;
     FILE *file = open_file(e->input, "frames.txt", "", "r");
     if (!file) return 0;
-    if (!fgets(line, sizeof line, file) ||
-        sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &e->options.width, &e->options.height,
-               &e->options.render_width, &e->options.render_height, &e->options.fps) != 6 || version != 1)
+    if (!fgets(line, sizeof line, file)
+        || sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &e->options.width, &e->options.height,
+                  &e->options.render_width, &e->options.render_height, &e->options.fps)
+               != 6
+        || version != 1)
         failed("frames.txt", "does not begin with 'gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS'");
     else
         good = open_device(e, platform) && open_pipeline(e);

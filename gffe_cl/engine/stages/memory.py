@@ -1,0 +1,109 @@
+"""Memory that stages lend each other, so that the pipeline needs less of it.
+
+A stage lends memory that it does not need itself between one `submit` and the next, or once it has worked on the
+rendered frame. Transient and fleeting buffers of all stages lie there: several in one place, if no stage works with
+more than one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Any, Protocol
+
+import pyopencl as cl
+
+from gffe_cl.engine.stages.buffers import BufferSpec, Sizes
+
+_EXTRAPOLATE = 1000  # more than there are stages
+
+
+class Worker(Protocol):
+    """A stage, as far as memory is concerned."""
+
+    name: Any
+    kernels: Any
+    buffer: dict[str, cl.Buffer]
+
+    def own(self, name: str) -> cl.Buffer:
+        """Return a buffer of the stage."""
+        ...
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """Return new buffers by name."""
+        ...
+
+
+Lent = tuple[Worker, str]  # a stage, and its name for the memory
+
+
+class LentMemory:
+    """Places of borrowed buffers in lent memory. `stages`: all of a pipeline, by name, in the order of their work."""
+
+    def __init__(self, sizes: Sizes, stages: Mapping[str, Worker]):
+        self.borrowing: list[tuple[Worker, BufferSpec]] = []  # transient and fleeting buffers of all stages so far
+        self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
+        self._sizes, self._stages = sizes, stages
+        self._parts: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and a part of it
+
+    def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
+        """Lend the buffer `name` of `stage`, after `submit` or, `at_once`, after its own work there."""
+        self.lent[stage, name] = list(self._stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
+
+    def place(self) -> None:
+        """Give every borrowed buffer its place in lent memory, or memory of its own if none is lent. Call it once all
+        stages exist, and after every swap."""
+        for stage, spec in self.borrowing:
+            if place := self.places[stage.name, spec.name]:
+                (owner, name), start = place
+                memory = owner.own(name)
+                key = stage.name, spec.name, id(memory)
+                if key not in self._parts:
+                    self._parts[key] = memory, memory.get_sub_region(start, spec.nbytes(self._sizes))
+                stage.buffer[spec.name] = self._parts[key][1]
+            elif spec.name not in stage.buffer:
+                stage.buffer |= stage.allocate([spec])
+
+    @cached_property
+    def places(self) -> dict[tuple[str, str], tuple[Lent, int] | None]:
+        """Place of each borrowed buffer, largest first: the lent memory that holds it, and the first byte there; None if
+        none fits."""
+        places: dict = {}
+        taken: dict[Lent, list] = {lent: [] for lent in self.lent}
+        for stage, spec in sorted(self.borrowing, key=lambda one: -one[1].nbytes(self._sizes)):
+            nbytes, used = spec.nbytes(self._sizes), self.use(stage, spec)
+            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
+            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
+            fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
+            lent = next(fitting, None)
+            places[stage.name, spec.name] = lent and (lent, starts[lent])
+            if lent:  # a byte more: texels of one index must not take each other's place in caches
+                taken[lent].append((starts[lent], self._sizes.aligned(starts[lent] + nbytes + 1), used))
+        return places
+
+    def use(self, stage: Worker, spec: BufferSpec) -> frozenset[int]:
+        """Return the numbers of the work during which a buffer is in use: of the stages on the rendered frame, and then
+        on the new one. It ends with the last stage that names the buffer, or with all if it is of interest afterwards.
+        """
+        name, used = f"{stage.name}.{spec.name}", []
+        for number, other in enumerate(self._stages.values()):
+            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
+            if names_it or other is stage or (used and not spec.scratch):
+                used.append(number)
+        start = 0 if spec.fleeting else _EXTRAPOLATE
+        return frozenset(range(start + used[0], start + used[-1] + 1))
+
+    def let_go(self) -> None:
+        """Drop the references to the stages."""
+        for known in (self.borrowing, self.lent, self._parts, self.__dict__.get("places", {})):
+            known.clear()
+
+
+def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
+    """Return the first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
+    start = 0
+    for begin, end, _ in sorted(part for part in parts if part[2] & used):
+        if start + nbytes <= begin:
+            break
+        start = max(start, end)
+    return start
