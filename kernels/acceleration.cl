@@ -9,18 +9,18 @@
 #include "frame.h"
 #include "mover_grid.h"
 
-#define BEND_MOST                                                                                                      \
-    0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
+/* BEND_MOST: an acceleration of more than this share of the velocity counts less, the more the larger it is */
+#define BEND_MOST 0.25f
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
-#define IN_VIEW                                                                                                        \
-    0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of       \
-                that in the world ... */
+/* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
+   the world ... */
+#define IN_VIEW 0.25f
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
-#define SHAKEN                                                                                                         \
-    0.004f    /* a mover begins to be carried only where its velocity in the world has changed by more than this share \
-                 of its distance: without a shake both spaces fit */
-#define TURN_MOST                                                                                                      \
-    0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
+/* SHAKEN: a mover begins to be carried only where its velocity in the world has changed by more than this share of
+   its distance: without a shake both spaces fit */
+#define SHAKEN 0.004f
+/* TURN_MOST: a change of more than this share of the acceleration counts less, the more the larger it is */
+#define TURN_MOST 0.25f
 
 /* Mean values of a cell's fragments of one mover. */
 typedef struct {

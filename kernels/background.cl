@@ -488,8 +488,8 @@ SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __g
 
 #define ENOUGH_WEIGHT 0.5f
 #define REACH 16.0f              /* px: the most that a texel covers to each side */
-#define FOOTPRINT_HALF                                                                                                 \
-    1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
+/* FOOTPRINT_HALF: of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
+#define FOOTPRINT_HALF 1.25f
 
 /* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
 INLINE int level_of(const int texel, const int4 starts) {

@@ -17,8 +17,8 @@
 #define SHEAR_MOST 0.25f          /* of a smooth block, per source pixel and zoom ... */
 #define STRETCH_LOW 0.5f          /* ... and how it is stretched */
 #define STRETCH_HIGH 2.0f
-#define AFFINE_MOST                                                                                                    \
-    0.0009765625f /* 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
+/* AFFINE_MOST: 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
+#define AFFINE_MOST 0.0009765625f
 #define ALL_LINKS 15
 
 /* Box of target pixels. */

@@ -14,15 +14,14 @@
 #define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
 #define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16 /* channels of its hidden layer */
-#define SAID                                                                                                           \
-    6 /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend           \
-       */
+/* SAID: outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
+#define SAID 6
 #define SLOPE 0.1f /* of leaky rectifiers */
-#define DISOCCLUDED_BELOW                                                                                              \
-    0.4f /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
+/* DISOCCLUDED_BELOW: mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
+#define DISOCCLUDED_BELOW 0.4f
 #define MARGIN 2.0f /* largest continued change of light, times its last change */
-#define TRUSTED                                                                                                        \
-    3.0f /* of the focus mask: all while the last change differs by half of its square from the one before, ... */
+/* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
+#define TRUSTED 3.0f
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 

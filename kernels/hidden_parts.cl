@@ -12,8 +12,8 @@
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
-#define STANDS_BEFORE                                                                                                  \
-    0.97f  /* times the depth of a mover: its parts are looked for behind static pixels nearer than that */
+/* STANDS_BEFORE: times the depth of a mover: its parts are looked for behind static pixels nearer than that */
+#define STANDS_BEFORE 0.97f
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 
 #define LEAST_REACH 8     /* px, in which movers are looked for ... */

@@ -19,8 +19,8 @@
 #define STEP_FIRST 0x3e8 /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
 #define STEP_NONE 0.0009765625f /* px: less is no step at all, but rounding */
 #define STEP_SAMPLES 32 /* fewest pairs of vectors to determine a step */
-#define QUANTIZED_LOW                                                                                                  \
-    0.125f /* px: the least threshold in addition to errors of quantization; CAMERA_ERROR is the greatest */
+/* QUANTIZED_LOW: px: the least threshold in addition to errors of quantization; CAMERA_ERROR is the greatest */
+#define QUANTIZED_LOW 0.125f
 #define LOOKUPS 2 /* at most so many quantized vectors are added to one */
 
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
@@ -28,9 +28,8 @@
 #define DEPTH_PER_MOTION 2.0f /* ... and the addition per unit of its sideways motion */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
-#define DEPTH_CHANGE_MOST                                                                                              \
-    0.12f /* relative change within an interval of a surface that fills the neighborhood of x'                         \
-           */
+/* DEPTH_CHANGE_MOST: relative change within an interval of a surface that fills the neighborhood of x' */
+#define DEPTH_CHANGE_MOST 0.12f
 
 INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;

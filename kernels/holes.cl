@@ -12,8 +12,8 @@
 #define LEAST_REACH 16       /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10       /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
-#define RENDERED_WEIGHT                                                                                                \
-    0.0009765625f  /* of the rendered frame relative to valid pixels: it only counts without any of them */
+/* RENDERED_WEIGHT: of the rendered frame relative to valid pixels: it only counts without any of them */
+#define RENDERED_WEIGHT 0.0009765625f
 
 /* The new frame, of which holes are filled, and the rendered one. */
 typedef struct {

@@ -2,9 +2,8 @@
    acceleration.cl). */
 
 #define MOVER_CELL 4                 /* px each way */
-#define CELL_TOLERANCE                                                                                                 \
-    0.05f   /* relative depth within which a fragment, or another cell, belongs to the cell's mover                    \
-             */
+/* CELL_TOLERANCE: relative depth within which a fragment, or another cell, belongs to the cell's mover */
+#define CELL_TOLERANCE 0.05f
 
 INLINE int mover_cell_of(const int x, const int y, const int width) {
     return y / MOVER_CELL * ((width + MOVER_CELL - 1) / MOVER_CELL) + x / MOVER_CELL;

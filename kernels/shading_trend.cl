@@ -7,8 +7,8 @@
 #include "mu_law.h"
 #include "simd_rgb.h"
 
-#define REACH_SHARE                                                                                                    \
-    120  /* rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
+/* REACH_SHARE: rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
+#define REACH_SHARE 120
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */

@@ -17,8 +17,8 @@
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
 #define ALIKE 1.0f           /* ... and those from which one color is interpolated */
 #define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
-#define TOO_ALIKE                                                                                                      \
-    0.03125f   /* squared relative contrast of two layers below which colors only partly determine the coverage */
+/* TOO_ALIKE: squared relative contrast of two layers below which colors only partly determine the coverage */
+#define TOO_ALIKE 0.03125f
 
 #define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
@@ -30,9 +30,8 @@
 
 #define ALL_LINKS 15
 #define ANYWHERE 100000000.0f /* px: fragments that go nowhere have targets beyond this */
-#define MARKED                                                                                                         \
-    3 /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides              \
-       */
+/* MARKED: px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
+#define MARKED 3
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
 INLINE float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }

@@ -22,12 +22,11 @@
 
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-#define LEAST_WEIGHT                                                                                                   \
-    0.5f     /* of the displayed color until samples arrive; with a lighter history, samples count less, too */
+/* LEAST_WEIGHT: of the displayed color until samples arrive; with a lighter history, samples count less, too */
+#define LEAST_WEIGHT 0.5f
 #define FRESH 0.8f /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
-#define SLOPE                                                                                                          \
-    0.75f /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run            \
-           */
+/* SLOPE: of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
+#define SLOPE 0.75f
 #define DEVIATIONS 2.0f /* deviations from the mean that a history may have */
 #define NOISE 0.01f /* of compressed colors, in addition to their deviation */
 #define SCATTER 1.0f /* weight of the scatter of the history's error, against its mean, which is followed */

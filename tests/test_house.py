@@ -34,7 +34,7 @@ FLOORS = {
         ("selftest",),
     ),
     "captures": (
-        ("sequence", "report_style", "video"),
+        ("sequence", "video", "report_style"),
         ("formats", "scenes", "calibration"),
         ("offline", "doctor"),
     ),

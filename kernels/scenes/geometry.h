@@ -13,9 +13,8 @@
 
 /* Records, in float4. */
 #define OBJECT_SIZE 7    /* bound (center rel, radius); rel -> local rows; rel -> other view rows */
-#define MATERIAL_SIZE                                                                                                  \
-    5  /* color, texture; color2, scale; f0, roughness, mirror, transparency; emission, contrast;                      \
-          seed */
+/* MATERIAL_SIZE: color, texture; color2, scale; f0, roughness, mirror, transparency; emission, contrast; seed */
+#define MATERIAL_SIZE 5
 #define LIGHT_SIZE 3     /* position or direction rel, size; color, kind; axis, cos of the cone */
 #define SUN 0
 #define LAMP 1

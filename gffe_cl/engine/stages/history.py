@@ -167,7 +167,10 @@ class HistoryTracking(Stage):
             declared: Any = track.reads  # these two are no plain names
             reads = {name: replace(declared[name], planes=count) for name, count in planes.items()}
             self.kernels = (*others, replace(track, reads={**track.reads, **reads}))
-            changes = {"dynamic_mask": {"kept": True}, "history": {"kept": True, "planes": self.positions - 1}}
+            changes: dict[str, dict[str, Any]] = {
+                "dynamic_mask": {"kept": True},
+                "history": {"kept": True, "planes": self.positions - 1},
+            }
         else:
             changes = {"history": {"grid": "once", "scratch": True, "known_where": None}}
         self.buffers = tuple(replace(spec, **changes.get(spec.name, {})) for spec in self.buffers)

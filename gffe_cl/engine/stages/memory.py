@@ -66,8 +66,8 @@ class LentMemory:
 
     @cached_property
     def places(self) -> dict[tuple[str, str], tuple[Lent, int] | None]:
-        """Place of each borrowed buffer, largest first: the lent memory that holds it, and the first byte there; None if
-        none fits."""
+        """Place of each borrowed buffer, largest first: the lent memory that holds it, and the first byte there.
+        None where none fits."""
         places: dict = {}
         taken: dict[Lent, list] = {lent: [] for lent in self.lent}
         for stage, spec in sorted(self.borrowing, key=lambda one: -one[1].nbytes(self._sizes)):
