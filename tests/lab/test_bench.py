@@ -239,6 +239,8 @@ def test_a_part_sees_what_the_whole_does():
     assert np.allclose(one, shown.frames[0].camera.unproject(pixel + (6, 16), 2.0))
     assert part.cameras[0].cx == shown.cameras[0].cx - 6
     assert shown.part(100, 100, (0.5, 0.5)).frames[0].color.shape == (48, 64, 3)
+    reset = replace(shown, frames=tuple(replace(frame, motion=None) for frame in shown.frames))
+    assert reset.part(20, 16, (0.5, 0.5)).frames[0].motion is None
 
 
 def test_loops_avoid_resets(tmp_path):
