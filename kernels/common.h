@@ -9,7 +9,8 @@
 
 /* Before every helper function. Without `static`, C99 has no definition for calls that a compiler leaves, and the
    linkers of AMD and NVIDIA refuse the program. Calls that are left break the vectorizer of Intel's CPU runtime.
-   Oclgrind does not know an intrinsic that is left where structs are returned by functions that are always inlined. */
+   With several lanes, Oclgrind does not know an intrinsic (llvm.experimental.noalias.scope.decl) that is left where a
+   `Strip` is returned by an inlined function. */
 #ifdef OCLGRIND
 #define INLINE static __attribute__((noinline))
 #else

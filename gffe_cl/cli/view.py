@@ -32,7 +32,7 @@ def _list_actions(wanted: bool) -> None:
     if not wanted:
         return
     _require_packages()
-    from gffe_cl.viewer.steps import unopened
+    from gffe_cl.viewer.automation.steps import unopened
 
     for action in unopened().actions:
         shortcut = f" ({action.shortcut})" if action.shortcut else ""
@@ -142,15 +142,16 @@ def view(
     _require_packages()
     from gffe_cl.captures.scenes import is_scene
     from gffe_cl.engine.inference.network import load_network
+    from gffe_cl.viewer.automation.measuring import measure as measure_playback
+    from gffe_cl.viewer.automation.screenshot import Look, Shot, take_screenshot
+    from gffe_cl.viewer.automation.scripting import play_script, require_film
+    from gffe_cl.viewer.automation.steps import parse
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
-    from gffe_cl.viewer.measuring import measure as measure_playback
-    from gffe_cl.viewer.scripting import play_script, require_film
-    from gffe_cl.viewer.start import Look, Shot, leaving, require_display
-    from gffe_cl.viewer.start import view as run_viewer
+    from gffe_cl.viewer.shell.start import leaving, require_display
+    from gffe_cl.viewer.shell.start import view as run_viewer
     from gffe_cl.viewer.state.comparing import WAYS
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
-    from gffe_cl.viewer.steps import parse
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
@@ -208,8 +209,11 @@ def view(
         if script is not None:
             play_script(model, script, steps, film, viewer_size)
             return
+        if shot is not None:
+            take_screenshot(model, shot, viewer_size)
+            return
         if measure is None:
-            run_viewer(model, viewer_size, shot)
+            run_viewer(model, viewer_size)
             return
         figures = measure_playback(model, measure, viewer_size, look)
         nothing = {"first_picture": " not known on this system", "cached": " there is no cache"}

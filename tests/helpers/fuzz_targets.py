@@ -7,20 +7,24 @@ import json
 import os
 import re
 import shutil
+import socket
 import struct
 import tempfile
+import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import OpenEXR
 from PIL import Image
 
-from gffe_cl import Camera, GffeError, open_capture
+from gffe_cl import Camera, GffeError, Pipeline, attach, open_capture, open_device
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
 from gffe_cl.engine.frame import conventions
 from gffe_cl.engine.frame.camera import predict_camera
@@ -29,7 +33,9 @@ from gffe_cl.engine.options import OPTIONS, Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
 from gffe_cl.engine.selftest.scene import FPS, frames
 from gffe_cl.viewer.engine.attached import wire
+from gffe_cl.viewer.engine.attached.channel import own_version, socket_folder
 from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
+from gffe_cl.viewer.engine.attached.program import RunningProgram
 from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan, _About, recorded
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS
@@ -268,6 +274,59 @@ def read_answer(data):
     decoded(data, wire.Program, *wire.FROM_PROGRAM)
 
 
+@cache
+def attached_program():
+    """A pipeline that is attached under the name "fuzzed", and the folder of the sockets."""
+    pipeline = Pipeline(open_device(), W, H, Options(shading_correction=False))
+    return pipeline, attach(pipeline, "fuzzed"), socket_folder()
+
+
+@patch.dict(os.environ, XDG_RUNTIME_DIR=_valid.name)
+def read_viewers(numbers):
+    """One to three viewers at once, which send valid and invalid messages to a living program in any order, with file
+    descriptors, and leave. The program goes on: it renders frames, and answers the next viewer."""
+    rng, (pipeline, attachment, folder) = rng_of(numbers), attached_program()
+    hello = f"gffe-cl attach {own_version()}\n".encode()
+    valid_ones = [
+        hello,
+        *(encoded(wire.Greeting(frames)) for frames in (0, 3)),
+        *(encoded(wire.Look(frozenset(layers), len(layers) > 1)) for layers in ((), ("final",), ("final", "nothing"))),
+        *(encoded(wire.Ask(x, 1)) for x in (0, W - 1, W, -1, 2**40)),
+        encoded(wire.Use(Options(shading_correction=False))),
+        *(b"\n", b"{}", rng.bytes(int(rng.integers(1, 100_000)))),
+    ]
+    viewers = []
+    for _ in range(int(rng.integers(1, 4))):
+        viewers.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+        viewers[-1].settimeout(0.05)
+        with suppress(OSError):
+            viewers[-1].connect(str(folder / "fuzzed.socket"))
+            packets = [hello, valid_ones[1 + int(rng.integers(2))]][: int(rng.integers(3))]
+            packets += [valid_ones[int(k)] for k in rng.integers(len(valid_ones), size=int(rng.integers(8)))]
+            for packet in packets:
+                if rng.integers(3) == 0:
+                    packet = (json_mutated if rng.integers(2) else bytes_mutated)(packet, rng)[:200_000]
+                socket.send_fds(viewers[-1], [packet], [0, 1, 2][: int(rng.integers(4))])
+                pipeline.submit(replace(seen()[0], reset=True))
+            while rng.integers(4):
+                viewers[-1].recv(1 << 20)
+    for viewer in viewers:
+        viewer.close()
+    start = time.monotonic()
+    try:
+        RunningProgram("fuzzed", 0).close()
+    except GffeError as error:
+        raise AssertionError("the program does not answer") from error
+    for frame in seen():
+        pipeline.submit(replace(frame, reset=True))
+    assert np.isfinite(pipeline.extrapolate(time=seen()[-1].time + 0.01).numpy("color")).all()
+    while attachment.watched:
+        assert time.monotonic() - start < 10, "viewers that have left are still there"
+        pipeline.submit(replace(seen()[0], reset=True))
+        time.sleep(0.001)
+    assert len(os.listdir("/proc/self/fd")) < 200, "descriptors stay open"
+
+
 RECORDING = RecordingPlan(3, (W, H), (W, H), FPS)
 
 
@@ -413,6 +472,7 @@ def targets():
     found["attach:request"] = Target(encoded(wire.Use(Options())), read_request, True)
     found["attach:answer"] = Target(answer_seed(), read_answer)
     found["attach:recording"] = Target(recording_seed(), read_recording)
+    found["attach:viewers"] = Target(b"seed", read_viewers, drawn=True)
     for form, files in FILES.items():
         for file in files:
 

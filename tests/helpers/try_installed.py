@@ -2,6 +2,7 @@
 what is installed with it, and xvfb-run. Works in the current folder, which must be empty.
 
     python -I try_installed.py
+    python -I try_installed.py --quick      the demonstration and the self-test only
 """
 
 import importlib
@@ -24,20 +25,23 @@ XVFB = ("xvfb-run", "-a", "-s", "-screen 0 1920x1200x24")
 W, H = 96, 64
 OPENGL_PROJECTION = np.array([[1.0, 0, 0, 0], [0, 1.5, 0, 0], [0, 0, -1.002, -0.2002], [0, 0, -1, 0]])
 PATIENCE = 120.0  # seconds
-COMMANDS = """
+QUICK = """
+demo --size 64x36 --output demo
+selftest --quick --device {device}
+"""
+COMMANDS = f"""
 devices
 formats
-demo --size 96x54 --output demo
+{QUICK.strip()}
 render plaza rendered --size 96x64 --frames 4 --ground-truth
 run rendered extrapolated
 compare extrapolated rendered
 check rendered
 calibrate rendered calibrated --fov 60
 import rendered imported
-bench rendered --repeats 2 --device {device}
+bench rendered --repeats 2 --device {{device}}
 eval rendered --methods gffe,baseline --out report
 export exported
-selftest --quick --device {device}
 """
 
 
@@ -45,7 +49,12 @@ def run(*command, code=0):
     """What the command says. AssertionError, with all of it, for another exit code."""
     start = time.monotonic()
     environment = os.environ | {"LIBGL_ALWAYS_SOFTWARE": "1"}
-    child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
+    for _ in range(2 if command[: len(XVFB)] == XVFB else 1):
+        child = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=900)
+        # GLFW 3.4.0, which the lowest version of imgui-bundle has, failed once so in glfwCreateWindow (BadWindow for
+        # the window 0) and in none of 36 later starts: a fault of GLFW or Xvfb, before anything of ours is shown.
+        if "X Error of failed request" not in child.stdout + child.stderr:
+            break
     assert child.returncode == code, f"{' '.join(map(str, command))}: {child.returncode}\n{child.stdout}{child.stderr}"
     print(f"{time.monotonic() - start:5.1f} s  {' '.join(map(str, command[-6:]))}", flush=True)
     return child.stdout + child.stderr
@@ -131,15 +140,21 @@ def use_all_names():
     print(f"{len(gffe_cl.__all__)} names", flush=True)
 
 
+def run_commands(given):
+    """Run each of the lines and return their words."""
+    lines = [line.format(device=gffe_cl.open_device().info.index).split() for line in given.strip().splitlines()]
+    for line in lines:
+        run(GFFE, *line)
+    return lines
+
+
 def run_all_commands():
     """Every command once, `view` excepted."""
     from typer.main import get_command
 
     from gffe_cl.cli.commands import app
 
-    lines = [line.format(device=gffe_cl.open_device().info.index).split() for line in COMMANDS.strip().splitlines()]
-    for line in lines:
-        run(GFFE, *line)
+    lines = run_commands(COMMANDS)
     assert "torch" in run(GFFE, "train", "trained", code=2).lower()
     group: Any = get_command(app)
     shown = {name for name, command in group.commands.items() if not command.hidden}
@@ -169,8 +184,11 @@ def view():
 if __name__ == "__main__":
     assert Path(gffe_cl.__file__).is_relative_to(sys.prefix), f"{gffe_cl.__file__} is not installed"
     os.environ.update({name: os.getcwd() for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")})  # settings, sockets
-    import_all()
-    use_all_names()
-    run_all_commands()
-    view()
+    if "--quick" in sys.argv:
+        run_commands(QUICK)
+    else:
+        import_all()
+        use_all_names()
+        run_all_commands()
+        view()
     print("installed copy: passed")

@@ -18,12 +18,12 @@ from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
-from gffe_cl.viewer.panels.picture_frames import uncovered
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
 from gffe_cl.viewer.picture.textures import texels_of
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.shell.picture_frames import uncovered
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))
@@ -554,17 +554,17 @@ def test_uploads_go_through_a_ring_of_pixel_buffers(context, monkeypatch):
     for index in range(7):
         values = np.full((5, 6), index, np.uint8)
         canvas.upload("l", values, LABEL)
-        assert canvas.pixel_buffers == [30] * min(index + 1, 3)
+        assert canvas._buffers.sizes == [30] * min(index + 1, 3)
         assert (
             canvas._buffers._rings[30][-1].read() == values.tobytes() and written[-1] is canvas._buffers._rings[30][-1]
         )
         close(drawn(canvas, View("l", Display(), center=(3, 2.5)), (6, 5)), LABEL_COLORS[index])
     assert len(set(map(id, written[:3]))) == 3 and all(written[i] is written[i + 3] for i in range(4))  # in turn
     canvas.upload("s", np.zeros((5, 6), np.float32), SCALAR)
-    assert canvas.pixel_buffers == [30] * 3 + [120]
+    assert canvas._buffers.sizes == [30] * 3 + [120]
     for width in range(100, 120):
         canvas.upload("s", np.zeros((5, width), np.float32), SCALAR)
-    assert len(canvas.pixel_buffers) == 12  # old sizes are given back
+    assert len(canvas._buffers.sizes) == 12  # old sizes are given back
     canvas.release()
 
 

@@ -18,7 +18,7 @@ from scn_models import constant_model
 from test_viewer_model import Session
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.steps import check, parse, perform, unopened
+from gffe_cl.viewer.automation.steps import check, parse, perform, unopened
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
@@ -91,7 +91,7 @@ def test_wayland_without_x11_is_named(monkeypatch):
     monkeypatch.setattr(glfw, "init", lambda: False)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setenv("WAYLAND_DISPLAY", "wl-9")
-    from gffe_cl.viewer.start import require_display
+    from gffe_cl.viewer.shell.start import require_display
 
     with pytest.raises(GffeError, match=r"no X display: WAYLAND_DISPLAY is wl-9, .* XWayland; without a screen: xvfb"):
         require_display()
@@ -317,7 +317,7 @@ def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
     """The viewer opens, and says so when it is closed."""
     (tmp_path / "file").write_text("")
     script = (
-        "import gffe_cl.viewer.app as a\n"
+        "import gffe_cl.viewer.shell.app as a\n"
         "def close(app):\n    app.close()\n"
         "a.App.__init__ = lambda self, model, on_frame=None, init=a.App.__init__: init(self, model, close)\n"
         "from gffe_cl.cli import main; main()\n"
@@ -347,7 +347,7 @@ def test_leaving_while_the_device_works(tmp_path, fault, code):
         "import atexit\n"
         "from types import SimpleNamespace\n"
         "from gffe_cl.engine.core.errors import GffeError\n"
-        "from gffe_cl.viewer.start import leaving\n"
+        "from gffe_cl.viewer.shell.start import leaving\n"
         "atexit.register(print, 'taken down')\n"
         "print('figures')\n"
         "with leaving(SimpleNamespace(close=lambda: print('closed'), left_working=True)):\n"

@@ -31,9 +31,9 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     import viewer_gui_settings as settings_cases
 
     from gffe_cl.engine.inference import network
-    from gffe_cl.viewer.app import App
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
-    from gffe_cl.viewer.start import leaving
+    from gffe_cl.viewer.shell.app import App
+    from gffe_cl.viewer.shell.start import leaving
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
 

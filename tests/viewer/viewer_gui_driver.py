@@ -14,9 +14,9 @@ import glfw  # isort: skip
 from PIL import Image
 
 from gffe_cl import Options
-from gffe_cl.viewer.app import App
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.shell.app import App
 from gffe_cl.viewer.state.parameters import ALWAYS
 
 KEY = imgui.Key

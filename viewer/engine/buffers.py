@@ -11,8 +11,8 @@ import pyopencl as cl
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import FRAME_BUFFERS, named_images
+from . import names
+from .layers import FRAME_BUFFERS, named_images
 
 
 @dataclass(frozen=True)

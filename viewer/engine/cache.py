@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from gffe_cl.viewer.engine.messages import Recipe, Result
+from .messages import Recipe, Result
 
 CACHE_MIB = 2048
 

@@ -18,23 +18,14 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.timing.bench import Copier
-from gffe_cl.viewer.engine.cache import FrameCache, FrameKey
-from gffe_cl.viewer.engine.mailbox import Exchange
-from gffe_cl.viewer.engine.messages import (
-    Closing,
-    EngineError,
-    Interrupted,
-    Metrics,
-    Recipe,
-    Request,
-    Result,
-    Setup,
-)
-from gffe_cl.viewer.engine.metric_worker import Scorer
-from gffe_cl.viewer.engine.reloading import Kernels
-from gffe_cl.viewer.engine.slot_renderer import SlotMaker, weights_of
-from gffe_cl.viewer.engine.sources.attached import AttachedSource, RemoteSlots
-from gffe_cl.viewer.engine.sources.opening import open_viewer_device
+from .cache import FrameCache, FrameKey
+from .mailbox import Exchange
+from .messages import Closing, EngineError, Interrupted, Metrics, Recipe, Request, Result, Setup
+from .metric_worker import Scorer
+from .reloading import Kernels
+from .slot_renderer import SlotMaker, weights_of
+from .sources.attached import AttachedSource, RemoteSlots
+from .sources.opening import open_viewer_device
 
 _CLOSE_SECONDS = 2.0
 

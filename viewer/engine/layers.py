@@ -12,7 +12,7 @@ from gffe_cl.engine.stages.base import Output, Stage
 from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, ExtrapolatedBuffers, Owner
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import FocusMask
-from gffe_cl.viewer.engine import names
+from . import names
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
 FRAME_GROUP = "frame"

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.viewer.engine.messages import EngineError, Inspection, Recipe, Request, Result
-from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
-from gffe_cl.viewer.engine.sources.source import FrameSource
+from .messages import EngineError, Inspection, Recipe, Request, Result
+from .reloading import WATCH_SECONDS
+from .sources.source import FrameSource
 
 _KINDS = {  # of posted messages, and the activity meanwhile
     "source": "opening",
@@ -96,12 +96,6 @@ class Exchange:
         """Return the next slot of a survey and its dependencies; no result if it cannot be made."""
         with self._news:
             return self._surveyed.popleft() if self._surveyed else None
-
-    @property
-    def prefetching(self) -> bool:
-        """Whether slots are planned or being made in advance."""
-        with self._news:
-            return bool(self._plan) or self._beside
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None = None, request: Request | None = None) -> None:
         """Request the values at display pixel (x, y) of the slot of `request`, or of the last computed one.

@@ -8,9 +8,9 @@ import numpy as np
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.options import Options
-from gffe_cl.viewer.engine.buffers import Moment
-from gffe_cl.viewer.engine.explain.pixel_explain_types import Story
-from gffe_cl.viewer.engine.layers import LayerSpec
+from .buffers import Moment
+from .explain.pixel_explain_types import Story
+from .layers import LayerSpec
 
 
 @dataclass(frozen=True)

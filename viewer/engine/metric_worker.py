@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.lab.metrics import METRICS, measurable, to_display
-from gffe_cl.viewer.engine.buffers import Moment
-from gffe_cl.viewer.engine.messages import Metrics
-from gffe_cl.viewer.engine.worker import Worker
+from .buffers import Moment
+from .messages import Metrics
+from .worker import Worker
 
 _SLOW = 4  # slots that wait for metrics that are slow
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up

@@ -21,11 +21,11 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing import traffic
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.buffers import Moment, Shot
-from gffe_cl.viewer.engine.explain.motion_trail import Passed
-from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.engine.sources.source import FrameSource
+from . import names
+from .buffers import Moment, Shot
+from .explain.motion_trail import Passed
+from .messages import Setup
+from .sources.source import FrameSource
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
 

@@ -10,8 +10,8 @@ from gffe_cl.lab.metrics import METRICS, focus_mask, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
 from gffe_cl.lab.metrics.regions import shows, steps, world_positions
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.messages import Result
+from . import names
+from .messages import Result
 
 NEEDED = frozenset({names.FINAL, names.GAE, names.TRUTH, names.DEPTH, names.DYNAMIC, names.DISOCCLUDED})
 

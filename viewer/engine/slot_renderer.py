@@ -13,15 +13,15 @@ from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.timing import traffic
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.buffers import device_layers, pixel_values, read_layers
-from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story
-from gffe_cl.viewer.engine.layers import layers_of
-from gffe_cl.viewer.engine.messages import Inspection, Interrupted, Metrics, Request, Result
-from gffe_cl.viewer.engine.metric_worker import Scorer
-from gffe_cl.viewer.engine.reloading import Kernels
-from gffe_cl.viewer.engine.seeker import Seeker
-from gffe_cl.viewer.engine.sources.source import FrameSource
+from . import names
+from .buffers import device_layers, pixel_values, read_layers
+from .explain.pixel_explain import pixel_story
+from .layers import layers_of
+from .messages import Inspection, Interrupted, Metrics, Request, Result
+from .metric_worker import Scorer
+from .reloading import Kernels
+from .seeker import Seeker
+from .sources.source import FrameSource
 
 
 class SlotMaker:

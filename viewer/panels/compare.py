@@ -7,11 +7,13 @@ from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.lab.metrics import METRICS
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.picture import flip_map
-from gffe_cl.viewer.picture.legends import legend
-from gffe_cl.viewer.picture.view import ERRORS
-from gffe_cl.viewer.state.comparing import FLIP_HIGH
+from ..picture import flip_map
+from ..picture.legends import legend
+from ..picture.view import ERRORS
+from ..state.comparing import FLIP_HIGH
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 _TEXTS = {
     "off": "off",
@@ -25,7 +27,7 @@ _TEXTS = {
 _SETTINGS = "settings "  # before a name, to distinguish it from a layer's
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     view = model.view
     widgets.heading("Compare")
@@ -51,11 +53,11 @@ def draw(app) -> None:
     _quality(model)
 
 
-def _second(model, layers: dict[str, str]) -> None:
+def _second(model: Model, layers: dict[str, str]) -> None:
     """B: another layer, or A's layer as kept settings make it."""
     comparison, b = model.comparison, model.kept.b
     settings = {f"{_SETTINGS}{kept.name}": f"settings: {kept.name}" for kept in model.kept.all}
-    chosen = f"{_SETTINGS}{b.name}" if comparison.by_settings else model.view.b or ""
+    chosen = f"{_SETTINGS}{b.name}" if b is not None and comparison.by_settings else model.view.b or ""
 
     def choose(name: str) -> None:
         if name in settings:
@@ -66,7 +68,7 @@ def _second(model, layers: dict[str, str]) -> None:
     widgets.choice("B", chosen, settings | layers, choose)
 
 
-def _settings(app) -> None:
+def _settings(app: Interface) -> None:
     """Draw the kept settings, and the actions on them."""
     model, kept = app.model, app.model.kept.b
     widgets.heading("Settings A and B")
@@ -101,7 +103,7 @@ def _beside(b: dict[str, float], a: dict[str, float]) -> str:
     )
 
 
-def _error_map(model) -> None:
+def _error_map(model: Model) -> None:
     view = model.view
     if view.compare == "error":
         widgets.choice("error", view.error, list(ERRORS), lambda name: setattr(view, "error", name))
@@ -112,7 +114,7 @@ def _error_map(model) -> None:
     widgets.show_legend(legend(flip_map.SPEC, model.comparison.error_display))
 
 
-def _quality(model) -> None:
+def _quality(model: Model) -> None:
     widgets.heading("Against ground truth")
     reason = model.contents.why_not("truth")
     if reason:
@@ -138,7 +140,7 @@ def _quality(model) -> None:
         _plot(model)
 
 
-def _plot(model) -> None:
+def _plot(model: Model) -> None:
     """All that was measured with these settings."""
     legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value
     if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):

@@ -6,12 +6,13 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from gffe_cl.engine.core.errors import printable
-from gffe_cl.viewer.panels import widgets
+from . import widgets
+from .interface import Interface
 
 _RED, _AMBER, _GRAY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     doctor = model.doctor
     widgets.action_button(app.actions, "doctor", icons.ICON_FA_STETHOSCOPE)

@@ -10,8 +10,11 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.picture.legends import value_text
+from ..engine.explain.pixel_explain_types import Story
+from ..picture.legends import value_text
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 _LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest of the line
 
@@ -26,14 +29,14 @@ class Row(NamedTuple):
     is_color: bool
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     if model.walk.can_go_back:
         widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
     if model.pointing.story is not None:
-        _story(model)
+        _story(model, model.pointing.story)
     if model.selection.rectangle is not None:
-        _rectangle(model)
+        _rectangle(model, *model.selection.rectangle)
     widgets.heading("Values")
     inspection = model.pointing.inspection
     if inspection is None:
@@ -47,7 +50,7 @@ def draw(app) -> None:
     _values(app, inspection)
 
 
-def _values(app, inspection) -> None:
+def _values(app: Interface, inspection) -> None:
     """A table for each stage, under its name: layers, and their values."""
     rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
     names = _widest(row.label for row in rows)
@@ -78,7 +81,7 @@ def _table(group: str, rows: list[Row], names: float) -> None:
     imgui.end_table()
 
 
-def _rows(app, inspection) -> list[Row]:
+def _rows(app: Interface, inspection) -> list[Row]:
     """Made once for an inspection."""
     known, rows = app.inspected
     if known is not inspection:
@@ -92,8 +95,7 @@ def _rows(app, inspection) -> list[Row]:
     return rows
 
 
-def _story(model) -> None:
-    story = model.pointing.story
+def _story(model: Model, story: Story) -> None:
     widgets.heading(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
     for number, sentence in enumerate(story.sentences):
         imgui.bullet()
@@ -114,7 +116,7 @@ def _story(model) -> None:
         model.pointing.pick(None)
 
 
-def _links(model, number: int, links) -> None:
+def _links(model: Model, number: int, links) -> None:
     """Where a step leads, under it."""
     with widgets.in_rows() as row:
         for link in links:
@@ -134,10 +136,9 @@ def _where(link) -> str:
     return "Go to " + ", ".join(parts)
 
 
-def _rectangle(model) -> None:
+def _rectangle(model: Model, left: int, top: int, right: int, bottom: int) -> None:
     """Statistics of the pixels in the rectangle."""
     selection = model.selection
-    left, top, right, bottom = selection.rectangle
     widgets.heading(f"Rectangle ({left}, {top}) – ({right - 1}, {bottom - 1})")
     found = selection.statistics
     if found is None:
@@ -146,7 +147,7 @@ def _rectangle(model) -> None:
     imgui.text_wrapped(f"{right - left}×{bottom - top}, {found.count} pixels")
     for name, share in found.filled.items():
         imgui.bullet_text(f"{share:.1%} {name}")
-    if found.psnr is not None:
+    if found.psnr is not None and found.worst is not None:
         imgui.text_wrapped(
             f"PSNR {found.psnr:.2f} dB   error {found.mean_error:.4f} on average, at most {found.largest_error:.4f} at"
         )

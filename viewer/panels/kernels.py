@@ -6,13 +6,14 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.panels.status import RED
+from . import widgets
+from .interface import Interface
+from .status import RED
 
 _GREEN = (0.5, 0.85, 0.5, 1.0)
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     engine = app.model.engine
     imgui.text_wrapped(f"{kernel_folder()}")
     widgets.action_button(app.actions, "reload_kernels", icons.ICON_FA_ARROWS_ROTATE)

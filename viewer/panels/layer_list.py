@@ -8,11 +8,13 @@ from itertools import groupby
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.picture.colors import COLOR_MAPS
-from gffe_cl.viewer.picture.displays import TONE_MAPS, default_display, shown_as
-from gffe_cl.viewer.picture.legends import Legend, legend
-from gffe_cl.viewer.state.captions import disocclusion_colors
+from ..picture.colors import COLOR_MAPS
+from ..picture.displays import TONE_MAPS, default_display, shown_as
+from ..picture.legends import Legend, legend
+from ..state.captions import disocclusion_colors
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 _OVERLAYS = ("none", "edges", "residual motion", "disocclusions")
 _OVERLAY_HELP = {
@@ -22,7 +24,7 @@ _OVERLAY_HELP = {
 }
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     widgets.toggle("overview", model.overview, model.set_overview, "Every layer as a tile; click one to open it")
     widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
@@ -45,7 +47,7 @@ def draw(app) -> None:
     app.display_height = imgui.get_cursor_pos_y() - top + hello_imgui.em_size(0.3)
 
 
-def _row(app, spec) -> None:
+def _row(app: Interface, spec) -> None:
     model = app.model
     shown = spec.name == model.view.a
     reason = model.contents.why_not(spec.name)
@@ -63,7 +65,7 @@ def _row(app, spec) -> None:
         imgui.text_disabled(f"{icons.ICON_FA_CODE_COMPARE} B")
 
 
-def _display(model) -> None:
+def _display(model: Model) -> None:
     spec = model.contents.spec(model.view.a)
     if spec is None:
         return
@@ -71,15 +73,7 @@ def _display(model) -> None:
     widgets.heading(f"Display of {spec.label}")
     view, _ = shown_as(spec, display)
     if view == "color":
-        widgets.slider(
-            "exposure",
-            display.exposure,
-            -8.0,
-            8.0,
-            0.0,
-            lambda v: change(exposure=v),
-            "%+.2f EV",
-        )
+        widgets.slider("exposure", display.exposure, -8.0, 8.0, 0.0, lambda v: change(exposure=v), "%+.2f EV")
         widgets.choice("tone map", display.tone_map, list(TONE_MAPS), lambda v: change(tone_map=v))
     elif view in ("motion", "place"):
         widgets.slider(
@@ -89,10 +83,7 @@ def _display(model) -> None:
         widgets.toggle("arrows", model.arrows, lambda on: setattr(model, "arrows", on), "Arrows over the picture")
         imgui.same_line()
         widgets.toggle(
-            "reversed",
-            display.reverse,
-            lambda on: change(reverse=on),
-            "From then to now instead of now to then",
+            "reversed", display.reverse, lambda on: change(reverse=on), "From then to now instead of now to then"
         )
     elif view in ("depth", "scalar", "world"):
         _range(display, change)
@@ -102,7 +93,7 @@ def _display(model) -> None:
     if spec.planes > 1:
         shown = min(display.plane, spec.planes - 1) + 1
         widgets.slider(
-            "plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(spec.name, v - 1), "%d",
+            "plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(spec.name, int(v) - 1), "%d",
             spec.description,
         )  # fmt: skip
     if len(spec.channels) > 1:

@@ -8,11 +8,13 @@ from functools import partial
 from imgui_bundle import imgui
 
 from gffe_cl.engine.options import Option
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.state.parameters import by_hand
+from ..state.model import Model
+from ..state.parameters import by_hand
+from . import widgets
+from .interface import Interface
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     offered = model.parameters.offered()
     with widgets.compact():
@@ -25,7 +27,7 @@ def draw(app) -> None:
         model.parameters.use_defaults()
 
 
-def _modules(model, options: dict[str, Option]) -> None:
+def _modules(model: Model, options: dict[str, Option]) -> None:
     """Draw the switches of modules, in two columns if they fit."""
     listed, spacing = list(options.items()), imgui.get_style().item_spacing
     first = listed[: math.ceil(len(listed) / 2)]
@@ -50,7 +52,7 @@ def _label(option: Option) -> str:
     return option.off_label or option.label
 
 
-def _module(model, name: str, option: Option) -> None:
+def _module(model: Model, name: str, option: Option) -> None:
     parameters = model.parameters
     reason = parameters.why_not(name)
     widgets.toggle(
@@ -59,7 +61,7 @@ def _module(model, name: str, option: Option) -> None:
     )  # fmt: skip
 
 
-def _parameter(model, name: str, option: Option) -> None:
+def _parameter(model: Model, name: str, option: Option) -> None:
     value, change = model.parameters.value(name), partial(model.set, name)
     imgui.begin_disabled(model.parameters.why_not(name) is not None)
     if option.choices:

@@ -6,14 +6,16 @@ import math
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gffe_cl.viewer.panels import widgets
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 _LEAST = 9.5  # em: width of a tile; where all do not fit, they are scrolled
 _GAP = 6  # screen pixels
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 
 
-def draw(app, room: tuple[int, int]) -> None:
+def draw(app: Interface, room: tuple[int, int]) -> None:
     """Into `room`, screen pixels."""
     model = app.model
     model.pointing.hover(None)
@@ -42,12 +44,14 @@ def _size(count: int, room: tuple[int, int], picture: tuple[int, int], caption: 
     return room if height <= room[1] else (width, height)
 
 
-def _tile(model, place, origin, caption: int, clicked: bool) -> None:
+def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
     """Draw a tile's name, and handle the pointer on it."""
     marks, at = imgui.get_window_draw_list(), imgui.get_mouse_pos()
     left, top = origin.x + place.x, origin.y + place.y
     right, bottom = left + place.width, top + place.height
     spec = model.contents.spec(place.name)
+    if spec is None:
+        return
     name = widgets.shortened(f"{spec.group}: {spec.label}", place.width)
     marks.add_text(ImVec2(left, bottom + 1), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), name)
     inside = left <= at.x < right and top <= at.y < bottom

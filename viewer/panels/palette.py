@@ -6,8 +6,9 @@ from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Option
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand, parsed
+from ..state.parameters import ALL, Parameters, by_hand, parsed
+from . import widgets
+from .interface import Interface
 
 _FOUND = 12  # actions that are listed
 _STEPS = 20  # of a number that is not whole, over its usual range
@@ -41,7 +42,7 @@ class Palette:
     def close(self) -> None:
         self.text = self.asked = None
 
-    def draw(self, app) -> bool:
+    def draw(self, app: Interface) -> bool:
         actions, asked = app.actions, self.asked
         viewport = imgui.get_main_viewport()
         top = (viewport.pos.x + viewport.size.x / 2, viewport.pos.y + viewport.size.y * 0.15)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.panels import overview, widgets
-from gffe_cl.viewer.panels.picture_frames import Spot
-from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.captions import frame_text
-from gffe_cl.viewer.state.presets import told
-
-if TYPE_CHECKING:
-    from gffe_cl.viewer.picture.canvas import Rectangle
+from ..engine import names
+from ..engine.sources.preview import Preview
+from ..picture.canvas import Rectangle
+from ..picture.view import View
+from ..state.captions import frame_text
+from ..state.model import Model
+from ..state.presets import told
+from . import overview, widgets
+from .interface import Interface, Spot
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
@@ -33,15 +32,15 @@ _NEAR = 7.0  # screen pixels
 _USUAL_LETTERS = 15.0  # screen pixels
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
-    app.picture_frames.spot = None
+    app.spot = None
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
     app.foot = origin.x + width / 2, origin.y + height
     if model.contents.result is None and model.preview is not None:
-        _preview(app, origin, (width, height))
+        _preview(app, model.preview, origin, (width, height))
         return
     if model.source is None:
         _welcome(app, size)
@@ -73,42 +72,35 @@ def draw(app) -> None:
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
     if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
-        app.picture_frames.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
+        app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
 
 class Placement:
     """Where display pixels are on the screen."""
 
-    def __init__(self, model, origin, size):
+    def __init__(self, model: Model, origin, size):
         self.view, self.origin, self.size = model.view, origin, size
 
     def to_screen(self, x: float, y: float) -> ImVec2:
-        cx, cy = self.view.center
-        return ImVec2(
-            self.origin.x + self.size[0] / 2 + (x - cx) * self.view.zoom,
-            self.origin.y + self.size[1] / 2 + (y - cy) * self.view.zoom,
-        )
+        right, down = self.view.screen_at(self.size, x, y)
+        return ImVec2(self.origin.x + right, self.origin.y + down)
 
-    def to_display(self, at) -> tuple[float, float]:
-        cx, cy = self.view.center
-        return (
-            cx + (at.x - self.origin.x - self.size[0] / 2) / self.view.zoom,
-            cy + (at.y - self.origin.y - self.size[1] / 2) / self.view.zoom,
-        )
+    def to_display(self, at: ImVec2) -> tuple[float, float]:
+        return self.view.display_at(self.size, at.x - self.origin.x, at.y - self.origin.y)
 
 
-def _welcome(app, size) -> None:
+def _welcome(app: Interface, size) -> None:
     text = app.model.notice or "Drop a sequence here, or open one (Ctrl+O), or a built-in scene (File menu)"
     wide = imgui.calc_text_size(text)
     imgui.set_cursor_pos(ImVec2(max((size.x - wide.x) / 2, 0), max((size.y - wide.y) / 2, 0)))
     imgui.text_disabled(text)
 
 
-def _preview(app, origin, size) -> None:
+def _preview(app: Interface, preview: Preview, origin, size) -> None:
     """The first rendered frame, as long as nothing can be computed."""
-    model, color = app.model, app.model.preview.color
+    model, (height, width) = app.model, preview.color.shape[:2]
     view = View(names.FINAL, model.looks.of(names.FINAL))
-    view.fit(size, color.shape[1::-1])
+    view.fit(size, (width, height))
     texture = app.drawn(view, size)
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
     marks = imgui.get_window_draw_list()
@@ -116,7 +108,7 @@ def _preview(app, origin, size) -> None:
     _label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
-def _mouse(app, place) -> None:
+def _mouse(app: Interface, place) -> None:
     """Of the item drawn last: hover, zoom at the cursor, drag the wipe's line or the picture, click a pixel."""
     model, io, view = app.model, imgui.get_io(), app.model.view
     at = imgui.get_mouse_pos()
@@ -149,7 +141,8 @@ def _mouse(app, place) -> None:
         if app.drags == "rectangle" and _distance(at, app.pressed_at) < _DRAG:
             model.selection.forget()
         if app.drags == "nothing yet":
-            model.pointing.pick(tuple(math.floor(c) for c in place.to_display(at)))
+            x, y = place.to_display(at)
+            model.pointing.pick((math.floor(x), math.floor(y)))
         app.drags = "nothing"
 
 
@@ -157,7 +150,7 @@ def _distance(a, b) -> float:
     return math.hypot(a.x - b.x, a.y - b.y)
 
 
-def _arrows(model, place, marks) -> None:
+def _arrows(model: Model, place, marks) -> None:
     """Motion of the layer A at a grid of places."""
     spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None or spec.view != "motion":
@@ -190,14 +183,14 @@ def _arrows(model, place, marks) -> None:
                 marks.add_triangle_filled(end, *tips, color)
 
 
-def _texels(model, spec, image) -> tuple[tuple[float, float], tuple[float, float]]:
+def _texels(model: Model, spec, image) -> tuple[tuple[float, float], tuple[float, float]]:
     """Display pixels per texel of a layer's plane, and where on the display its first texel begins."""
     x0, y0, x1, y1 = model.contents.frame_info().area(spec)
     wide, high = model.source.width / (x1 - x0), model.source.height / (y1 - y0)
     return (wide / image.shape[1], high / image.shape[0]), (-x0 * wide, -y0 * high)
 
 
-def _numbers(model, place, marks) -> bool:
+def _numbers(model: Model, place, marks) -> bool:
     """Write values of the layer A into its pixels, where these are large enough; return whether they are."""
     spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None:
@@ -239,7 +232,7 @@ def short(value: float, letters: int) -> str:
     return text
 
 
-def _trajectory(model, place, marks) -> None:
+def _trajectory(model: Model, place, marks) -> None:
     """Draw the picked pixel, and the origin of its content."""
     if model.pointing.picked is None:
         return
@@ -260,7 +253,7 @@ def _trajectory(model, place, marks) -> None:
     marks.add_circle_filled(points[-1], 4 * unit, accent)
 
 
-def _way(model, place, marks) -> None:
+def _way(model: Model, place, marks) -> None:
     """Where the picked fragment was in the last rendered frames."""
     story = model.pointing.story
     if story is None or len(story.way) < 2:
@@ -284,7 +277,7 @@ def _unit() -> float:
     return imgui.get_font_size() / _USUAL_LETTERS
 
 
-def _rectangle(model, place, marks) -> None:
+def _rectangle(model: Model, place, marks) -> None:
     """The rectangle whose statistics the inspector shows."""
     if model.selection.rectangle is None:
         return
@@ -295,7 +288,7 @@ def _rectangle(model, place, marks) -> None:
     marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * _unit())
 
 
-def _caption(model, origin, width, height, marks) -> list[Rectangle]:
+def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     """Write layer names and changed display settings into the corners. Returns their rectangles, in the picture's
     pixels."""
     view, covers = model.view, []
@@ -331,7 +324,7 @@ def _caption(model, origin, width, height, marks) -> list[Rectangle]:
     return covers
 
 
-def _layer_text(model, name: str) -> str:
+def _layer_text(model: Model, name: str) -> str:
     """Return the layer's name and its display settings, or the reason why it is missing."""
     spec = model.contents.spec(name)
     if spec is None:

@@ -8,14 +8,16 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.engine.slot_metrics import QUANTITIES
-from gffe_cl.viewer.panels import widgets
+from ..engine.slot_metrics import QUANTITIES
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
 _FEW = 80  # slots: these are marked one by one
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
@@ -41,7 +43,7 @@ def _curves(survey) -> list[tuple]:
     return [(name, slots, values, weight) for name, (slots, values), weight in curves if slots.size]
 
 
-def _why_empty(model) -> str:
+def _why_empty(model: Model) -> str:
     survey, label = model.survey, QUANTITIES[model.survey.quantity].label
     reason = survey.why_not(False)
     if survey.busy:
@@ -53,7 +55,7 @@ def _why_empty(model) -> str:
     )
 
 
-def _plot(model, curves: list[tuple], height: float) -> None:
+def _plot(model: Model, curves: list[tuple], height: float) -> None:
     slots = max(model.playback.slots, 1)
     _axes(slots, np.concatenate([ys for _, _, ys, _ in curves]), height)
     for name, xs, ys, weight in curves:
@@ -101,12 +103,17 @@ def _step(slots: int, most: float) -> int:
     return next(step for step in steps if slots / step <= max(most, 2) or step >= slots)
 
 
-def _controls(app) -> None:
+def _controls(app: Interface) -> None:
     """Side by side, in as many rows as they need."""
     model, survey, em = app.model, app.model.survey, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:
         row(0)
-        widgets.toggle("measure every frame", survey.on, app.show_survey, "Every generated frame, in the background")
+        widgets.toggle(
+            "measure every frame",
+            survey.on,
+            lambda _: app.actions.run("survey"),
+            "Every generated frame, in the background",
+        )
         row(em(9))
         imgui.set_next_item_width(em(9))
         if imgui.begin_combo("###quantity", QUANTITIES[survey.quantity].label):
@@ -135,7 +142,7 @@ def _controls(app) -> None:
             imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x))
 
 
-def _progress(model) -> str:
+def _progress(model: Model) -> str:
     survey = model.survey
     done, total = survey.progress
     if survey.busy:
@@ -151,7 +158,7 @@ def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, mar
     implot.plot_line(label, xs + 0.5, ys, spec=spec)
 
 
-def _hovered(model, curves, quantity) -> None:
+def _hovered(model: Model, curves, quantity) -> None:
     """The known slot nearest to the pointer: its values, and a click that goes there."""
     known = np.unique(np.concatenate([xs for _, xs, _ in curves]))
     at = implot.get_plot_mouse_pos().x - 0.5

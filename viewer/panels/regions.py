@@ -6,14 +6,15 @@ import math
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gffe_cl.viewer.engine.slot_metrics import REGIONS, Part
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.state.captions import region_colors
+from ..engine.slot_metrics import REGIONS, Part
+from ..state.captions import region_colors
+from . import widgets
+from .interface import Interface
 
 _NAMES = 2.6  # columns of numbers: width of the regions' names
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
@@ -55,7 +56,7 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
         part = a[region]
         imgui.table_next_row()
         imgui.table_next_column()
-        _swatch(number, region_colors()[region])
+        widgets.swatch(f"color {number}", region_colors()[region], 0.8)
         spans = imgui.SelectableFlags_.span_all_columns.value
         text = widgets.shortened(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
         if imgui.selectable(f"{text}###{name} {region}", regions.only == region, spans)[0]:
@@ -72,13 +73,6 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
                 imgui.table_next_column()
                 imgui.text("–" if math.isnan(side[region].psnr) else f"{side[region].psnr:.1f}")
     imgui.end_table()
-
-
-def _swatch(number: int, color) -> None:
-    size = hello_imgui.em_size(0.8)
-    flags = imgui.ColorEditFlags_.no_tooltip.value
-    imgui.color_button(f"###color {number}", (*color, 1.0), flags, ImVec2(size, size))
-    imgui.same_line(0, hello_imgui.em_size(0.3))
 
 
 def _bar(share: float) -> None:

@@ -6,15 +6,17 @@ from imgui_bundle import ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.opencl.program import first_error
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.picture.legends import value_text
+from ..picture.legends import value_text
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 RED, BLUE = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.36, 0.62, 0.95, 1.0)
 _SECONDS = {"error": 30.0, "note": 8.0}  # that a message stands there, by its kind
 _KERNEL_SHARE = 0.7  # of the bar, at most, if there is another message
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model, told = app.model, False
     shown = [message for message in model.lately(app.clock(), _SECONDS) if message.kind != "title"]
     if model.engine.build_error:
@@ -58,11 +60,11 @@ def _beside(something: bool) -> None:
         imgui.same_line(0, hello_imgui.em_size(2))
 
 
-def parts(model) -> list[str]:
+def parts(model: Model) -> list[str]:
     """Status bar: the open sequence, its times, and the values under the pointer."""
     told = [model.engine.device_name or "opening the device …"]
-    if model.follows:
-        told = [f"attached to '{model.program.name}' (process {model.program.about.pid}), {model.program.about.device}"]
+    if model.follows and (program := model.program) is not None:
+        told = [f"attached to '{program.name}' (process {program.about.pid}), {program.about.device}"]
     if model.source is not None:
         info = model.source
         told.append(f"{info.name}   {info.width}×{info.height}")
@@ -75,7 +77,7 @@ def parts(model) -> list[str]:
     return [*told, *model.warnings, *_under_pointer(model)]
 
 
-def _under_pointer(model) -> list[str]:
+def _under_pointer(model: Model) -> list[str]:
     """The value of the layer that is shown."""
     inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
     if inspection is None or spec is None or spec.name not in inspection.values:

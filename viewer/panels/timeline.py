@@ -8,8 +8,10 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.state.captions import frame_text
+from ..state.captions import frame_text
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
@@ -22,7 +24,7 @@ _LEAST_STATUS = 4.5  # em: with less room it has a row of its own
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
@@ -35,7 +37,7 @@ def draw(app) -> None:
     _transport(app)
 
 
-def _following(app) -> None:
+def _following(app: Interface) -> None:
     """Draw the timeline of a running program: the displayed frame, and actions for it."""
     model, result = app.model, app.model.contents.result
     with widgets.in_rows(indent=0.0) as row:
@@ -53,11 +55,11 @@ def _following(app) -> None:
             imgui.text(f"live: {frame_text(result.moment)}   t = {result.moment.time:.3f} s")
 
 
-def _transport(app) -> None:
+def _transport(app: Interface) -> None:
     """Controls side by side, in as many rows as they need."""
     playback, width = app.model.playback, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:
-        if app.model.frozen and not app.model.program.ended:
+        if app.model.frozen and app.model.program is not None and not app.model.program.ended:
             row(width(2))
             widgets.action_button(app.actions, "follow", icons.ICON_FA_TOWER_BROADCAST, 2)
         for name, icon in (
@@ -99,7 +101,7 @@ def _combo(name: str, value, texts: dict, change, width: float, told: dict | Non
     widgets.tooltip("\n".join(f"{choice}: {text}" for choice, text in (told or {}).items()))
 
 
-def _status(model) -> tuple[str, str]:
+def _status(model: Model) -> tuple[str, str]:
     """Return the displayed frame and its time, or the state of playback; and the same in fewer letters."""
     playback = model.playback
     seconds = f"{playback.time_of(playback.slot):.3f} s"
@@ -111,7 +113,7 @@ def _status(model) -> tuple[str, str]:
     return f"{'generated' if j else 'rendered'} {at}   t = {seconds}", at
 
 
-def _bar(model) -> None:
+def _bar(model: Model) -> None:
     playback = model.playback
     count = playback.slots
     width, height = max(imgui.get_content_region_avail().x, 50), hello_imgui.em_size(1.8)
@@ -151,7 +153,7 @@ def _bar(model) -> None:
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), imgui.get_color_u32((0.4, 0.9, 0.5, 0.9)), 2.0)
 
 
-def _cached(model, draw, origin, step: float, height: float) -> None:
+def _cached(model: Model, draw, origin, step: float, height: float) -> None:
     """Draw the cached slots that the picture can use: a line below the slots."""
     ink, bottom = imgui.get_color_u32(CACHED), origin.y + height
     for start, end in runs(model.filling.cached):
@@ -166,7 +168,7 @@ def runs(slots: frozenset[int]) -> list[tuple[int, int]]:
     return [(found[a], found[b - 1] + 1) for a, b in pairwise([0, *breaks, len(found)])] if found else []
 
 
-def _scrub(model, left: float, width: float, count: int) -> None:
+def _scrub(model: Model, left: float, width: float, count: int) -> None:
     playback = model.playback
     if imgui.is_item_active():
         at = imgui.get_mouse_pos().x - left

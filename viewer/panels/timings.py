@@ -7,13 +7,15 @@ import math
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 
-from gffe_cl.viewer.panels import widgets
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
 
 _COLUMNS = (("stage", 0.38), ("time", 0.2), ("ms", 0.17), ("bytes/px", 0.25))
 _PALE = 0.4  # of a bar's color: bytes that did not have to move
 
 
-def draw(app) -> None:
+def draw(app: Interface) -> None:
     model = app.model
     means = model.timings.means()
     if not means:
@@ -45,7 +47,7 @@ def draw(app) -> None:
         _cost(model, sum(means.values()), None, None)
         imgui.end_table()
     _measure(model, bandwidth)
-    if model.follows and model.program.pacing:
+    if model.follows and model.program is not None and model.program.pacing:
         _pacing(list(model.program.pacing))
     flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table has the legend
     if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
@@ -74,7 +76,7 @@ def _pacing(told: list) -> None:
         implot.end_plot()
 
 
-def _cost(model, milliseconds: float, longest: float | None, color, must: float | None = None) -> None:
+def _cost(model: Model, milliseconds: float, longest: float | None, color, must: float | None = None) -> None:
     """Draw three cells: a bar, full for the `longest` stage; milliseconds; and bytes per pixel with those that
     `must` move, which are a darker part of the bar."""
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
@@ -92,7 +94,7 @@ def _cost(model, milliseconds: float, longest: float | None, color, must: float 
     )
 
 
-def _kernels(model, stage: str, longest: float, color) -> None:
+def _kernels(model: Model, stage: str, longest: float, color) -> None:
     """A row for each kernel of a stage."""
     must_move = model.engine.traffic.get(stage, {})
     for kernel, milliseconds in model.timings.of_stage(stage).items():
@@ -115,7 +117,7 @@ def _bar(share: float, necessary: float | None, color) -> None:
         draw.add_rect_filled(ImVec2(origin.x, origin.y + 0.2 * height), corner, ink)
 
 
-def _measure(model, bandwidth: float | None) -> None:
+def _measure(model: Model, bandwidth: float | None) -> None:
     if bandwidth:
         imgui.text_wrapped(f"bytes per pixel = time × {bandwidth:.1f} GB/s of copying ÷ pixels")
     if imgui.button(f"{'measure' if bandwidth is None else 'count again'}###bandwidth"):

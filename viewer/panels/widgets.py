@@ -10,8 +10,8 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.picture.colors import wheel_color
-from gffe_cl.viewer.picture.legends import Legend
+from ..picture.colors import Rgb, wheel_color
+from ..picture.legends import Legend
 
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
@@ -44,7 +44,7 @@ def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
 
 
 def toggle(
-    label: str, value: bool, change: Callable[[bool], None], help_text: str = "", reason: str | None = None
+    label: str, value: bool, change: Callable[[bool], object], help_text: str = "", reason: str | None = None
 ) -> None:
     """Draw a checkbox, grayed out with `reason` if there is one."""
     imgui.begin_disabled(reason is not None)
@@ -226,17 +226,21 @@ def _ticks(ticks, origin: ImVec2, width: float) -> None:
             draw.add_text(ImVec2(origin.x + x, origin.y + em), imgui.get_color_u32(imgui.Col_.text), text)
 
 
+def swatch(name: str, color: Rgb, size: float) -> None:
+    """A square of a color, `size` em, before a text."""
+    side, flags = hello_imgui.em_size(size), imgui.ColorEditFlags_.no_tooltip.value
+    imgui.color_button(f"###{name}", (*color, 1.0), flags, ImVec2(side, side))
+    imgui.same_line(0, hello_imgui.em_size(0.3))
+
+
 def _swatches(labels) -> None:
-    size = hello_imgui.em_size(0.9)
     room, used = imgui.get_content_region_avail().x, 0.0
     for text, color in labels:
-        width = size + imgui.calc_text_size(text).x + hello_imgui.em_size(1.4)
+        width = imgui.calc_text_size(text).x + hello_imgui.em_size(2.3)
         if used and used + width < room:
             imgui.same_line()
         else:
             used = 0.0
         used += width
-        flags = imgui.ColorEditFlags_.no_tooltip.value
-        imgui.color_button(f"###swatch {text}", (*color, 1.0), flags, ImVec2(size, size))
-        imgui.same_line(0, hello_imgui.em_size(0.3))
+        swatch(f"swatch {text}", color, 0.9)
         imgui.text(text)

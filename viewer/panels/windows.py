@@ -8,8 +8,9 @@ from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.captures.scenes import scene_names
 from gffe_cl.engine.core.errors import printable
-from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.panels.status import RED
+from . import widgets
+from .interface import Interface
+from .status import RED
 
 _HELP_COLUMNS = 3
 _OVER_PICTURE = {"error": 6.0, "title": 8.0}  # seconds that a message stands there, by its kind
@@ -29,7 +30,7 @@ class Help:
     def close(self) -> None:
         self.is_open = False
 
-    def draw(self, app) -> bool:
+    def draw(self, app: Interface) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
         widgets.floating()
         _, stays = imgui.begin("Keys###help", True, _ALONE)
@@ -87,7 +88,7 @@ class OpenPath:
     def close(self) -> None:
         self.text = None
 
-    def draw(self, app) -> bool:
+    def draw(self, app: Interface) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
         widgets.floating()
         _, stays = imgui.begin("Open a sequence or a scene###open_path", True, _ALONE)
@@ -109,14 +110,14 @@ class OpenPath:
         return focused
 
 
-def messages(app) -> None:
+def messages(app: Interface) -> None:
     """Draw recent errors and a script's title at the foot of the picture; a click dismisses them, as Escape does
     where no window is open."""
     lately = app.model.lately(app.clock(), _OVER_PICTURE)
     shown = [message for message in lately if message.kind != "note" and not message.dismissed]
     if not shown:
         return
-    app.picture_frames.spot = None
+    app.spot = None
     x, y = app.foot or imgui.get_main_viewport().get_center()
     imgui.set_next_window_pos((x, y - hello_imgui.em_size(_ABOVE_FOOT)), imgui.Cond_.always.value, (0.5, 1.0))
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
@@ -135,12 +136,12 @@ def messages(app) -> None:
     imgui.end()
 
 
-def progress(app) -> None:
+def progress(app: Interface) -> None:
     """The export that is under way, with a button to stop it."""
     work = app.model.export
     if work is None:
         return
-    app.picture_frames.spot = None
+    app.spot = None
     center = imgui.get_main_viewport().get_center()
     imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
     flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking

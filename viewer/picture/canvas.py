@@ -9,20 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
 
 from gffe_cl.engine.stages.frame_block import reprojection
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import VIEWS, LayerSpec
-from gffe_cl.viewer.picture import colors
-from gffe_cl.viewer.picture.colors import Rgb
-from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, shown_as
-from gffe_cl.viewer.picture.textures import PixelBuffers, Texture, texels_of
-from gffe_cl.viewer.picture.view import COMPARISONS, OVERLAYS, Size, View
+from ..engine import names
+from ..engine.layers import VIEWS, LayerSpec
+from . import colors
+from .colors import Rgb
+from .displays import TONE_MAPS, Display, FrameInfo, shown_as
+from .textures import PixelBuffers, Texture, texels_of
+from .view import COMPARISONS, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 _VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")  # of display.frag
@@ -62,9 +62,7 @@ class _Program:
     """The shader for one choice of _VARIANT."""
 
     def __init__(self, ctx: moderngl.Context, choice: tuple[int, ...]):
-        vertex, fragment = (
-            files("gffe_cl.viewer.picture").joinpath(f"display.{kind}").read_text("utf-8") for kind in ("vert", "frag")
-        )
+        vertex, fragment = (Path(__file__).with_name(f"display.{kind}").read_text("utf-8") for kind in ("vert", "frag"))
         version, rest = fragment.split("\n", 1)
         macros = (f"#define {name} {value}" for name, value in zip(_VARIANT, choice, strict=True))
         fragment = "\n".join((version, *macros, "#line 2", rest))
@@ -130,11 +128,6 @@ class Canvas:
     def layers(self) -> dict[str, LayerSpec]:
         """Return the uploaded layers."""
         return {name: layer.spec for name, layer in self._layers.items() if layer.spec is not None}
-
-    @property
-    def pixel_buffers(self) -> list[int]:
-        """Sizes in bytes of the pixel buffers in use."""
-        return self._buffers.sizes
 
     def forget(self, layers: Iterable[str]) -> None:
         """Release these layers, if they are there."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gffe_cl.viewer.engine.layers import LayerSpec
+from ..engine.layers import LayerSpec
 
 COLOR_MAPS = ("turbo", "viridis", "gray", "heat")  # "heat" is for errors
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.engine.messages import Result
-from gffe_cl.viewer.engine.sources.source import FrameSource
-from gffe_cl.viewer.picture.displays import FrameInfo, area_of
+from ..engine import names
+from ..engine.layers import LayerSpec
+from ..engine.messages import Result
+from ..engine.sources.source import FrameSource
+from .displays import FrameInfo, area_of
 
 
 class Contents:

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.engine.messages import Result, Setup
-from gffe_cl.viewer.engine.slot_metrics import out_of_screen
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.view import View
+from ..engine import names
+from ..engine.layers import LayerSpec
+from ..engine.messages import Result, Setup
+from ..engine.slot_metrics import out_of_screen
+from .current_frame import Contents
+from .view import View
 
 NAME = OVERLAY = "disocclusions"
 KINDS = ("out of screen", "hidden")  # in this order: the labels, and the colors of regions of errors

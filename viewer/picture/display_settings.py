@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.displays import Display, default_display, fitted, shown_as
+from ..engine import names
+from ..engine.layers import LayerSpec
+from .current_frame import Contents
+from .displays import Display, default_display, fitted, shown_as
 
 _SAMPLES = 65536
 _LARGEST_EXPOSURE = 16.0  # stops

@@ -11,8 +11,8 @@ import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.stages.buffers import Sizes, lies_on_source, texel_of
-from gffe_cl.viewer.engine.layers import NATIVE, LayerSpec
-from gffe_cl.viewer.picture.colors import COLOR_MAPS, Rgb
+from ..engine.layers import NATIVE, LayerSpec
+from .colors import COLOR_MAPS, Rgb
 
 TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")
 

@@ -20,7 +20,7 @@ from gffe_cl.captures.video import write_video
 from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.viewer.engine.layers import LayerSpec
+    from ..engine.layers import LayerSpec
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv")
 _LONGEST_STEM = 120  # characters; file names end at 255 bytes
@@ -77,24 +77,19 @@ def save_layers_exr(
 
 
 def export_video(
-    path: Path,
-    frames: Iterator[np.ndarray],
-    fps: float,
-    total: int,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
-    cancelled: Callable[[], bool] = lambda: False,
+    path: Path, frames: Iterator[np.ndarray], fps: float, cancelled: Callable[[], bool] = lambda: False
 ) -> bool:
     """Write (H, W, 3) uint8 frames of one size as H.264; odd sizes get one more row or column.
 
-    `on_progress` is given the number of frames handed to the encoder and `total`. Returns False if `cancelled` said
-    so, asked before every frame and at the end. Then, and when GffeError is raised, no new file is left.
+    Returns False if `cancelled` said so, asked before every frame and at the end. Then, and when GffeError is raised,
+    no new file is left.
     """
     path = Path(path)
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise GffeError(f"{path}: a video's name must end in {', '.join(VIDEO_SUFFIXES)}")
     if not (math.isfinite(fps) and fps > 0):
         raise GffeError(f"{path}: a video's frames per second must be positive, got {fps}")
-    feed = _Feed(path, iter(frames), total, on_progress, cancelled)
+    feed = _Feed(path, iter(frames), cancelled)
     with _faults(path, "the video"), _partial(path) as part:
         open(part, "wb").close()  # the encoder's own message would not name the problem
         first = feed.next()
@@ -119,9 +114,8 @@ class _Feed:
     """Hands frames to the encoder and ends early, so that it always ends in good order, where it is cancelled or
     where making a frame fails: the fault is kept for `reraise`."""
 
-    def __init__(self, path, frames, total, on_progress, is_cancelled):
-        self.path, self.frames, self.total = path, frames, total
-        self.on_progress, self.is_cancelled = on_progress, is_cancelled
+    def __init__(self, path: Path, frames: Iterator[np.ndarray], is_cancelled: Callable[[], bool]):
+        self.path, self.frames, self.is_cancelled = path, frames, is_cancelled
         self.cancelled, self.done = False, 0
         self.fault: BaseException | None = None
         self.shape: tuple[int, ...] | None = None
@@ -129,8 +123,6 @@ class _Feed:
     def next(self) -> np.ndarray | None:
         """The next frame, its sides even; None at the end."""
         try:
-            if self.done:
-                self.on_progress(self.done, self.total)
             frame: Any = None if self.is_cancelled() else next(self.frames, None)
             if frame is None:  # perhaps because it was cancelled while the frame was awaited
                 self.cancelled = self.is_cancelled()

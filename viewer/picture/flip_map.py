@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.lab.metrics import flip_error, to_display
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.picture.latest import Latest
+from ..engine.layers import LayerSpec
+from .latest import Latest
 
 NAME = "flip error"
 SPEC = LayerSpec(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.viewer.picture.colors import color_table, wheel_color
-from gffe_cl.viewer.picture.legends import Legend
+from .colors import color_table, wheel_color
+from .legends import Legend
 
 _GROUND, _INK, _DIM = (28, 28, 30), (232, 232, 234), (160, 160, 166)
 _LEAST = 200  # pixels: narrower pictures get as wide

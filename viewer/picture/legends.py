@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, Rgb, color_table, label_flip, wheel_color
-from gffe_cl.viewer.picture.displays import Display, shown_as
+from ..engine.layers import LayerSpec
+from .colors import LABEL_COLORS, MASK_OFF, SKY, Rgb, color_table, label_flip, wheel_color
+from .displays import Display, shown_as
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gffe_cl.lab.metrics import squared_error, to_display
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.engine.messages import Result
-from gffe_cl.viewer.engine.slot_metrics import NEEDED, REGIONS, Part, parts_of, region_labels
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.latest import Latest
-from gffe_cl.viewer.picture.view import View
+from ..engine import names
+from ..engine.layers import LayerSpec
+from ..engine.messages import Result
+from ..engine.slot_metrics import NEEDED, REGIONS, Part, parts_of, region_labels
+from .current_frame import Contents
+from .latest import Latest
+from .view import View
 
 NAME = "regions"
 SPEC = LayerSpec(

@@ -9,10 +9,10 @@ import numpy as np
 
 from gffe_cl.engine.stages.buffers import FILLED_BY
 from gffe_cl.lab.metrics import METRICS, squared_error, to_display
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.messages import Result
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.latest import Latest
+from ..engine import names
+from ..engine.messages import Result
+from .current_frame import Contents
+from .latest import Latest
 
 NEEDED = frozenset({names.FINAL, names.TRUTH, names.FILLED_BY, names.MOTION})
 BINS = 16

@@ -7,8 +7,8 @@ import math
 import moderngl
 import numpy as np
 
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.picture.displays import FrameInfo
+from ..engine.layers import LayerSpec
+from .displays import FrameInfo
 
 _DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
 _RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gffe_cl.viewer.picture.colors import Rgb
-from gffe_cl.viewer.picture.displays import Display
+from .colors import Rgb
+from .displays import Display
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
 OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions")

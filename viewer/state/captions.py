@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.buffers import Moment
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.engine.slot_metrics import REGIONS
-from gffe_cl.viewer.picture import disocclusions, flip_map
-from gffe_cl.viewer.picture.colors import LABEL_COLORS, Rgb
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.display_settings import Looks
-from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.picture.legend_strip import Entry
-from gffe_cl.viewer.picture.legends import Legend, legend
-from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.comparing import Comparison
+from ..engine import names
+from ..engine.buffers import Moment
+from ..engine.layers import LayerSpec
+from ..engine.slot_metrics import REGIONS
+from ..picture import disocclusions, flip_map
+from ..picture.colors import LABEL_COLORS, Rgb
+from ..picture.current_frame import Contents
+from ..picture.display_settings import Looks
+from ..picture.displays import Display
+from ..picture.legend_strip import Entry
+from ..picture.legends import Legend, legend
+from ..picture.view import View
+from .comparing import Comparison
 
 
 @dataclass

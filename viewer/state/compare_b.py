@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from gffe_cl.viewer.engine.engine import Engine
-from gffe_cl.viewer.engine.messages import EngineError, Recipe, Request, Result
-from gffe_cl.viewer.state.presets import Kept
+from ..engine.engine import Engine
+from ..engine.messages import EngineError, Recipe, Request, Result
+from .presets import Kept
 
 
 class Second:

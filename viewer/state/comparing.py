@@ -7,15 +7,15 @@ from dataclasses import replace
 from typing import Any
 
 from gffe_cl.lab.metrics import METRICS
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.engine import Engine
-from gffe_cl.viewer.engine.messages import Metrics, Recipe, Result
-from gffe_cl.viewer.picture import flip_map
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.display_settings import Looks
-from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.picture.view import ERRORS, View
-from gffe_cl.viewer.state.presets import Kept, KeptSettings
+from ..engine import names
+from ..engine.engine import Engine
+from ..engine.messages import Metrics, Recipe, Result
+from ..picture import flip_map
+from ..picture.current_frame import Contents
+from ..picture.display_settings import Looks
+from ..picture.displays import Display
+from ..picture.view import ERRORS, View
+from .presets import Kept, KeptSettings
 
 
 class Scores:

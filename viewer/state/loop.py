@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from gffe_cl.viewer.engine.messages import EngineError, Request, Result
-from gffe_cl.viewer.engine.sources.attached import resolved
+from typing import TYPE_CHECKING
+
+from ..engine.messages import EngineError, Request, Result
+from ..engine.sources.attached import resolved
+
+if TYPE_CHECKING:
+    from .model import Model
 
 
 class Loop:
     """Moves a model on. Panels and actions change the model in between."""
 
-    def __init__(self, model):
+    def __init__(self, model: Model):
         self._model = model
         self._was_playing = False
 
@@ -21,8 +26,8 @@ class Loop:
             model.preview = preview
             model.screen.preview(preview)
         model.screen.proceed()
-        if model.engine.source is not model.source:
-            model.opened(model.engine.source)
+        if (opened := model.engine.source) is not None and opened is not model.source:
+            model.opened(opened)
         if model.source is not None:
             self._follow_source()
         model.recipe = model.engine.recipe(model.setup)
@@ -96,10 +101,10 @@ class Loop:
         if error.during == "source":
             model.asking.forget()  # requests to the old one were dropped
         model.previewer = model.preview = None
-        if model.follows and error.during in ("slot", "inspection"):
-            if model.program.ended:
+        if model.follows and (program := model.program) is not None and error.during in ("slot", "inspection"):
+            if program.ended:
                 model.freeze()
-            model.parameters.take(model.program.options, None)  # others were refused
+            model.parameters.take(program.options, None)  # others were refused
             model.asking.forget()
         if error.during in ("source", "slot"):
             model.playback.pause()
@@ -127,24 +132,25 @@ class Loop:
         model.previewer = model.preview = None
         for made in (result, second):
             model.scores.add_result(made)
-        model.screen.show(result.images, {model.view.a, model.view.b})
+        model.screen.show(result.images, {model.view.a, model.view.b or model.view.a})
         model.timings.add(result)
         model.pointing.ask_again()
 
     def _ask(self, slot: int) -> None:
         """Have a slot shown."""
         model = self._model
-        if model.flying:
+        flyer = model.flyer if model.flying else None
+        if flyer is not None:
             k, j = divmod(slot, model.n + 1)
-            model.source.fly(k, j / (model.n + 1), model.flyer.pose)
+            model.source.fly(k, j / (model.n + 1), flyer.pose)
         layers = model.needed.all() if model.overview else model.needed.of_first()
         layers |= model.export.layers if model.export is not None else frozenset()
-        slot, passing = (0, True) if model.follows else (slot, model.flying)
+        slot, passing = (0, True) if model.follows else (slot, flyer is not None)
         request = Request(slot, model.setup, layers, 0, model.measuring, keep=not passing)
         second = model.second.request(request, model.needed.of_second()) if model.second.kept else None
         recipe = None if passing else model.recipe
-        anew = (model.flying and model.flyer.moved) or (model.follows and model.asking.answered)
+        anew = (flyer is not None and flyer.moved) or (model.follows and model.asking.answered)
         if model.asking.ask(request, recipe, second, anew, model.source):
-            if model.flying:
-                model.flyer.moved = False
+            if flyer is not None:
+                flyer.moved = False
             self._take_pair()

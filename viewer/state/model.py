@@ -10,38 +10,38 @@ from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.attached.program import FRAMES, RunningProgram
-from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
-from gffe_cl.viewer.engine.doctor_worker import Doctor
-from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import Metrics, Setup
-from gffe_cl.viewer.engine.sources.attached import AttachedSource, FrozenSource
-from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
-from gffe_cl.viewer.engine.sources.preview import Preview, Previewer, preview_of
-from gffe_cl.viewer.engine.sources.source import FrameSource
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.disocclusions import Disocclusions
-from gffe_cl.viewer.picture.display_settings import Looks
-from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.picture.legend_strip import Entry
-from gffe_cl.viewer.picture.regions import Regions
-from gffe_cl.viewer.picture.selection import Selection
-from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.captions import Message, entries_of
-from gffe_cl.viewer.state.compare_b import Second
-from gffe_cl.viewer.state.comparing import Comparison, Scores
-from gffe_cl.viewer.state.loop import Loop
-from gffe_cl.viewer.state.navigation import Flight, Flyer, Walk
-from gffe_cl.viewer.state.parameters import Parameters
-from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.presets import KeptSettings, command_line
-from gffe_cl.viewer.state.requests import Asking, Needed, Prefetch
-from gffe_cl.viewer.state.saving import RecordingWork, Subject, Work
-from gffe_cl.viewer.state.settings import Settings
-from gffe_cl.viewer.state.survey import Survey
-from gffe_cl.viewer.state.timings import Timings
-from gffe_cl.viewer.state.viewport import Framing, Pointing, Screen
+from ..engine import names
+from ..engine.attached.program import FRAMES, RunningProgram
+from ..engine.cache import CACHE_MIB, FrameCache
+from ..engine.doctor_worker import Doctor
+from ..engine.engine import Engine, open_viewer_device
+from ..engine.messages import Metrics, Setup
+from ..engine.sources.attached import AttachedSource, FrozenSource
+from ..engine.sources.opening import ScenePlan, make_source
+from ..engine.sources.preview import Preview, Previewer, preview_of
+from ..engine.sources.source import FrameSource
+from ..picture.current_frame import Contents
+from ..picture.disocclusions import Disocclusions
+from ..picture.display_settings import Looks
+from ..picture.displays import Display
+from ..picture.legend_strip import Entry
+from ..picture.regions import Regions
+from ..picture.selection import Selection
+from ..picture.view import View
+from .captions import Message, entries_of
+from .compare_b import Second
+from .comparing import Comparison, Scores
+from .loop import Loop
+from .navigation import Flight, Flyer, Walk
+from .parameters import Parameters
+from .playback import Playback
+from .presets import KeptSettings, command_line
+from .requests import Asking, Needed, Prefetch
+from .saving import RecordingWork, Subject, Work
+from .settings import Settings
+from .survey import Survey
+from .timings import Timings
+from .viewport import Framing, Pointing, Screen
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()

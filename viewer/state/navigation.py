@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.viewer.engine.explain.motion_trail import WayPoint
-from gffe_cl.viewer.engine.explain.pixel_explain_types import Link
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.viewport import Pointing
+from ..engine.explain.motion_trail import WayPoint
+from ..engine.explain.pixel_explain_types import Link
+from ..picture.current_frame import Contents
+from ..picture.view import View
+from .playback import Playback
+from .viewport import Pointing
 
 _SPEED = 2.0  # world units per second
 _STEEPEST = math.radians(85)

@@ -8,10 +8,10 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import OPTIONS, Option, Options
-from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.engine.sources.source import FrameSource
-from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.schedule import MOST_GENERATED
+from ..engine.messages import Setup
+from ..engine.sources.source import FrameSource
+from .playback import Playback
+from .schedule import MOST_GENERATED
 
 ALWAYS = {"shading_inputs": True}  # they are layers to look at
 CORRECTION, UPSCALING = "shading_correction", "upscale"

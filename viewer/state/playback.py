@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.state.schedule import ROUNDING, Schedule
+from .schedule import ROUNDING, Schedule
 
 REAL_TIME = "real time"
 EVERY_FRAME = "every frame"

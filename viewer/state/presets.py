@@ -8,10 +8,10 @@ from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import OPTIONS, Options, command_words
-from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.engine.slot_renderer import weights_of
-from gffe_cl.viewer.engine.sources.preview import place_of
-from gffe_cl.viewer.engine.sources.source import FrameSource
+from ..engine.messages import Setup
+from ..engine.slot_renderer import weights_of
+from ..engine.sources.preview import place_of
+from ..engine.sources.source import FrameSource
 
 _MOST = 12
 _LONGEST = 60  # letters of a name

@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import islice
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.cache import FrameKey, Playhead
-from gffe_cl.viewer.engine.engine import Engine
-from gffe_cl.viewer.engine.messages import Recipe, Request, Result
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.disocclusions import Disocclusions
-from gffe_cl.viewer.picture.regions import Regions
-from gffe_cl.viewer.picture.selection import Selection
-from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.compare_b import Second
-from gffe_cl.viewer.state.playback import Playback
+from ..engine import names
+from ..engine.cache import FrameKey, Playhead
+from ..engine.engine import Engine
+from ..engine.messages import Recipe, Request, Result
+from ..picture.current_frame import Contents
+from ..picture.disocclusions import Disocclusions
+from ..picture.regions import Regions
+from ..picture.selection import Selection
+from ..picture.view import View
+from .compare_b import Second
+from .playback import Playback
 
 
 class Needed:

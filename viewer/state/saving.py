@@ -13,12 +13,12 @@ import numpy as np
 
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.sequence import Sequence
-from gffe_cl.viewer.picture.canvas import read
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
-from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
-from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.playback import Playback
+from ..picture.canvas import read
+from ..picture.current_frame import Contents
+from ..picture.files import export_video, save_layers_exr, save_png, unused_name
+from ..picture.legend_strip import Entry, with_legends
+from ..picture.view import View
+from .playback import Playback
 
 _WAITING = 2  # frames between the interface and the encoder
 _PATIENCE = 5.0  # seconds for writing to end after it was cancelled
@@ -180,7 +180,7 @@ class VideoWork(Work):
         self._start(lambda: self._write(rate))
 
     def _write(self, rate: float) -> str:
-        written = export_video(self.path, self._given(), rate, self.total, cancelled=self._cancelled.is_set)
+        written = export_video(self.path, self._given(), rate, self._cancelled.is_set)
         return f"saved {self.path}" if written else "the video was cancelled"
 
     def _proceed(self, canvas):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any
 
 import platformdirs
 
-from gffe_cl.engine.core.files import read_bounded
+from gffe_cl.engine.core.files import read_bounded, write_text
 
 _MOST_BYTES = 1 << 20  # of the file
 _MOST_RECENT = 12
@@ -112,7 +110,8 @@ class Settings:
         except (TypeError, ValueError, RecursionError) as error:
             return f"{path}: the settings cannot be saved: {error}"
         try:
-            _replace(Path(os.path.realpath(path)), text + "\n")
+            Path(os.path.realpath(path)).parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, text + "\n")
         except OSError as error:
             return f"{path}: the settings cannot be saved: {error.strerror or error}"
         return None
@@ -124,10 +123,6 @@ class Settings:
     def add_recent(self, path: str | Path) -> None:
         """Put `path` first."""
         self.recent = _recent([os.path.abspath(path), *self.recent]) or []
-
-    def forget_recent(self, path: str | Path) -> None:
-        """Remove `path`, because it does not exist any more."""
-        self.recent = [p for p in self.recent if p not in (str(path), os.path.abspath(path))]
 
     def _take(self, document: dict[str, Any]) -> list[str]:
         """Set the valid values. Returns the names of invalid ones."""
@@ -183,17 +178,3 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "panels": _dict_of(bool),
     "layout": lambda value: value if type(value) is int and value >= 0 else None,
 }
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file under another name first, so that `path` is always whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with open(handle, "w", encoding="ascii") as file:
-            file.write(text)
-        os.replace(name, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            os.unlink(name)
-        raise

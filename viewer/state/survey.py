@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.viewer.engine.engine import Engine
-from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
-from gffe_cl.viewer.engine.slot_metrics import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
-from gffe_cl.viewer.engine.worker import Worker
-from gffe_cl.viewer.state.playback import Playback
+from ..engine.engine import Engine
+from ..engine.messages import Recipe, Request, Result, Setup
+from ..engine.slot_metrics import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
+from ..engine.worker import Worker
+from .playback import Playback
 
 _AHEAD = 3  # slots sent to the engine at once
 _WAITING = 3  # results that wait to be measured

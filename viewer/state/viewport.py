@@ -8,15 +8,15 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.layers import FRAME_LAYERS
-from gffe_cl.viewer.engine.sources.preview import Preview
-from gffe_cl.viewer.picture import disocclusions, flip_map, regions
-from gffe_cl.viewer.picture.canvas import Canvas
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.display_settings import Looks
-from gffe_cl.viewer.picture.displays import FrameInfo
-from gffe_cl.viewer.picture.view import View
+from ..engine import names
+from ..engine.layers import FRAME_LAYERS
+from ..engine.sources.preview import Preview
+from ..picture import disocclusions, flip_map, regions
+from ..picture.canvas import Canvas
+from ..picture.current_frame import Contents
+from ..picture.display_settings import Looks
+from ..picture.displays import FrameInfo
+from ..picture.view import View
 
 Size = tuple[int, int]
 

@@ -40,6 +40,7 @@ _CUT = 0.15  # share of samples that agree: frames with less do not follow the o
 _SAME_SHOT = 0.7  # of the usual color score along depth and cameras
 _MOST_GAPS = 12  # frames at which gaps are told from cuts
 _SKY_STILL = 0.05  # pixels
+_LATE, _STEADY = 1.5, 0.9  # of the usual interval: frames after more are late; share of frames that come as usual
 
 
 @dataclass
@@ -140,6 +141,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _tell_residuals(found, search_of)
     _judge_order(found, looks, _gaps(found, clip, exposure))
+    _note_late(found, clip.rendered)
     _note_sky(found, search)
     _judge_colors(found)
     _tell_unknown(found, search)
@@ -339,6 +341,22 @@ def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:
         frames = f"frames {', '.join(resets[:12])}{' …' if len(resets) > 12 else ''} are resets"
         sentence = f"{frames if len(resets) > 1 else f'frame {resets[0]} is a reset'}: what leads across is left out"
         found.findings.append(Finding(NOTE, "frames", "reset", sentence, figures={"frames": len(resets)}))
+
+
+def _note_late(found: Diagnosis, entries: list[FrameEntry]) -> None:
+    """Frames later than usual before which the camera rests: vectors of static points are zero there, whatever frame
+    they lead to."""
+    intervals = np.diff([entry.time for entry in entries])
+    usual = np.median(intervals) if len(intervals) > 2 else 0.0
+    if usual <= 0 or (np.abs(intervals - usual) <= (_LATE - 1) * usual).mean() < _STEADY:
+        return
+    moves = _camera_moves(entries, list(range(1, len(entries))))
+    named = {finding.figures.get("frame") for finding in found.findings}
+    for k in (np.flatnonzero((intervals > _LATE * usual) & ~moves) + 1).tolist():
+        if not entries[k].reset and k not in named:
+            sentence = f"frame {k} ({entries[k].file}) comes {intervals[k - 1] / usual:.3g} intervals after the frame"
+            sentence += " before: if one is missing, its vectors lead there, and it must be a reset"
+            found.findings.append(Finding(NOTE, "frames", "late", sentence, figures={"frame": k}))
 
 
 def _note_sky(found: Diagnosis, search: Search) -> None:

@@ -13,6 +13,7 @@ from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 FEWEST = 16  # usable samples in all frames
 _LEAST_DEPTH, _LEAST_MOTION = 0.002, 0.1  # shares of the samples: a picture may show little but sky
 _SHARED, _LEADS_OUT = 0.01, 0.5  # shares of samples with one vector, and of those that it leads out of the image
+_LEAST_NORMAL = np.finfo(np.float32).smallest_normal
 _TRIED = 8  # vectors that many samples share
 _MOST_NAMED = 6  # frames
 
@@ -122,7 +123,7 @@ def _usable_color(look: Look) -> np.ndarray:
 
 
 def _usable_depth(look: Look) -> np.ndarray:
-    return look.solid & (look.depth != 0)
+    return look.solid & (np.abs(look.depth) >= _LEAST_NORMAL)
 
 
 def _usable_motion(look: Look) -> np.ndarray:
@@ -143,8 +144,9 @@ def _why_no_color(looks: list[Look]) -> str:
 def _why_no_depth(looks: list[Look]) -> str:
     depth = np.concatenate([look.depth for look in looks])
     nothing, zero = np.isnan(depth), depth == 0
-    kinds = {"NaN": nothing, "zero": zero, "sky": ~nothing & ~zero & ~np.concatenate([look.solid for look in looks])}
-    return _shares(kinds)
+    tiny = ~zero & (np.abs(depth) < _LEAST_NORMAL)
+    sky = ~(nothing | zero | tiny) & ~np.concatenate([look.solid for look in looks])
+    return _shares({"NaN": nothing, "zero": zero, "denormal": tiny, "sky": sky})
 
 
 def _why_no_motion(looks: list[Look]) -> str:

@@ -128,7 +128,7 @@ class _Rehearsal:
             name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
             for name, stage in chosen.items()
         }
-        self.board.memory.place()
+        self.board.memory.place(self.board.turn)
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others

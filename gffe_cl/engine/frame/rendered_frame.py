@@ -138,6 +138,8 @@ def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: 
 
 def require_one_pose(render: Camera, display: Camera) -> None:
     """Raise GffeError unless both cameras have the same position and direction: a window is a part of an image."""
+    if display is render:
+        return
     turned = np.abs(render.world_to_view[:3, :3] - display.world_to_view[:3, :3]).max()
     apart = np.abs(render.world_to_view[:3, 3] - display.world_to_view[:3, 3]).max()
     if turned > SAME_POSE or apart > SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):

@@ -61,8 +61,8 @@ def view_to_view(source: Matrix, inverse: tuple[Matrix, Vector], target: Matrix)
     `source`, `target`: the rows of world → view; `inverse`: `view_inverse` of the former."""
     if source == target:
         return [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
-    rotation, translation = inverse
-    rows = target[:3]
-    target_rotation = [row[:3] for row in rows]
-    turned, moved = product(target_rotation, rotation), times(target_rotation, translation)
-    return [[*of, place + row[3]] for of, place, row in zip(turned, moved, rows, strict=True)]
+    ((ax, ay, az), (bx, by, bz), (cx, cy, cz)), (x, y, z) = inverse
+    return [
+        [a * ax + b * bx + c * cx, a * ay + b * by + c * cy, a * az + b * bz + c * cz, (a * x + b * y + c * z) + place]
+        for a, b, c, place in target[:3]
+    ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import threading
 from dataclasses import dataclass, field
 from functools import cached_property
 from mmap import PAGESIZE
@@ -71,16 +72,33 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
     return []
 
 
+_process = os.getpid()  # kept up to date: asking the system before every command would take long
+
+
+def _note_process() -> None:
+    global _process
+    _process = os.getpid()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_process)
+
+
 @dataclass
 class Opened:
     """State that all `Device`s of one OpenCL device share in this process. Drivers keep some KiB of every loaded
     program, even after release, so reopening a device reuses it."""
 
-    context: cl.Context
+    context: cl.Context | None  # None: not made before it is used, in the process that uses it
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
-    process: int = field(default_factory=os.getpid)  # a driver's threads do not live on in forked children
+    process: int | None = None  # that has the driver's threads, which do not live on in forked children; None: no one
+    lock: threading.Lock = field(default_factory=threading.Lock)  # for making the context
+
+    def __post_init__(self):
+        if self.context is not None:
+            self.process = _process
 
 
 _opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
@@ -127,13 +145,14 @@ class Device:
         if opened is not None:
             require_kind(opened, Opened, "device: opened")
         self.opened = opened or Opened(cl.Context([cl_device]))
-        self.context = self.opened.context
         self.allocated = 0
         self.programs = self.opened.programs
         if queue is not None:
             require_kind(queue, cl.CommandQueue, "device: queue")
-        self._queue = queue or _profiling_queue(self.context, cl_device)
-        self.profiles = bool(self._queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+        self._queue = queue
+        if self.opened.context is not None and queue is None:
+            self._queue = _profiling_queue(self.opened.context, cl_device)
+        self.profiles = queue is None or bool(queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
 
     @classmethod
     def from_context(cls, context: Any, queue: Any = None) -> Device:
@@ -181,19 +200,38 @@ class Device:
         return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"
 
     @property
+    def context(self) -> cl.Context:
+        """The context. Raises GffeError in a forked child if the parent has it."""
+        return self.queue.context if self.opened.context is None else self.opened.context
+
+    @property
     def queue(self) -> cl.CommandQueue:
-        """The in-order queue. Raises GffeError in a forked child if the device was opened before the fork."""
-        self.require_process()
+        """The in-order queue. Raises GffeError in a forked child if the parent has the context."""
+        if self.opened.process != _process:
+            self.require_process()
+        return self._queue or self._begin()
+
+    def _begin(self) -> cl.CommandQueue:
+        """Make the context, if no other device has, and the queue. Returns the queue."""
+        self.opened.process = _process
+        with self.opened.lock:
+            try:
+                self.opened.context = self.opened.context or cl.Context([self.cl_device])
+                self._queue = self._queue or _profiling_queue(self.opened.context, self.cl_device)
+            except cl.Error as error:
+                raise GffeError(f"{self.info.name}: cannot be opened: {error} ({_WHERE_IT_IS})") from None
         return self._queue
 
     def require_process(self) -> None:
-        """Raise GffeError in a forked child if the device was opened before the fork: drivers wait forever there."""
+        """Raise GffeError in a forked child if the parent has used the device: drivers wait forever there."""
         _require_process(self.opened, self.info.name)
 
     @cached_property
     def lanes(self) -> int:
-        """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`."""
-        return int(os.environ.get("GFFE_LANES") or (8 if self.info.kind == "cpu" else 1))
+        """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`. Mesa's
+        llvmpipe itself runs a work-item in each lane, as GPUs do: for 8 pixels each it would compile for minutes."""
+        is_wide = self.info.kind == "cpu" and self.info.platform != "rusticl"
+        return int(os.environ.get("GFFE_LANES") or (8 if is_wide else 1))
 
     @cached_property
     def exact_division(self) -> bool:
@@ -295,7 +333,7 @@ def open_device(wanted: str | None = None) -> Device:
     try:
         return open_info(_choose(infos, wanted))
     except GffeError:
-        if not known or any(opened.process != os.getpid() for opened in _opened.values()):
+        if not known or any(opened.process not in (None, os.getpid()) for opened in _opened.values()):
             raise
     return open_info(_choose(list_devices(refresh=True), wanted))
 
@@ -343,8 +381,9 @@ def open_info(info: DeviceInfo) -> Device:
         told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
         if told != (info.name, info.version, info.driver):
             raise GffeError(f"device {info.index} is {told[0]}, not {info.name} ({_WHERE_IT_IS})")
-        made = Device(found, info, _opened.get(info.index))
-        _opened[info.index] = made.opened
+        opened = known or Opened(None if _forks_when_opened(found) else cl.Context([found]))
+        made = Device(found, info, opened)
+        _opened[info.index] = opened
         return made
     except IndexError:
         raise GffeError(f"{info.name} ({info.platform}): there is no device {info.index} ({_WHERE_IT_IS})") from None
@@ -352,9 +391,16 @@ def open_info(info: DeviceInfo) -> Device:
         raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error} ({_WHERE_IT_IS})") from None
 
 
+def _forks_when_opened(device: cl.Device) -> bool:
+    """Return whether children forked after the device was found can use it, as long as there is no context. Intel's
+    CPU runtime starts its threads with the first context; PoCL does when its devices are listed. Other drivers are not
+    known."""
+    return bool(device.type & cl.device_type.CPU) and "intel" in device.platform.name.lower()
+
+
 def _require_process(opened: Opened, name: str) -> None:
-    """Raise GffeError if another process, of which this one was forked, has opened the device."""
-    if opened.process != os.getpid():
+    """Raise GffeError if another process, of which this one was forked, has the driver's threads."""
+    if opened.process not in (None, _process):
         raise GffeError(
             f"{name}: the device was opened before this process was forked (expected multiprocessing's start method"
             " 'spawn', or a device that only the child opens)"

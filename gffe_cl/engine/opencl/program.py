@@ -125,7 +125,7 @@ def build(device: Device, name: str, **variant: int) -> Program:
     choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}
     if device.exact_division:
         choices["EXACT_DIVISION"] = 1
-    if device.info.platform == "Oclgrind":
+    if device.info.platform == "Oclgrind" and device.lanes > 1:
         choices["OCLGRIND"] = 1
     variant = {choice: value for choice, value in choices.items() if choice in source} | variant
     key = (name, source, *sorted(variant.items()))

@@ -23,12 +23,16 @@ from typing import Any
 
 import platformdirs
 
+from gffe_cl.engine.core.errors import printable
+
 _KEPT = "GFFE_DEVICE_CACHE"
+_INTEL_ICD = "gffe-intel.icd"  # of Intel's runtime in this environment
 VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` files, or one such file
 NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub only accepts folders
 _POCL_CACHE = "POCL_CACHE_DIR"  # PoCL's variable
 _DRIVER_CACHES = ("pocl", "pyopencl", "neo_compiler_cache", "mesa_shader_cache", "mesa_shader_cache_db")
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
+_MOST_NAMED, _LONGEST_NAME = 3, 300  # drivers in a message, and characters of a library's name
 # libintelocl.so finds these only if they are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")
 # Patterns of all files that it opens, which must be in the same folder.
@@ -114,7 +118,7 @@ def expose_installed_runtimes() -> None:
 
     Does nothing if `OCL_ICD_VENDORS` is set (the user has chosen), or if there is no such runtime.
     """
-    if VENDORS in os.environ or not sys.platform.startswith("linux"):
+    if os.environ.get(VENDORS) or not sys.platform.startswith("linux"):
         return
     library = Path(sys.prefix) / "lib" / "libintelocl.so"
     if not library.exists():
@@ -133,7 +137,7 @@ def expose_installed_runtimes() -> None:
             ctypes.CDLL(str(library.with_name(name)), mode=ctypes.RTLD_GLOBAL)
     except OSError:
         return
-    entries = {icd.name: icd.read_text() for icd in vendors()} | {"gffe-intel.icd": f"{library}\n"}
+    entries = {icd.name: icd.read_text() for icd in vendors()} | {_INTEL_ICD: f"{library}\n"}
     os.environ[VENDORS] = str(_vendor_folder(entries))
 
 
@@ -146,18 +150,22 @@ def vendors() -> list[Path]:
 def why_no_platform() -> str | None:
     """Return why the ICD loader lists no platform, as far as its variable or its files show it, else None."""
     chosen, found = os.environ.get(VENDORS), vendors()
+    expected = f"(expected a folder of them, as {_SYSTEM_VENDORS}, or no such variable)"
     if chosen and not found:
         there = "where there is no .icd file" if Path(chosen).is_dir() else "which is not there"
-        return f"{VENDORS} is {chosen}, {there} (expected a folder of them, as {_SYSTEM_VENDORS}, or no such variable)"
+        return f"{VENDORS} is {chosen}, {there} {expected}"
     gone = [(icd, library) for icd in found if (library := _library_of(icd)).is_absolute() and not library.exists()]
     if gone and len(gone) == len(found):
         return f"{gone[0][0]} names {gone[0][1]}, which is not there (expected the driver's library)"
+    if chosen and _INTEL_ICD not in (icd.name for icd in found):  # else it is ours
+        named = printable(", ".join(f"{icd.name} names {_library_of(icd)}" for icd in found[:_MOST_NAMED]))
+        return f"{VENDORS} is {chosen}, whose .icd files bring no platform: {named} {expected}"
     return None
 
 
 def _library_of(icd: Path) -> Path:
-    with suppress(OSError, UnicodeDecodeError):
-        return Path(icd.read_text().strip())
+    with suppress(OSError, UnicodeDecodeError), icd.open() as file:
+        return Path(file.read(_LONGEST_NAME).strip())
     return Path(icd.name)
 
 

@@ -200,7 +200,7 @@ class Pipeline:
         try:
             for stage in stages_of(options):
                 stage(board)
-            board.memory.place()
+            board.memory.place(board.turn)
             _ = board.frame  # made when it is first asked for
         except BaseException:
             board.let_go()
@@ -318,7 +318,7 @@ class Pipeline:
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
         for stage in self.stages.values():
             stage.swap()
-        self.board.memory.place()
+        self.board.memory.place(self.board.turn)
         self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and self._previous else False
         if self.presentation is None and not self._shown_whole(on_device):

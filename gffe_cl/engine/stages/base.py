@@ -7,7 +7,6 @@ of stages and memory, and the bytes per pixel that must move (`gffe bench`).
 from __future__ import annotations
 
 import math
-import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -140,6 +139,10 @@ class Step:
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
     overlays: int = 0
 
+    def __post_init__(self) -> None:
+        self.slot = "rendered" if self.camera is None else "new"  # of `FrameBlocks`
+        self.key = object()  # known by: who keeps it keeps no buffers
+
     def block(self, board: Board) -> np.ndarray:
         """Return the frame block of frame.h, as bytes, for the stages on `board`."""
         rendered = self.frame, self.previous, self.times, self.exposure
@@ -216,11 +219,11 @@ class Recorder(Protocol):
 @dataclass
 class _Prepared:
     """A launch whose arguments stay set: the `kernel` object is its own. `changing` are the arguments that may change
-    from frame to frame: index, name, and the owner ("rendered" or "previous") and name of a declared buffer. Nothing
-    keeps a reference to these: callers' memory is released when they drop it."""
+    from frame to frame: the method that sets them, index, name, and the owner ("rendered" or "previous") and name of a
+    declared buffer. Nothing keeps a reference to these: callers' memory is released when they drop it."""
 
     kernel: cl.Kernel
-    changing: list[tuple[int, str, str, str]]
+    changing: list[tuple[Callable[[int, Any], None], int, str, str, str]]
     items: tuple[int, int]
     group: tuple[int, int]
 
@@ -291,9 +294,10 @@ class Stage(Owner):
         """Make the results those of the frame before; called for all stages before any works on a new frame. Events of
         the frame before are dropped."""
         self.events.clear()
-        self.board.turn ^= self._bit
-        for name, buffer in self.before.items():
-            self.before[name], self.buffer[name] = self.buffer[name], buffer
+        if self.before:
+            self.board.turn ^= self._bit
+            for name, buffer in self.before.items():
+                self.before[name], self.buffer[name] = self.buffer[name], buffer
 
     def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
         """Enqueue a kernel over its grid, in rows of work-items.
@@ -302,33 +306,41 @@ class Stage(Owner):
         or other buffers, given here. Numbers must not change from frame to frame: those are members of the frame block.
         The width is rounded up to whole groups: kernels guard against the padding.
         """
-        kernel = self._kernels[name]
+        board, slot = self.board, None
         if step is not None:
-            given["frame"] = self.board.blocks.of(step)
+            slot = step.slot
+            if board.blocks.held.get(slot) is not step.key:
+                board.blocks.set(step)
         if self.launches is not None:
-            self.launches.append((kernel, given))
+            self.launches.append((self._kernels[name], given))
         if self.recorder:
+            kernel = self._kernels[name]
+            given |= {"frame": board.blocks.buffer[slot]} if slot else {}
             declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in given}
             values = given | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
             self.recorder.launched(self, kernel, kernel.grid.format(**given), values)
             return
-        changing = self._changing[name]
-        numbers = (value for argument, value in given.items() if argument not in changing)
-        key = self.board.turn, name, *given, *numbers
+        key = board.turn, name, slot
+        if given:
+            changing = self._changing[name]
+            key += (*given, *(value for argument, value in given.items() if argument not in changing))
         prepared = self._prepared.get(key)
         if prepared is None:
-            prepared = self._prepare_launch(kernel, given)
+            prepared = self._prepare_launch(self._kernels[name], given, slot)
             if len(self._prepared) == _PREPARED:
                 self._prepared.clear()
             self._prepared[key] = prepared
-        for index, argument, owner, own in prepared.changing:
+        for set_arg, index, argument, owner, own in prepared.changing:
             value = given.get(argument)
-            prepared.kernel.set_arg(index, getattr(getattr(self.board, owner), own) if value is None else value)
-        queue = self.device.queue
-        self._record(name, cl.enqueue_nd_range_kernel(queue, prepared.kernel, prepared.items, prepared.group))
+            set_arg(index, getattr(getattr(board, owner), own) if value is None else value)
+        device = self.device
+        event = cl.enqueue_nd_range_kernel(device.queue, prepared.kernel, prepared.items, prepared.group)
+        if device.profiles:
+            self.events.append((name, event))
 
-    def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any]) -> _Prepared:
-        """Return a launch with the arguments set that do not change from one launch with the numbers in `given` to the
+    def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any], slot: str | None) -> _Prepared:
+        """Return a launch with the arguments set that do not change from one launch with the numbers in `given` and the
+        frame block `slot` to the
         next."""
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
@@ -338,13 +350,18 @@ class Stage(Owner):
         declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
         changing = []
         for index, argument in enumerate(self.program.arguments[kernel.name]):
+            if slot and argument.is_frame_block:
+                made.set_arg(index, self.board.blocks.buffer[slot])
+                continue
             if argument.name not in given and argument.name not in declared:
                 raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
             owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
             if argument.is_number:
                 made.set_arg(index, argument.packed(given[argument.name]))
             elif argument.name in given or owner in ("rendered", "previous"):
-                changing.append((index, argument.name, owner, own))
+                # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
+                set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
+                changing.append((set_arg, index, argument.name, owner, own))
             else:
                 made.set_arg(index, self._buffer(f"{owner}.{own}"))
         items = -(-width // group) * group, height
@@ -437,16 +454,12 @@ class FrameBlocks(Stage):
 
     def __init__(self, board: Board):
         super().__init__(board)
-        self._steps: dict[str, weakref.ref[Step]] = {}  # whose block each buffer holds
+        self.held: dict[str, object] = {}  # the step's key whose block each buffer holds
 
-    def of(self, step: Step) -> cl.Buffer:
-        """Return the buffer with the block of `step`, which is written unless it is there already."""
-        slot = "rendered" if step.camera is None else "new"
-        held = self._steps.get(slot)
-        if held is None or held() is not step:
-            self.launch("set_frame", slot=slot, given=step.block(self.board))
-            self._steps[slot] = weakref.ref(step)
-        return self.buffer[slot]
+    def set(self, step: Step) -> None:
+        """Enqueue writing the block of `step` into its buffer."""
+        self.launch("set_frame", slot=step.slot, given=step.block(self.board))
+        self.held[step.slot] = step.key
 
     def forget(self) -> None:
         """Make the blocks be written again before they are used."""

@@ -332,7 +332,9 @@ def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> 
     (`cl_mem`), which is retained while the result is in use. None for other arrays. Raises GffeError for a buffer
     that `device` cannot use in place."""
     what = f"frame: {spec.name}"
-    if isinstance(array, Array):
+    if isinstance(array, cl.Buffer):  # mostly
+        pass
+    elif isinstance(array, Array):
         if array.offset or not array.flags.c_contiguous:
             raise GffeError(f"{what}: device arrays must be C-contiguous and start at offset 0 of their buffer")
         component = next(iter(array.dtype.fields.values()))[0] if array.dtype.fields else array.dtype
@@ -341,7 +343,7 @@ def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> 
         array = array.base_data
         if array is None:
             raise GffeError(f"{what}: the device array has no memory any more")
-    if is_handle(array):
+    elif is_handle(array):
         array = adopted(array, cl.Buffer, what)
         if array.get_info(cl.mem_info.TYPE) != cl.mem_object_type.BUFFER:
             raise GffeError(f"{what}: the handle is of an image (expected a buffer: clEnqueueCopyImageToBuffer)")
@@ -349,7 +351,8 @@ def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> 
         return None
     if array.get_info(cl.mem_info.CONTEXT) != device.context:
         raise GffeError(f"{what}: the device buffer belongs to another OpenCL context than the pipeline's device")
-    nbytes, (width, height) = spec.nbytes(sizes), spec.size(sizes)
+    width, height = spec.size(sizes)
+    nbytes = spec.bytes_per_pixel * spec.planes * width * height
     if array.size < nbytes:
         raise GffeError(f"{what} buffer must hold {nbytes} bytes ({width}×{height}), got {array.size}")
     return array

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import operator
+from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -33,7 +35,9 @@ class BlockWriter:
             fixed[f"{grid}_width"], fixed[f"{grid}_height"] = sizes.of(grid)
         for name, value in facts.items():
             fixed[name] = value
-        self._fixed, self._facts = fixed.view(np.uint32), facts
+        self._fixed, self._facts = array("f", fixed.tobytes()), facts
+        # The last cameras, other parameters, and what follows from them.
+        self._rendered: tuple[tuple[Camera, ...], tuple, array[float]] | None = None
 
     def write(
         self,
@@ -48,22 +52,11 @@ class BlockWriter:
     ) -> np.ndarray:
         """Return the `Frame` of frame.h, as bytes, of a rendered frame or, with a `camera`, of a new one. Parameters
         are those of `Step`."""
-        before, facts = previous or frame, self._facts
-        order = min(facts.get("order", 0), len(times) - 1)
-        values: dict[str, Any] = {
-            "to_previous": _reprojection(frame.camera, before.camera),
-            "from_previous": _reprojection(before.camera, frame.camera),
-            "to_render": _mapping(frame.display_camera, frame.camera),
-            "to_display": _mapping(frame.camera, frame.display_camera),
-            "to_previous_display": _mapping(before.camera, before.display_camera),
-            "pixel_size": pixel_size(frame.display_camera, frame.camera),
-            "camera_step": distance(frame.camera, before.camera),
-            "interval_ratio": (times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0,
-            "exposure": exposure,
-            "alpha": alpha,
-            "color_law": color_law(exposure),
-            "code_offset": facts.get("code_offset", 0.0) / math.sqrt(exposure),
-        }
+        order = min(self._facts.get("order", 0), len(times) - 1)
+        before = previous or frame
+        cameras = frame.camera, frame.display_camera, before.camera, before.display_camera
+        block = self._of_rendered(cameras, times, exposure)[:]
+        values: dict[str, Any] = {"alpha": (alpha,)}
         if camera is not None:
             values |= {
                 "to_target": _reprojection(frame.camera, camera),
@@ -72,14 +65,44 @@ class BlockWriter:
                 "zoom": (camera.fx / frame.camera.fx, camera.fy / frame.camera.fy),
                 "polynomial": padded(polynomial_weights(times[: order + 1], time, MAX_ORDER)),
             }
-        block = self._fixed.copy()
-        floats, integers = block.view(np.float32), block.view(np.int32)
-        for name, value in values.items():
-            floats[_WORDS[name]] = value
-        integers[_WORDS["has_previous"]] = previous is not None
-        integers[_WORDS["has_overlays"]] = overlays
-        integers[_WORDS["order"]] = order
-        return block.view(np.uint8)
+        _put(block, values)
+        made = np.frombuffer(block, np.uint8)
+        integers = made.view(np.int32)
+        integers[_WORDS["has_previous"].start] = previous is not None
+        integers[_WORDS["has_overlays"].start] = overlays
+        integers[_WORDS["order"].start] = order
+        return made
+
+    def _of_rendered(self, cameras: tuple[Camera, ...], times: Sequence[float], exposure: float) -> array[float]:
+        """Return the block, as words, with what does not depend on the new frame: those of one rendered frame share
+        it. `cameras`: of the frame and of the frame before, each with that of its display."""
+        others = (*times, exposure)
+        if (last := self._rendered) and others == last[1] and all(map(operator.is_, cameras, last[0])):
+            return last[2]
+        camera, display, camera_before, display_before = cameras
+        values: dict[str, Any] = {
+            "to_previous": _reprojection(camera, camera_before),
+            "from_previous": _reprojection(camera_before, camera),
+            "to_render": _mapping(display, camera),
+            "to_display": _mapping(camera, display),
+            "to_previous_display": _mapping(camera_before, display_before),
+            "pixel_size": pixel_size(display, camera),
+            "camera_step": (distance(camera, camera_before),),
+            "interval_ratio": ((times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0,),
+            "exposure": (exposure,),
+            "color_law": color_law(exposure),
+            "code_offset": (self._facts.get("code_offset", 0.0) / math.sqrt(exposure),),
+        }
+        block = self._fixed[:]
+        _put(block, values)
+        self._rendered = cameras, others, block
+        return block
+
+
+def _put(block: array[float], values: Mapping[str, Any]) -> None:
+    """Put members, by name sequences of floats, into a block of words."""
+    for name, numbers in values.items():
+        block[_WORDS[name]] = array("f", numbers)  # NumPy would take longer for so few
 
 
 def block_facts(options: Options, sizes: Sizes) -> dict[str, Any]:
@@ -114,9 +137,10 @@ def _mapping(a: Camera, b: Camera) -> tuple[float, float, float, float]:
     return scale_x, scale_y, b.cx - scale_x * a.cx, b.cy - scale_y * a.cy
 
 
-def pixel_size(display: Camera, render: Camera) -> np.ndarray:
-    """Return (2,) float32: width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
-    return 1 / mapping(display, render)[:2]
+def pixel_size(display: Camera, render: Camera) -> tuple[np.float32, np.float32]:
+    """Return width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
+    one, scale_x, scale_y = map(np.float32, (1, *_mapping(display, render)[:2]))
+    return one / scale_x, one / scale_y
 
 
 def distance(a: Camera, b: Camera) -> float:

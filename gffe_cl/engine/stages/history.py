@@ -177,7 +177,7 @@ class HistoryTracking(Stage):
         super().__init__(board)
         threshold = board.options.static_threshold
         self.automatic = threshold is None
-        if not self.automatic:
+        if threshold is not None:
             self.upload("static_threshold_squared", np.array([threshold**2], np.float32))
 
     def rendered(self, step: Step) -> None:

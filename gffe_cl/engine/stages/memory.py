@@ -45,14 +45,19 @@ class LentMemory:
         self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
         self._sizes, self._stages = sizes, stages
         self._parts: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and a part of it
+        self._placed: dict[int, list[tuple[dict, str, cl.Buffer]]] = {}  # by turn: who has which part
 
     def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
         """Lend the buffer `name` of `stage`, after `submit` or, `at_once`, after its own work there."""
         self.lent[stage, name] = list(self._stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
 
-    def place(self) -> None:
+    def place(self, turn: int) -> None:
         """Give every borrowed buffer its place in lent memory, or memory of its own if none is lent. Call it once all
-        stages exist, and after every swap."""
+        stages exist, and after every swap. `turn`: `Board.turn`, by which lent memory is known again."""
+        if known := self._placed.get(turn):
+            for buffers, name, part in known:
+                buffers[name] = part
+            return
         for stage, spec in self.borrowing:
             if place := self.places[stage.name, spec.name]:
                 (owner, name), start = place
@@ -63,6 +68,8 @@ class LentMemory:
                 stage.buffer[spec.name] = self._parts[key][1]
             elif spec.name not in stage.buffer:
                 stage.buffer |= stage.allocate([spec])
+        lent = [(stage, spec.name) for stage, spec in self.borrowing if self.places[stage.name, spec.name]]
+        self._placed[turn] = [(stage.buffer, name, stage.buffer[name]) for stage, name in lent]
 
     @cached_property
     def places(self) -> dict[tuple[str, str], tuple[Lent, int] | None]:
@@ -95,7 +102,7 @@ class LentMemory:
 
     def let_go(self) -> None:
         """Drop the references to the stages."""
-        for known in (self.borrowing, self.lent, self._parts, self.__dict__.get("places", {})):
+        for known in (self.borrowing, self.lent, self._parts, self._placed, self.__dict__.get("places", {})):
             known.clear()
 
 

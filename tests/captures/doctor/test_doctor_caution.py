@@ -42,7 +42,9 @@ def repaired(bad):
 
 
 def test_a_camera_that_mostly_rests_raises_no_alarm():
-    assert names(examine(resting())) == [] and quick_warning(resting()) is None
+    findings = examine(resting()).findings
+    assert not {"fault", "note"} & {finding.kind for finding in findings}, findings
+    assert quick_warning(resting()) is None
 
 
 @pytest.mark.parametrize(
@@ -77,6 +79,20 @@ def test_a_dropped_frame_is_a_gap_and_no_cut():
     assert names(diagnosis) == ["motion: negated", "frames: gap"]
     assert diagnosis.faults[1].figures["frame"] == 4
     assert [frame.reset for frame in frames] == [k in (0, 4) for k in range(8)]
+
+
+@pytest.mark.parametrize(("rest", "late"), [(5, True), (8, False)])
+def test_a_frame_dropped_while_the_camera_rests_is_late(rest, late):
+    """Movers alone could tell it: it is a note, for times that are regular otherwise."""
+    frames = [frame for k, frame in enumerate(resting().images) if k != rest]
+    diagnosis = examine(Kept(frames))
+    notes = {finding.id: finding for finding in diagnosis.findings if finding.kind == "note"}
+    assert ("frames-late" in notes) == late
+    if late:
+        assert names(diagnosis) == [] and notes["frames-late"].figures["frame"] == rest
+        assert "comes 2 intervals after the frame before" in notes["frames-late"].sentence
+        marked = [replace(frame, reset=frame.reset or k == rest) for k, frame in enumerate(frames)]
+        assert "frames-late" not in {finding.id for finding in examine(Kept(marked)).findings}
 
 
 def test_a_marked_cut_is_named_and_left_out():

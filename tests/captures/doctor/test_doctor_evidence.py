@@ -16,6 +16,7 @@ EMPTY = {
     "NaN depth": ("depth", lambda frame: replace(frame, depth=np.full((H, W), np.nan, np.float32)), "NaN"),
     "zero depth": ("depth", lambda frame: replace(frame, depth=np.zeros((H, W), np.float32)), "zero"),
     "a speck of depth": ("depth", lambda frame: replace(frame, depth=speck(frame.depth)), "sky"),
+    "denormal depth": ("depth", lambda frame: replace(frame, depth=np.full_like(frame.depth, 1e-40)), "denormal"),
     "NaN motion": ("motion", lambda frame: replace(frame, motion=np.full((H, W, 2), np.nan, np.float32)), "NaN"),
     "long motion": ("motion", lambda frame: replace(frame, motion=np.full((H, W, 2), 65504, np.float32)), "diagonal"),
     "little motion": ("motion", lambda frame: replace(frame, motion=mostly(frame.motion, np.nan, 0.98)), "NaN"),

@@ -17,6 +17,7 @@ NAMES = (
 )
 DRAWN = (*(f"{form}:attributes" for form in ("sequence", "blender", "unreal")),)
 DRAWN += (*(f"{form}:numbering" for form in ("unreal", "sintel", "tartanair")),)
+DRAWN += (pytest.param("attach:viewers", marks=pytest.mark.device),)
 CASES = sorted((Path(__file__).parent / "fuzz_cases").glob("*-*"))
 MUTATIONS = 12
 

@@ -391,7 +391,11 @@ def test_a_driver_whose_library_is_gone_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
     assert f"driver.icd names {tmp_path}/libdriver.so, which is not there" in str(device_module.none_works([]))
     (tmp_path / "driver.icd").write_text("libdriver.so.1\n")  # the loader looks it up
-    assert "no OpenCL platform found" in str(device_module.none_works([]))
+    for chosen in (tmp_path, tmp_path / "driver.icd"):
+        monkeypatch.setenv("OCL_ICD_VENDORS", str(chosen))
+        told = str(device_module.none_works([]))
+        assert f"OCL_ICD_VENDORS is {chosen}, whose .icd files bring no platform" in told
+        assert "driver.icd names libdriver.so.1 (expected a folder of them" in told and "pip" not in told
 
 
 @pytest.mark.parametrize("foreign", ["", "pocl", "pocl/kcache", "mesa_shader_cache"])

@@ -2,6 +2,8 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -71,6 +73,35 @@ def test_devices_of_the_parent_are_refused(device):
         assert kind == "refused" and "\n" not in said
         assert "was opened before this process was forked (expected multiprocessing's start method 'spawn'" in said
     assert np.array_equal(pipeline.extrapolate(time=0.01).numpy("color"), before)  # the parent goes on
+
+
+ONLY_OPENED = """
+import os, sys
+import numpy as np
+import gffe_cl
+device = gffe_cl.open_device(sys.argv[1])
+if os.fork():
+    sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+try:
+    camera = gffe_cl.Camera(np.eye(4), 300, 300, 160, 90)
+    for own in (device, gffe_cl.open_device(sys.argv[1])):
+        pipeline = gffe_cl.Pipeline(own, 320, 180, gffe_cl.Options(shading_correction=False))
+        images = np.full((180, 320, 3), 0.5, np.float16), np.full((180, 320), 10, np.float32)
+        pipeline.submit(gffe_cl.RenderedFrame(*images, np.zeros((180, 320, 2), np.float32), camera, 0.0, reset=True))
+        print(pipeline.extrapolate(time=0.01).numpy("color").mean())
+except gffe_cl.GffeError as error:
+    print(error)
+"""
+
+
+def test_a_parent_that_only_opened_the_device(device):
+    """Its children work on Intel's CPU runtime, with a context of their own. PoCL has started its threads by then."""
+    command = [sys.executable, "-c", ONLY_OPENED, device.info.index]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=True).stdout.splitlines()
+    if device.info.kind == "cpu" and "Intel" in device.info.platform:
+        assert said == ["0.5", "0.5"]
+    else:
+        assert len(said) == 1 and "was opened before this process was forked" in said[0]
 
 
 def test_other_things_work_in_a_fork():

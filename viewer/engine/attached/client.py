@@ -27,26 +27,16 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.attached.channel import Channel, Listener
-from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
-from gffe_cl.viewer.engine.attached.shared_memory import Recorder, RecordingPlan, SharedBlock, placed
-from gffe_cl.viewer.engine.attached.wire import (
-    FROM_VIEWER,
-    Ask,
-    Greeting,
-    Look,
-    Program,
-    Recording,
-    Refused,
-    Seen,
-    Use,
-)
-from gffe_cl.viewer.engine.buffers import Moment, Shot, device_layers, pixel_values, start_reading
-from gffe_cl.viewer.engine.explain.motion_trail import Passed
-from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story
-from gffe_cl.viewer.engine.layers import LayerSpec, layers_of
-from gffe_cl.viewer.engine.messages import Inspection
+from .. import names
+from ..buffers import Moment, Shot, device_layers, pixel_values, start_reading
+from ..explain.motion_trail import Passed
+from ..explain.pixel_explain import pixel_story
+from ..layers import LayerSpec, layers_of
+from ..messages import Inspection
+from .channel import Channel, Listener
+from .encoding import decoded, encoded
+from .shared_memory import Recorder, RecordingPlan, SharedBlock, placed
+from .wire import FROM_VIEWER, Ask, Greeting, Look, Program, Recording, Refused, Seen, Use
 
 _GREETING_SECONDS = 2.0
 _LEAST_SECONDS = 1 / 60  # between two frames that are looked at

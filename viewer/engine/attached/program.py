@@ -14,22 +14,12 @@ from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
-from gffe_cl.viewer.engine.attached.channel import NO_ANSWER, OtherVersion, connect, own_version
-from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
-from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, mapped, recorded
-from gffe_cl.viewer.engine.attached.wire import (
-    FROM_PROGRAM,
-    Ask,
-    Greeting,
-    Look,
-    Program,
-    Recording,
-    Refused,
-    Seen,
-    Use,
-)
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.engine.messages import Inspection
+from ..layers import LayerSpec
+from ..messages import Inspection
+from .channel import NO_ANSWER, OtherVersion, connect, own_version
+from .encoding import decoded, encoded
+from .shared_memory import RecordingPlan, mapped, recorded
+from .wire import FROM_PROGRAM, Ask, Greeting, Look, Program, Recording, Refused, Seen, Use
 
 FRAMES = 24  # rendered frames that are recorded unless asked otherwise
 _ANSWER_SECONDS = 5.0

@@ -28,7 +28,7 @@ from gffe_cl.engine.core.validation import (
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.stages.buffers import DeviceFrame
-from gffe_cl.viewer.engine.attached.encoding import NUMERIC, decoded, encoded
+from .encoding import NUMERIC, decoded, encoded
 
 _PAGE = mmap.PAGESIZE
 _ABOUT = 16 << 10  # bytes of a frame's description

@@ -8,10 +8,10 @@ from gffe_cl.engine.core.validation import require_frame_rate, require_size, req
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
-from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan
-from gffe_cl.viewer.engine.buffers import Moment
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.engine.messages import Inspection
+from ..buffers import Moment
+from ..layers import LayerSpec
+from ..messages import Inspection
+from .shared_memory import Placed, RecordingPlan
 
 MOST_FRAMES = 256  # that a program records
 

@@ -10,9 +10,9 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.history import FIXED_TO_CAMERA, STATIC
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, read_blocks
-from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
+from .. import names
+from ..buffers import Shot, device_layers, moved, read_blocks
+from .pixel_explain_types import Link, Step, Story
 
 _CELLS = constants("mover_grid.h")
 

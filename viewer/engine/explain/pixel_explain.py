@@ -21,11 +21,11 @@ from gffe_cl.engine.stages.buffers import (
 )
 from gffe_cl.engine.stages.sharpening import Sharpening
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
-from gffe_cl.viewer.engine.explain.fragment_history import Fragment, around, least
-from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
-from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
+from .. import names
+from ..buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
+from .fragment_history import Fragment, around, least
+from .motion_trail import Passed, way_of
+from .pixel_explain_types import Link, Step, Story
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gffe_cl.viewer.engine.explain.motion_trail import WayPoint
+from .motion_trail import WayPoint
 
 
 @dataclass(frozen=True)

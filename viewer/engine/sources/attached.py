@@ -9,10 +9,10 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from gffe_cl.viewer.engine.attached.program import RunningProgram
-from gffe_cl.viewer.engine.messages import Inspection, Request, Result
-from gffe_cl.viewer.engine.sources.recorded import RecordedSource
-from gffe_cl.viewer.engine.sources.source import FrameSource
+from ..attached.program import RunningProgram
+from ..messages import Inspection, Request, Result
+from .recorded import RecordedSource
+from .source import FrameSource
 
 
 class AttachedSource(FrameSource):

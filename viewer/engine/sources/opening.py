@@ -13,11 +13,11 @@ from gffe_cl.captures.scenes import is_scene, load_scene
 from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.opencl.device import Device, open_device
-from gffe_cl.viewer.engine.sources.file_watch import Growth
-from gffe_cl.viewer.engine.sources.live import SceneSource
-from gffe_cl.viewer.engine.sources.preview import Previewer, place_of
-from gffe_cl.viewer.engine.sources.recorded import RecordedSource
-from gffe_cl.viewer.engine.sources.source import FrameSource
+from .file_watch import Growth
+from .live import SceneSource
+from .preview import Previewer, place_of
+from .recorded import RecordedSource
+from .source import FrameSource
 
 
 def open_viewer_device(wanted: str | None = None) -> Device:

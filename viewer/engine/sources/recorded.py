@@ -18,8 +18,8 @@ from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.viewer.engine.sources.file_watch import Growth, continues
-from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
+from .file_watch import Growth, continues
+from .source import CACHE_BYTES, FrameSource
 
 _AHEAD = 2  # frames read ahead
 

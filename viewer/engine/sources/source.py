@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.captures.offline.source import Source
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.options import Options
-from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
+from ..explain.motion_trail import REMEMBERED
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps
 

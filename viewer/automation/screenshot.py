@@ -1,26 +1,24 @@
-"""Starting the viewer: by hand, or to take one screenshot (`gffe view`)."""
+"""A screenshot of the whole window (`gffe view --screenshot`)."""
 
 from __future__ import annotations
 
-import atexit
-import os
-import sys
-import threading
 import time
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.steps import found_layer
+from ..picture.files import save_png
+from ..shell.app import App
+from ..shell.start import require_display
+from ..state.model import Model
+from .steps import found_layer
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
 PATIENCE = 120.0  # seconds
-REPORT_SIZE = (1600, 900)  # of the window for screenshots and measuring
+_SIZE = (1600, 900)  # of the window
 
 
 @dataclass(frozen=True)
@@ -31,12 +29,11 @@ class Look:
     compare: str = "off"
     other: str | None = None
 
-    def take(self, model) -> None:
+    def take(self, model: Model) -> None:
         """Show it in a model that has layers. Raises GffeError."""
-        shown, other = (name and found_layer(model, name) for name in (self.layer, self.other))
-        model.show_layer(shown)
-        if other:
-            model.view.b = other
+        model.show_layer(found_layer(model, self.layer))
+        if self.other:
+            model.view.b = found_layer(model, self.other)
         if self.compare != "off":
             reason = model.comparison.why_not(self.compare)
             if reason:
@@ -55,82 +52,25 @@ class Shot:
     overview: bool = False
 
 
-def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -> None:
-    """Run the viewer until it is closed, or until `shot` is written. Without `size` the window is as large as last
-    time, for a `shot` of REPORT_SIZE.
-
-    Raises GffeError without a display, or when the screenshot cannot be made.
-    """
+def take_screenshot(model: Model, shot: Shot, size: tuple[int, int] | None = None) -> None:
+    """Run the viewer until `shot` is written. Raises GffeError without a display, or when it cannot be made."""
     require_display()
-    from gffe_cl.viewer.app import App
-
-    if shot is None:
-        App(model).run(size)
-        return
     if not shot.path.absolute().parent.is_dir():
         raise GffeError(f"{shot.path}: cannot write: no such folder")
     if shot.path.suffix.lower() != ".png":
         raise GffeError(f"{shot.path}: a screenshot's name must end in .png")
     camera = _Photographer(shot)
-    App(model, on_frame=camera).run(size or REPORT_SIZE, test=lambda app: None)
+    App(model, on_frame=camera).run(size or _SIZE, test=lambda app: None)
     if camera.problem:
         raise GffeError(camera.problem)
-    _save(shot.path)
-
-
-@contextmanager
-def leaving(model) -> Iterator[None]:
-    """Close `model` at the end. If the device is still busy, end the program without shutting down the OpenCL
-    runtime, which would abort or hang: with exit code 0, or as `gffe` does after the exception."""
-    code = 2
-    try:
-        yield
-        code = 0
-    except KeyboardInterrupt:
-        code = 130
-        raise
-    finally:
-        model.close()
-        threading.excepthook = lambda _: None  # of threads that the interpreter takes down in the midst of their work
-        if model.left_working:
-            atexit.register(_end, code)
-
-
-def _end(code: int) -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
-def require_display() -> None:
-    """GffeError where no window can be opened."""
-    if not sys.platform.startswith("linux"):
-        return
-    without = "without a screen: xvfb-run -a gffe …"
-    display = os.environ.get("DISPLAY")
-    wayland = os.environ.get("WAYLAND_DISPLAY")
-    if not display and not wayland:
-        raise GffeError(f"no display to open a window on (expected DISPLAY to be set; {without})")
-    import imgui_bundle  # noqa: F401  before glfw
-
-    import glfw  # isort: skip
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        opened = glfw.init()
-    if not opened and not display:
-        raise GffeError(
-            f"no X display: WAYLAND_DISPLAY is {wayland}, but this viewer's GLFW opens windows by X11 only (expected"
-            f" DISPLAY, on Wayland by XWayland; {without})"
-        )
-    if not opened:
-        raise GffeError(f"the display {display} cannot be opened (DISPLAY may be wrong; {without})")
+    pixels = np.asarray(hello_imgui.final_app_window_screenshot())
+    if not pixels.size:
+        raise GffeError(f"{shot.path}: the window gave no picture")
+    save_png(shot.path, pixels)
 
 
 def without_pointer() -> None:
     """Suppress everything that depends on the mouse position."""
-    from imgui_bundle import imgui
-
     nowhere = float(np.finfo(np.float32).min)
     imgui.get_io().add_mouse_pos_event(nowhere, nowhere)
 
@@ -144,7 +84,7 @@ class _Photographer:
         self._arranged = False
         self._until = time.perf_counter() + PATIENCE
 
-    def __call__(self, app) -> None:
+    def __call__(self, app: App) -> None:
         model = app.model
         without_pointer()
         problem = model.failure or model.parameters.network_fault
@@ -163,7 +103,7 @@ class _Photographer:
             if self._still > _SETTLED_FRAMES:
                 app.close()
 
-    def _arrange(self, model) -> str | None:
+    def _arrange(self, model: Model) -> str | None:
         shot = self.shot
         if not 0 <= shot.frame < model.playback.slots:
             return f"--frame must be 0 to {model.playback.slots - 1}, got {shot.frame}"
@@ -181,14 +121,3 @@ class _Photographer:
         if shot.pixel is not None:
             model.pointing.pick(shot.pixel)
         return None
-
-
-def _save(path: Path) -> None:
-    from imgui_bundle import hello_imgui
-
-    from gffe_cl.viewer.picture.files import save_png
-
-    pixels = np.asarray(hello_imgui.final_app_window_screenshot())
-    if not pixels.size:
-        raise GffeError(f"{path}: the window gave no picture")
-    save_png(path, pixels)

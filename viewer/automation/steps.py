@@ -12,11 +12,14 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded
 from gffe_cl.engine.options import Option
-from gffe_cl.viewer.actions import Action, Actions
-from gffe_cl.viewer.state.captions import Message
-from gffe_cl.viewer.state.comparing import WAYS
-from gffe_cl.viewer.state.navigation import Flight
-from gffe_cl.viewer.state.parameters import ALL, parsed
+from ..shell.app import App
+from ..state.actions import Action, Actions
+from ..state.captions import Message
+from ..state.comparing import WAYS
+from ..state.model import Model
+from ..state.navigation import Flight
+from ..state.parameters import ALL, parsed
+from ..state.settings import Settings
 
 _MOST_BYTES = 1 << 20  # of a script
 _NEAR = 3  # names that are suggested where one is unknown
@@ -32,9 +35,9 @@ class Command:
     the script executes it."""
 
     usage: str
-    read: Callable[[str, Any], Any]
-    do: Callable[[Any, Any], object] | None = None
-    fits: Callable[[Any, Any], object] = lambda app, value: None
+    read: Callable[[str, App], Any]
+    do: Callable[[App, Any], object] | None = None
+    fits: Callable[[App, Any], object] = lambda app, value: None
     lasting: bool = False
 
 
@@ -47,7 +50,7 @@ class Step:
     value: Any
 
 
-def parse(path: Path, app=None) -> list[Step]:
+def parse(path: Path, app: App | None = None) -> list[Step]:
     """The steps of a script: one a line, empty lines and those that begin with # left out. Everything is checked that
     does not depend on the sequence. `app`: whose actions and panels there are (None: a viewer's that is never opened).
     Raises GffeError."""
@@ -69,7 +72,7 @@ def parse(path: Path, app=None) -> list[Step]:
     return steps
 
 
-def _read(command: str, argument: str, app) -> Any:
+def _read(command: str, argument: str, app: App) -> Any:
     if command not in COMMANDS:
         raise GffeError(f"unknown command '{command}' (expected {', '.join(COMMANDS)})")
     if not argument:
@@ -77,16 +80,12 @@ def _read(command: str, argument: str, app) -> Any:
     return COMMANDS[command].read(argument, app)
 
 
-def unopened():
+def unopened() -> App:
     """An application without a window and without a device: for its actions and panels."""
-    from gffe_cl.viewer.app import App
-    from gffe_cl.viewer.state.model import Model
-    from gffe_cl.viewer.state.settings import Settings
-
     return App(Model(Settings(), start=False, save_settings=False))
 
 
-def check(app, path: Path, steps: list[Step]) -> None:
+def check(app: App, path: Path, steps: list[Step]) -> None:
     """Check all steps against the open sequence and its first frame. Steps that depend on the options are checked up
     to the first step that changes them. Raises GffeError."""
     same_options = True
@@ -100,14 +99,14 @@ def check(app, path: Path, steps: list[Step]) -> None:
         same_options &= not _changes_options(app, step)
 
 
-def _changes_options(app, step: Step) -> bool:
+def _changes_options(app: App, step: Step) -> bool:
     if step.command == "do":
         action = _action(app.actions, step.value)
         return action is not None and action.group in ("Modules", "Parameters")
     return step.command == "set"
 
 
-def perform(app, command: str, value: Any) -> None:
+def perform(app: App, command: str, value: Any) -> None:
     """Do one step, but "wait" and "shot", in the running application. Raises GffeError if it cannot be done."""
     COMMANDS[command].fits(app, value)
     do = COMMANDS[command].do
@@ -118,20 +117,20 @@ def perform(app, command: str, value: Any) -> None:
 # ---- places and names ----------------------------------------------------------------------------------------
 
 
-def _slot(text: str, _app) -> int:
+def _slot(text: str, _app: App) -> int:
     slot = number(text)
     if slot < 0 or slot != int(slot):
         raise GffeError(f"seek must be a whole number, 0 or more, got '{text}'")
     return int(slot)
 
 
-def _slot_fits(app, slot: int) -> None:
+def _slot_fits(app: App, slot: int) -> None:
     slots = app.model.playback.slots
     if slot >= slots:
         raise GffeError(f"seek must be 0 to {slots - 1}, got {slot}")
 
 
-def found_layer(model, name: str) -> str:
+def found_layer(model: Model, name: str) -> str:
     """Full name of a layer that can be shown. Raises GffeError."""
     found = model.contents.find(name)
     if found is None:
@@ -142,7 +141,7 @@ def found_layer(model, name: str) -> str:
     return found
 
 
-def _nearest(model, text: str) -> list[str]:
+def _nearest(model: Model, text: str) -> list[str]:
     """Return similar names of layers, best first."""
     known: dict[str, str] = {}  # full names by possible spellings
     for spec in model.contents.layers:
@@ -157,32 +156,32 @@ def _close(text: str, known: dict[str, str]) -> list[str]:
     return list(dict.fromkeys(known[written] for written in found))[:_NEAR]
 
 
-def _layer_fits(app, name: str) -> None:
+def _layer_fits(app: App, name: str) -> None:
     found_layer(app.model, name)
 
 
-def _layer(app, name: str) -> None:
+def _layer(app: App, name: str) -> None:
     app.model.show_layer(found_layer(app.model, name))
 
 
-def _with(app, name: str) -> None:
+def _with(app: App, name: str) -> None:
     app.model.comparison.with_layer(found_layer(app.model, name))
 
 
-def _way(text: str, _app) -> str:
+def _way(text: str, _app: App) -> str:
     if text not in WAYS:
         raise GffeError(f"compare must be {', '.join(WAYS)}, got '{text}'")
     return text
 
 
-def _compare(app, way: str) -> None:
+def _compare(app: App, way: str) -> None:
     reason = app.model.comparison.why_not(way)
     if reason:
         raise GffeError(reason)
     app.model.comparison.set(way)
 
 
-def _share(text: str, _app) -> float:
+def _share(text: str, _app: App) -> float:
     share = number(text)
     if not 0 <= share <= 1:
         raise GffeError(f"split must be 0 to 1, got {text}")
@@ -192,7 +191,7 @@ def _share(text: str, _app) -> float:
 def _whole(name: str, count: int, example: str) -> Callable[[str, Any], tuple[int, ...] | None]:
     """Reads so many coordinates, or "none"."""
 
-    def read(text: str, _app) -> tuple[int, ...] | None:
+    def read(text: str, _app: App) -> tuple[int, ...] | None:
         if text == "none":
             return None
         values = numbers(text)
@@ -203,30 +202,31 @@ def _whole(name: str, count: int, example: str) -> Callable[[str, Any], tuple[in
     return read
 
 
-def _pixel_fits(app, pixel: tuple[int, int] | None) -> None:
+def _pixel_fits(app: App, pixel: tuple[int, int] | None) -> None:
     width, height = app.model.contents.size
     if pixel is not None and not (pixel[0] < width and pixel[1] < height):
         raise GffeError(f"pixel must be inside {width}×{height}, got {_listed(pixel)}")
 
 
-def _edges(text: str, app) -> tuple[int, ...] | None:
+def _edges(text: str, app: App) -> tuple[int, ...] | None:
     edges = _whole("rectangle", 4, "12,34,56,78")(text, app)
     if edges is not None and not (edges[0] < edges[2] and edges[1] < edges[3]):
         raise GffeError(f"rectangle must be LEFT,TOP,RIGHT,BOTTOM with LEFT < RIGHT and TOP < BOTTOM, got '{text}'")
     return edges
 
 
-def _rectangle_fits(app, edges: tuple[int, ...] | None) -> None:
+def _rectangle_fits(app: App, edges: tuple[int, ...] | None) -> None:
     width, height = app.model.contents.size
     if edges is not None and not (edges[2] <= width and edges[3] <= height):
         raise GffeError(f"rectangle must be inside {width}×{height}, got {_listed(edges)}")
 
 
-def _rectangle(app, edges: tuple[int, ...] | None) -> None:
+def _rectangle(app: App, edges: tuple[int, ...] | None) -> None:
     if edges is None:
         app.model.selection.forget()
     else:
-        app.model.selection.draw(edges[:2], [edge - 0.5 for edge in edges[2:]])
+        left, top, right, bottom = edges
+        app.model.selection.draw((left, top), (right - 0.5, bottom - 0.5))
 
 
 def _listed(values) -> str:
@@ -236,7 +236,7 @@ def _listed(values) -> str:
 # ---- options and actions -------------------------------------------------------------------------------------
 
 
-def _setting(text: str, _app) -> tuple[str, bool, Any]:
+def _setting(text: str, _app: App) -> tuple[str, bool, Any]:
     """(option, whether it is a switch, value)."""
     name, _, value = text.partition(" ")
     option, value = ALL.get(name), value.strip()
@@ -259,7 +259,7 @@ def _value(option: Option, text: str) -> Any:
         raise GffeError(f"{option.label} must be {switch}{option.expected}, got '{text}'") from None
 
 
-def _set(app, setting: tuple[str, bool, Any]) -> None:
+def _set(app: App, setting: tuple[str, bool, Any]) -> None:
     name, is_switch, value = setting
     parameters = app.model.parameters
     reason = parameters.why_not(name)
@@ -272,28 +272,28 @@ def _action(actions: Actions, wanted: str) -> Action | None:
     return next((action for action in actions if wanted in (action.id, action.label)), None)
 
 
-def _known_action(text: str, app) -> str:
+def _known_action(text: str, app: App) -> str:
     of_layer = text.startswith("layer ") or ": " in text  # there are none before the first frame
     if not of_layer:
         _action_fits(app, text)
     return text
 
 
-def _action_fits(app, wanted: str) -> None:
+def _action_fits(app: App, wanted: str) -> None:
     if _action(app.actions, wanted) is None:
         known = {written.lower(): action.id for action in app.actions for written in (action.label, action.id)}
         near = ", ".join(_close(wanted, known))
         raise GffeError(f"no action is called '{wanted}' (nearest: {near}; all: gffe view --actions)")
 
 
-def _run(app, wanted: str) -> None:
+def _run(app: App, wanted: str) -> None:
     action = _action(app.actions, wanted)
     assert action is not None  # `_action_fits` was asked
     if not app.actions.run(action.id):
         raise GffeError(f"{action.label}: {app.actions.last_refusal}")
 
 
-def _panel(text: str, app) -> str:
+def _panel(text: str, app: App) -> str:
     if text not in app.docks.names:
         raise GffeError(f"no panel is called '{text}' (expected {', '.join(app.docks.names)})")
     return text
@@ -302,14 +302,14 @@ def _panel(text: str, app) -> str:
 # ---- the window ----------------------------------------------------------------------------------------------
 
 
-def _palette(app, text: str) -> None:
+def _palette(app: App, text: str) -> None:
     if text == "none":
         app.palette.close()
     else:
         app.palette.open(text)
 
 
-def _flight(text: str, _app) -> Flight | None:
+def _flight(text: str, _app: App) -> Flight | None:
     if text == "none":
         return None
     parts = numbers(text)
@@ -318,17 +318,17 @@ def _flight(text: str, _app) -> Flight | None:
     return Flight((parts[0], parts[1], parts[2]), 1.0, 0.0, 0.0, (parts[3], parts[4]))
 
 
-def _steer(app, flight: Flight | None) -> None:
+def _steer(app: App, flight: Flight | None) -> None:
     if flight is not None and not app.model.flying:
         raise GffeError("steer: the camera does not fly (expected: do fly)")
     app.steering = flight
 
 
-def _say(app, text: str) -> None:
+def _say(app: App, text: str) -> None:
     app.model.messages = [Message(text, "title")]  # one at a time
 
 
-def _seconds(text: str, _app) -> float | str:
+def _seconds(text: str, _app: App) -> float | str:
     if text == DONE:
         return DONE
     seconds = number(text)
@@ -337,14 +337,14 @@ def _seconds(text: str, _app) -> float | str:
     return seconds
 
 
-def _picture_file(text: str, _app) -> Path:
+def _picture_file(text: str, _app: App) -> Path:
     path = Path(text)
     if path.suffix.lower() != ".png" or not path.absolute().parent.is_dir():
         raise GffeError(f"{text}: expected a .png in an existing folder")
     return path
 
 
-def _text(text: str, _app) -> str:
+def _text(text: str, _app: App) -> str:
     return text
 
 

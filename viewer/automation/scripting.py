@@ -9,9 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.start import PATIENCE, require_display, without_pointer
-from gffe_cl.viewer.state.playback import EVERY_FRAME
-from gffe_cl.viewer.steps import DONE, Step, check, perform
+from ..picture.files import save_png
+from ..shell.app import App
+from ..shell.start import require_display
+from ..state.model import Model
+from ..state.playback import EVERY_FRAME
+from .screenshot import PATIENCE, without_pointer
+from .steps import DONE, Step, check, perform
 
 RATE = 8.0  # steps of the clock per second, and frames of the film
 SIZE = (1120, 700)  # of the window
@@ -20,13 +24,11 @@ _STILL_FRAMES = 3  # of the interface, after everything has arrived, before a pi
 
 
 def play_script(
-    model, path: Path, steps: list[Step], film: Path | None = None, size: tuple[int, int] | None = None
+    model: Model, path: Path, steps: list[Step], film: Path | None = None, size: tuple[int, int] | None = None
 ) -> None:
     """Run the steps of the script `path` in a window of its own, and write a `film` of it, WebP or GIF. Time passes
     only while the display is up to date, so that slow machines make the same film. Raises GffeError."""
     require_display()
-    from gffe_cl.viewer.app import App
-
     director = Director(path, steps, film is not None)
     app = App(model, on_frame=director)
     app.clock = director.clock
@@ -57,7 +59,7 @@ class Director:
         """Seconds."""
         return self._time
 
-    def __call__(self, app) -> None:
+    def __call__(self, app: App) -> None:
         model = app.model
         without_pointer()
         if self.problem is not None or self._is_stuck(model):
@@ -85,7 +87,7 @@ class Director:
         else:
             app.close()
 
-    def _is_stuck(self, model) -> bool:
+    def _is_stuck(self, model: Model) -> bool:
         now = time.monotonic()
         self._patience = self._patience or now + PATIENCE
         self.problem = model.failure or (
@@ -93,7 +95,7 @@ class Director:
         )
         return self.problem is not None
 
-    def _take(self, app, use: Callable[[np.ndarray], object]) -> None:
+    def _take(self, app: App, use: Callable[[np.ndarray], object]) -> None:
         self._taken = False
 
         def taken(pixels: np.ndarray) -> None:
@@ -102,14 +104,14 @@ class Director:
 
         app.capture(taken)
 
-    def _check(self, app) -> None:
+    def _check(self, app: App) -> None:
         self._checked = True
         try:
             check(app, self._script, self._steps)
         except GffeError as error:
             self.problem = str(error)
 
-    def _do(self, app, step: Step) -> None:
+    def _do(self, app: App, step: Step) -> None:
         try:
             if step.command == "wait" and step.value == DONE:
                 self._until_done = True
@@ -122,9 +124,7 @@ class Director:
         except GffeError as error:
             self.problem = f"{self._script}, line {step.line}: {error}"
 
-    def _shoot(self, app, path: Path) -> None:
-        from gffe_cl.viewer.picture.files import save_png
-
+    def _shoot(self, app: App, path: Path) -> None:
         def save(pixels: np.ndarray) -> None:
             try:
                 save_png(path, pixels)
@@ -134,7 +134,7 @@ class Director:
         self._take(app, save)
 
 
-def _works_beside(model) -> bool:
+def _works_beside(model: Model) -> bool:
     """Whether frames are being measured, the doctor examines the sequence, or something is being saved."""
     return model.survey.busy or model.export is not None or (model.doctor is not None and not model.doctor.done)
 

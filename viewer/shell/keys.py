@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from imgui_bundle import imgui
 
-from gffe_cl.viewer.actions import IMGUI_KEYS
-from gffe_cl.viewer.state.navigation import Flight
+from ..state.actions import IMGUI_KEYS
+from ..state.model import Model
+from ..state.navigation import Flight
 
 FLIGHT_KEYS = frozenset("WASDQE")
 _TURN = 0.25  # degrees per pixel of mouse
@@ -35,7 +36,7 @@ def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False
             actions.release(name)
 
 
-def flight(model) -> Flight | None:
+def flight(model: Model) -> Flight | None:
     """How the camera is steered now; None while it is not flown."""
     io = imgui.get_io()
     if not model.flying or io.want_text_input:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.options import Option
-from gffe_cl.viewer.actions import Action
-from gffe_cl.viewer.engine.slot_metrics import QUANTITIES, REGIONS
-from gffe_cl.viewer.state import saving
-from gffe_cl.viewer.state.parameters import ALL
+from ..engine.slot_metrics import QUANTITIES, REGIONS
+from ..state import saving
+from ..state.actions import Action
+from ..state.model import Model
+from ..state.parameters import ALL
+from ..state.presets import Kept
+
+if TYPE_CHECKING:
+    from .app import App
 
 _EXPOSURE_STEP = 0.5
 LAYERS = "Layer"  # group of actions
 
 
-def register(app) -> None:
+def register(app: App) -> None:
     """Fill `app.actions`."""
     model = app.model
 
@@ -148,25 +154,25 @@ def register(app) -> None:
     add("help", "Keys and help", "Help", "?", app.help.toggle, anywhere=True)
 
 
-def _comparing(app, add, opened) -> None:
+def _comparing(app: App, add, opened) -> None:
     """A against B."""
     model = app.model
 
     def no_second():
         return None if model.kept.b is not None else "no settings are kept as B"
 
-    def copy(setup):
-        line = printable(model.command_line(setup))
+    def copy(kept: Kept | None = None):
+        line = printable(model.command_line(model.setup if kept is None else kept.setup(model.n)))
         imgui.set_clipboard_text(line)
         model.say(f"copied: {line}")
 
     add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
         tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
     add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
-    add("copy_command", "Copy A's command line", "Compare", "Alt+K", lambda: copy(model.setup), opened,
+    add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
     add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
-        lambda: copy(model.kept.b.setup(model.n)), lambda: opened() or no_second())  # fmt: skip
+        lambda: copy(model.kept.b), lambda: opened() or no_second())  # fmt: skip
     add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
     for way, text, key in (
         ("split", "Split wipe", "W"),
@@ -180,7 +186,7 @@ def _comparing(app, add, opened) -> None:
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
 
 
-def _finding(app, add, opened) -> None:
+def _finding(app: App, add, opened) -> None:
     """Frames, regions and pixels that are wrong."""
     model, survey, regions = app.model, app.model.survey, app.model.regions
     add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
@@ -211,7 +217,7 @@ def _finding(app, add, opened) -> None:
         lambda: opened() or (None if model.selection.rectangle else "drag with Shift to draw one"))  # fmt: skip
 
 
-def _register_parameter(app, name: str, option: Option) -> None:
+def _register_parameter(app: App, name: str, option: Option) -> None:
     """A switch for a module, an action for every choice, and for a number one that asks for it."""
     model, parameters = app.model, app.model.parameters
 
@@ -230,7 +236,7 @@ def _register_parameter(app, name: str, option: Option) -> None:
         add("number", f"{option.label} …", "Parameters", partial(app.palette.ask, name))
 
 
-def register_layers(app) -> None:
+def register_layers(app: App) -> None:
     """Register an action for every new layer. Actions of layers that are not made now stay, disabled."""
     model = app.model
     for spec in model.contents.layers:
@@ -251,17 +257,17 @@ def register_layers(app) -> None:
         )
 
 
-def _why_no_layer(model, name: str) -> str | None:
+def _why_no_layer(model: Model, name: str) -> str | None:
     if model.contents.spec(name) is None:
         return "not made with these options"
     return model.contents.why_not(name)
 
 
-def _theme(app) -> None:
+def _theme(app: App) -> None:
     app.model.settings.theme = "dark" if app.model.settings.theme == "light" else "light"
 
 
-def menus(app) -> None:
+def menus(app: App) -> None:
     for group, actions in app.actions.grouped().items():
         if group == LAYERS:  # a panel of their own
             continue
@@ -284,7 +290,7 @@ def _item(actions, action) -> None:
         actions.run(action.id)
 
 
-def _file_menu(model) -> None:
+def _file_menu(model: Model) -> None:
     imgui.separator()
     for label, scenes in (("Built-in scenes###scenes", SCENES), ("Situations###situations", SITUATIONS)):
         if imgui.begin_menu(label):

@@ -6,6 +6,8 @@ from typing import Protocol
 
 from imgui_bundle import imgui
 
+from ..panels.interface import Interface
+
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value
 
 
@@ -17,7 +19,7 @@ class Window(Protocol):
 
     def close(self) -> None: ...
 
-    def draw(self, app) -> bool: ...
+    def draw(self, app: Interface) -> bool: ...
 
 
 class Stack:
@@ -34,7 +36,7 @@ class Stack:
         self._open: list[Window] = []  # the one on top last
         self._popup = self.covers = False
 
-    def draw(self, app) -> None:
+    def draw(self, app: Interface) -> None:
         """Draw those that are open; after Escape without the one on top."""
         self._sort()
         popup = imgui.is_popup_open("", _ANY_POPUP)
@@ -53,7 +55,7 @@ class Stack:
         still = [window for window in self._open if window.is_open]
         self._open = still + [window for window in self._windows if window.is_open and window not in still]
 
-    def _escape(self, app, taken: bool) -> None:
+    def _escape(self, app: Interface, taken: bool) -> None:
         if self._open and not taken:
             self._open.pop().close()
         elif not taken:

@@ -13,10 +13,7 @@ import numpy as np
 from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from gffe_cl.viewer import commands, keys, theme
-from gffe_cl.viewer.actions import Actions
-from gffe_cl.viewer.docks import Docks
-from gffe_cl.viewer.panels import (
+from ..panels import (
     compare,
     doctor,
     inspector,
@@ -31,11 +28,16 @@ from gffe_cl.viewer.panels import (
     timings,
     windows,
 )
-from gffe_cl.viewer.panels.palette import Palette
-from gffe_cl.viewer.panels.picture_frames import PictureFrames
-from gffe_cl.viewer.state.model import Model
-from gffe_cl.viewer.state.settings import can_save
-from gffe_cl.viewer.window_stack import Stack
+from ..panels.interface import Interface
+from ..panels.palette import Palette
+from ..picture.canvas import Canvas
+from ..state.model import Model
+from ..state.navigation import Flight
+from ..state.settings import can_save
+from . import commands, keys, theme
+from .docks import Docks
+from .picture_frames import PictureFrames
+from .window_stack import Stack
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5
@@ -62,41 +64,28 @@ def has_dialogs() -> bool:
     return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
 
 
-class App:
+class App(Interface):
     """Ties the model to ImGui and GL.
 
     `on_frame(app)`, if given, is called once per interface frame: screenshots and tests hook in there.
-    `on_picture(app)` is called once per frame that shows a new picture in the interface as it is.
     """
 
-    def __init__(self, model: Model, on_frame=None):
-        self.model = model
+    def __init__(self, model: Model, on_frame: Callable[[App], None] | None = None):
+        super().__init__(model)
         self.on_frame = on_frame
-        self.on_picture: Callable[[App], None] | None = None
-        self.canvas: Any = None  # a Canvas, made when there is a GL context
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
-        self.clock = time.perf_counter  # the clock of playback
-        self.steering = None  # of a script, instead of keys and mouse
+        self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
-        self.actions = Actions()
         self.docks = Docks(self, _PANELS, lambda: self.scale)
         self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
         self.stack = Stack(self.palette, self.help, self.open_path)
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
-        self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self._params: hello_imgui.RunnerParams | None = None
-        self.row_seen = ""  # of the list of layers: it was scrolled to this one
-        self.canvas_size = (0, 0)  # screen pixels
         self.picture_frames = PictureFrames(self)
-        self.foot: tuple[float, float] | None = None  # of the picture: the middle of its lower edge, screen pixels
-        self._drawn = self._texture = self._tiles = None
-        self._all_there = True  # when the overview was drawn
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
-        self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._layers_known: list = []  # those that have actions
-        self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
     # ---- running -----------------------------------------------------------------------------------------
 
@@ -144,7 +133,7 @@ class App:
 
     def _before_swap(self) -> None:
         if self.clock is time.perf_counter and not self._captures:
-            self.picture_frames.allow()
+            self.picture_frames.allow(self.stack.covers)
         if not self._captures:
             return
         wanted, self._captures = self._captures, []
@@ -190,8 +179,6 @@ class App:
         import moderngl
         from imgui_bundle import glfw_utils
 
-        from gffe_cl.viewer.picture.canvas import Canvas
-
         self.canvas = Canvas(moderngl.create_context())
         window: Any = glfw_utils.glfw_window_hello_imgui()
         dropped: Any = lambda _window, paths: self.drop(paths)  # noqa: E731
@@ -233,21 +220,6 @@ class App:
         window: Any = glfw_utils.glfw_window_hello_imgui()
         self.model.remember(glfw.get_window_size(window))
         self.model.close()
-
-    def drawn(self, view, size: tuple[int, int]):
-        """Texture of the canvas, redrawn only after a change."""
-        what = (view, size, self.model.contents.changes, self.model.comparison.ready, self.model.regions.changes)
-        if what != self._drawn:
-            self._drawn, self._texture = what, self.canvas.draw(view, size)
-        return self._texture
-
-    def drawn_overview(self, tiles, size: tuple[int, int], caption: int, gap: int):
-        """The same of all layers, and where they are."""
-        what = (tiles, size, caption, self.model.contents.changes)
-        if what != self._drawn or not self.model.screen.ready or not self._all_there:
-            self._all_there = self.model.screen.ready
-            self._drawn, self._tiles = what, self.canvas.overview(tiles, size, caption=caption, gap=gap)
-        return self._tiles
 
     # ---- windows that come and go ------------------------------------------------------------------------
 

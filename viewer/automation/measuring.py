@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.start import PATIENCE, Look, require_display
+from ..shell.app import App
+from ..shell.start import require_display
+from ..state.model import Model
+from .screenshot import PATIENCE, Look
 
 _SIZE = (1280, 720)  # of the window
 _FASTEST = 4.0  # times real time
@@ -17,7 +20,7 @@ _PLAIN = Look()
 
 
 def measure(
-    model, seconds: float, size: tuple[int, int] | None = None, look: Look = _PLAIN
+    model: Model, seconds: float, size: tuple[int, int] | None = None, look: Look = _PLAIN
 ) -> dict[str, dict[str, float]]:
     """Play every frame as `look`, computed, for the given seconds or until the end. Then play the same frames from the
     cache, in real time, repeatedly for the given seconds.
@@ -31,11 +34,9 @@ def measure(
     Raises GffeError without a display, or when nothing can be played.
     """
     require_display()
-    from gffe_cl.viewer.app import App
-
     stopwatch = _Stopwatch(seconds, look)
     app = App(model, on_frame=stopwatch)
-    app.on_picture = stopwatch.count
+    app.picture_frames.on_picture = stopwatch.count
     app.run(size or _SIZE, test=lambda app: None)
     if stopwatch.problem:
         raise GffeError(stopwatch.problem)
@@ -56,7 +57,7 @@ class _Stopwatch:
         self.cached: _Pass | None = None
         self._until = time.perf_counter() + PATIENCE
 
-    def __call__(self, app) -> None:
+    def __call__(self, app: App) -> None:
         model, now = app.model, time.perf_counter()
         self._look_for_pictures(model)
         playback = model.playback
@@ -83,13 +84,13 @@ class _Stopwatch:
             if now - self.cached.start > self.seconds:
                 app.close()
 
-    def count(self, app) -> None:
+    def count(self, app: App) -> None:
         """Call once per picture that is shown in the interface as it is."""
         played = self.cached or self.first
         if played is not None:
             played.count(time.perf_counter(), app.model, interface=False)
 
-    def _look_for_pictures(self, model) -> None:
+    def _look_for_pictures(self, model: Model) -> None:
         for name in self._drawn - self.pictures.keys():
             seconds = _age_of_process()
             self.pictures |= {} if seconds is None else {name: seconds}
@@ -98,7 +99,7 @@ class _Stopwatch:
         if model.contents.result is not None:
             self._drawn.add("computed_seconds")
 
-    def _show(self, model) -> None:
+    def _show(self, model: Model) -> None:
         look, self._look = self._look, None
         assert look is not None
         try:
@@ -106,7 +107,7 @@ class _Stopwatch:
         except GffeError as error:
             self.problem = str(error)
 
-    def _play_again(self, app, now: float) -> None:
+    def _play_again(self, app: App, now: float) -> None:
         model, playback = app.model, app.model.playback
         if not model.engine.cache.most:
             app.close()
@@ -124,7 +125,7 @@ class _Stopwatch:
 class _Pass:
     """Displayed frames from `start` on."""
 
-    def __init__(self, start: float, model, real_time: bool = False):
+    def __init__(self, start: float, model: Model, real_time: bool = False):
         self.start = self._end = start
         self._processor = self._processor_end = time.process_time()
         self._real_time, self._last = real_time, model.contents.result
@@ -132,12 +133,12 @@ class _Pass:
         self._due_rate = model.playback.target_rate
         self._rows: list[tuple[bool, float, float, float]] = []
 
-    def count(self, now: float, model, interface: bool = True) -> None:
+    def count(self, now: float, model: Model, interface: bool = True) -> None:
         self._interface += interface
         self._end, self._dropped = now, model.playback.dropped
         self._processor_end = time.process_time()
         result = model.contents.result
-        if result is not self._last:
+        if result is not None and result is not self._last:
             self._last = result
             kernels = sum(result.milliseconds.values())
             self._rows.append((result.moment.alpha > 0, kernels, result.readback_ms, model.screen.upload_ms))

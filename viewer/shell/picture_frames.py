@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 from imgui_bundle import imgui
 
-if TYPE_CHECKING:
-    from gffe_cl.viewer.picture.canvas import Rectangle
-    from gffe_cl.viewer.picture.view import View
+from ..panels.interface import Interface
+from ..picture.canvas import Rectangle
 
 _INTERFACE = 1 / 12  # seconds between frames of the whole interface
 _AFTER_INPUT = 0.3  # seconds in which the whole interface follows keys and mouse
-
-
-@dataclass
-class Spot:
-    """Place of the picture in the window: `origin` in the window's pixels; `covers`, rectangles in the picture's own
-    pixels that other content covers; `hovered`: by the mouse."""
-
-    view: View
-    origin: tuple[int, int]
-    size: tuple[int, int]
-    covers: list[Rectangle]
-    hovered: bool
 
 
 class PictureFrames:
@@ -35,16 +21,11 @@ class PictureFrames:
     It is used only where a CPU draws the window (Mesa's llvmpipe). There the interface costs more than the picture, and
     a swap of buffers keeps the window's contents, which other drivers do not promise. After input from keyboard or
     mouse every frame draws the whole interface.
-
-    Attributes
-    ----------
-    spot : Spot or None
-        Set with each frame of the interface; None where more than the picture changes, or where something lies over it.
     """
 
-    def __init__(self, app):
+    def __init__(self, app: Interface):
         self._app = app
-        self.spot: Spot | None = None
+        self.on_picture: Callable[[Any], None] | None = None  # given the interface, once per picture drawn here
         self._allowed = False
         self._drawn_at = self._input_at = 0.0
 
@@ -55,17 +36,18 @@ class PictureFrames:
         if moved or imgui.is_any_mouse_down() or imgui.is_any_item_active() or io.key_mods or io.want_text_input:
             self._input_at = self._app.clock()
 
-    def allow(self) -> None:
-        """Decide whether frames of the picture alone may follow. Call when a frame of the interface is drawn."""
+    def allow(self, covered: bool) -> None:
+        """Decide whether frames of the picture alone may follow. Call when a frame of the interface is drawn.
+        `covered`: whether a window lies over the panels."""
         app, io = self._app, imgui.get_io()
         self._drawn_at = now = app.clock()
         scaled = io.display_framebuffer_scale.x != 1.0 or io.display_framebuffer_scale.y != 1.0
         self._allowed = (
-            self.spot is not None
+            app.spot is not None
             and "llvmpipe" in app.canvas.ctx.info["GL_RENDERER"]
             and app.model.playback.playing
-            and not (scaled or app.stack.covers)
-            and (self.spot.hovered or not imgui.is_any_item_hovered())  # tooltips may reach over the picture
+            and not (scaled or covered)
+            and (app.spot.hovered or not imgui.is_any_item_hovered())  # tooltips may reach over the picture
             and now - self._input_at > _AFTER_INPUT
         )
 
@@ -90,15 +72,15 @@ class PictureFrames:
         import glfw
         from imgui_bundle import glfw_utils
 
-        spot, canvas = self.spot, self._app.canvas
+        spot, canvas = self._app.spot, self._app.canvas
         assert spot is not None
         canvas.draw_into(
             canvas.ctx.detect_framebuffer(0), spot.view, spot.origin, spot.size, uncovered(spot.size, spot.covers)
         )
         window: Any = glfw_utils.glfw_window_hello_imgui()
         glfw.swap_buffers(window)
-        if self._app.on_picture is not None:
-            self._app.on_picture(self._app)
+        if self.on_picture is not None:
+            self.on_picture(self._app)
 
 
 def uncovered(size: tuple[int, int], covers: list[Rectangle]) -> Iterator[Rectangle]:

@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gffe_cl.viewer.panels import widgets
+from ..panels import widgets
+from ..panels.interface import Interface
 
 _BY_HAND = ("Plot", "Doctor")  # closed until they are asked for
 _STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
@@ -35,7 +36,7 @@ class Docks:
         Size of the interface.
     """
 
-    def __init__(self, app, panels: dict[str, tuple[Callable, str]], scale: Callable[[], float]):
+    def __init__(self, app: Interface, panels: dict[str, tuple[Callable, str]], scale: Callable[[], float]):
         self._app, self._panels, self._scale = app, panels, scale
         self._runner: hello_imgui.RunnerParams | None = None  # it stores a copy of the assigned value
         self.hidden = False  # the panels on both sides

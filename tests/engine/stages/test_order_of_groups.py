@@ -1,0 +1,64 @@
+"""Work-groups of a launch may run in any order: results have the same bits."""
+
+from collections import defaultdict
+from itertools import product
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from test_twins import run
+
+from gffe_cl.engine.options import Options
+
+pytestmark = pytest.mark.device
+W, H = 48, 150
+OPTIONS = Options(shading_correction=False)
+# Kernels in which several work-groups change one place, by atomics.
+SHARING = (
+    "compare_samples",
+    "count_histograms",
+    "count_excess",
+    "find_reach",
+    "splat",
+    "scatter_level",
+    "project_levels",
+)
+
+
+def in_shuffled_pieces(monkeypatch):
+    """Enqueue each work-group of the kernels `SHARING` on its own, in a random order. Returns in how many, by
+    kernel, for each launch."""
+    enqueue, random, pieces = cl.enqueue_nd_range_kernel, np.random.default_rng(1), defaultdict(list)
+
+    def shuffled(queue, kernel, size, group):
+        if kernel.function_name not in SHARING:
+            return enqueue(queue, kernel, size, group)
+        starts = list(product(*(range(0, items, step) for items, step in zip(size, group, strict=True))))
+        for k in random.permutation(len(starts)):
+            event = enqueue(queue, kernel, group, group, starts[k])
+        pieces[kernel.function_name].append(len(starts))
+        return event
+
+    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", shuffled)
+    return pieces
+
+
+def bits(pipeline):
+    """All buffers of the last frames that are of interest afterwards, by name."""
+    owners = {"frame": pipeline.board.frame} | pipeline.stages
+    return {
+        f"{owner}.{spec.name}": stage.read(spec.name).tobytes()
+        for owner, stage in owners.items()
+        for spec in stage.buffers
+        if not spec.scratch
+    }
+
+
+@pytest.mark.parametrize("int64", [True, False])
+def test_the_order_of_work_groups_changes_no_bit(device, monkeypatch, int64):
+    int64 = int64 and device.int64_atomics
+    expected = bits(run(device, W, H, OPTIONS, int64)[0])
+    pieces = in_shuffled_pieces(monkeypatch)
+    found = bits(run(device, W, H, OPTIONS, int64)[0])
+    assert all(min(pieces[name], default=0) > 1 for name in SHARING), pieces
+    assert [name for name in expected if found[name] != expected[name]] == []

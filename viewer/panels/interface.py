@@ -1,0 +1,77 @@
+"""The interface as its panels see it: what they draw with, and what they remember from one frame to the next."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+from imgui_bundle import ImVec2
+
+from ..picture.canvas import Canvas, Rectangle, Tile
+from ..picture.displays import Display
+from ..picture.view import View
+from ..state.actions import Actions
+from ..state.model import Model
+
+
+@dataclass
+class Spot:
+    """Place of the picture in the window: `origin` in the window's pixels; `covers`, rectangles in the picture's own
+    pixels that other content covers; `hovered`: by the mouse."""
+
+    view: View
+    origin: tuple[int, int]
+    size: tuple[int, int]
+    covers: list[Rectangle]
+    hovered: bool
+
+
+class Interface:
+    """What all panels share. The window is a subclass (`shell.app.App`).
+
+    Attributes
+    ----------
+    canvas : Canvas
+        Made when there is a GL context.
+    clock : callable
+        Clock of playback, seconds.
+    spot : Spot or None
+        Set with each frame of the interface; None where more than the picture changes, or where something lies over it.
+    foot : tuple or None
+        Middle of the picture's lower edge, screen pixels.
+    """
+
+    canvas: Canvas
+
+    def __init__(self, model: Model):
+        self.model, self.actions = model, Actions()
+        self.clock: Callable[[], float] = time.perf_counter
+        self.spot: Spot | None = None
+        self.foot: tuple[float, float] | None = None
+        self.canvas_size: tuple[int, int] = (0, 0)  # screen pixels
+        self.drags, self.pressed_at = "nothing", ImVec2()  # by the mouse, in the picture
+        self.row_seen = ""  # of the list of layers: it was scrolled to this one
+        self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
+        self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
+        self._drawn: Any = None
+        self._all_there = True  # when the overview was drawn
+
+    def drawn(self, view: View, size: tuple[int, int]) -> moderngl.Texture:
+        """Return the texture of the canvas, redrawn only after a change."""
+        what = (view, size, self.model.contents.changes, self.model.comparison.ready, self.model.regions.changes)
+        if what != self._drawn:
+            self._drawn, self._texture = what, self.canvas.draw(view, size)
+        return self._texture
+
+    def drawn_overview(
+        self, tiles: list[tuple[str, Display]], size: tuple[int, int], caption: int, gap: int
+    ) -> tuple[moderngl.Texture, tuple[Tile, ...]]:
+        """Return the texture of all layers, and where they are."""
+        what = (tiles, size, caption, self.model.contents.changes)
+        if what != self._drawn or not self.model.screen.ready or not self._all_there:
+            self._all_there = self.model.screen.ready
+            self._drawn, self._tiles = what, self.canvas.overview(tiles, size, caption=caption, gap=gap)
+        return self._tiles

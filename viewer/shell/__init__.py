@@ -1,0 +1,1 @@
+"""The window: docked panels, actions, keys, theme, and windows over the panels."""
