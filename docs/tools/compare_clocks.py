@@ -21,25 +21,25 @@ from pages import REPOSITORY
 
 import gffe_cl as gffe
 from gffe_cl.engine.timing.bench import Copier, bench_size
-from gffe_cl.engine.timing.footage import Footage
-from gffe_cl.lab.bench.footage import SCENE, footage_of
+from gffe_cl.engine.timing.footage import FrameLoop
+from gffe_cl.lab.bench.footage import SCENE, loop_of
 
 
-def clocks(footage: Footage, device: gffe.Device, scn: bool, turns: int, pairs: int) -> list[dict[str, float]]:
+def clocks(loop: FrameLoop, device: gffe.Device, scn: bool, turns: int, pairs: int) -> list[dict[str, float]]:
     """Milliseconds by clock, of each turn."""
-    options, copier, on_device = gffe.Options(shading_correction=scn), Copier(device), footage.on(device)
+    options, copier, on_device = gffe.Options(shading_correction=scn), Copier(device), loop.on(device)
     with tempfile.TemporaryDirectory(prefix="compare_clocks_") as temporary:
         folder = Path(temporary) / "footage"
-        store(footage, folder)
+        store(loop, folder)
         version = Version(REPOSITORY, str(folder), "--device", device.info.index, *(["--scn"] if scn else []))
 
         def served() -> float:
-            timed = [(turn, version.timed(turn, footage)["wall time"]) for turn in footage.turns(pairs)]
+            timed = [(turn, version.timed(turn, loop)["wall time"]) for turn in loop.turns(pairs)]
             return statistics.median(milliseconds for turn, milliseconds in timed if turn.counts)
 
         by_name = {
             "plain loop": lambda: plain_loop(on_device, device, options, pairs),
-            "gffe bench": lambda: bench_size(device, copier, footage, options, pairs).wall,
+            "gffe bench": lambda: bench_size(device, copier, loop, options, pairs).wall,
             "compare_speed.py": served,
         }
         found = [{name: clock() for name, clock in by_name.items()} for _ in range(turns)]
@@ -47,14 +47,14 @@ def clocks(footage: Footage, device: gffe.Device, scn: bool, turns: int, pairs: 
     return found
 
 
-def plain_loop(footage: Footage, device: gffe.Device, options: gffe.Options, pairs: int) -> float:
+def plain_loop(loop: FrameLoop, device: gffe.Device, options: gffe.Options, pairs: int) -> float:
     """The median wall time of a pair, milliseconds."""
-    pipeline = gffe.Pipeline(device, footage.width, footage.height, options)
-    pipeline.exposure, walls = footage.exposure, []
-    for turn in footage.turns(pairs):
+    pipeline = gffe.Pipeline(device, loop.width, loop.height, options)
+    pipeline.exposure, walls = loop.exposure, []
+    for turn in loop.turns(pairs):
         start = time.perf_counter()
         pipeline.submit(turn.frame)
-        pipeline.extrapolate(turn.camera, turn.time(footage.interval))
+        pipeline.extrapolate(turn.camera, turn.time(loop.interval))
         device.queue.finish()
         if turn.counts:
             walls.append(1e3 * (time.perf_counter() - start))
@@ -72,9 +72,9 @@ def main() -> None:
     asked = parser.parse_args()
     device = gffe.open_device(asked.device)
     width, height = (int(n) for n in asked.size.split("x"))
-    footage = footage_of(device, asked.scene, (width, height))
-    turns = clocks(footage, device, asked.scn, asked.turns, asked.pairs)
-    print(f"{footage.name}, {width}×{height}, {device.info.name} ({device.info.platform})")
+    loop = loop_of(device, asked.scene, (width, height))
+    turns = clocks(loop, device, asked.scn, asked.turns, asked.pairs)
+    print(f"{loop.name}, {width}×{height}, {device.info.name} ({device.info.platform})")
     print(f"{'wall time of a pair':20}{'ms':>10}{'ratio':>8}")
     for name in turns[0]:
         milliseconds = statistics.median(turn[name] for turn in turns)

@@ -35,7 +35,7 @@ import numpy as np
 from pages import REPOSITORY
 
 if TYPE_CHECKING:
-    from gffe_cl.engine.timing.footage import Footage, Turn
+    from gffe_cl.engine.timing.footage import FrameLoop, Turn
 
 OLD = "61564f7"
 # Parts by the names that `take_timings` has, or had in older versions, where they differ.
@@ -115,7 +115,7 @@ class Version:
         )
         self.device = self._heard()["device"]
 
-    def timed(self, turn: Turn, footage: Footage) -> dict[str, float]:
+    def timed(self, turn: Turn, footage: FrameLoop) -> dict[str, float]:
         """Milliseconds by part, "GAE" and `CLOCKS` among them."""
         until = turn.time(footage.interval)
         asked = {"index": turn.index, "time": turn.frame.time, "reset": turn.frame.reset, "until": until}
@@ -163,7 +163,7 @@ def called(version: str) -> str:
     return told.stdout.strip() or version
 
 
-def store(footage: Footage, folder: Path) -> None:
+def store(footage: FrameLoop, folder: Path) -> None:
     """Put footage where both versions find it."""
     from gffe_cl.engine.frame.rendered_frame import host_arrays
 
@@ -190,7 +190,7 @@ def store(footage: Footage, folder: Path) -> None:
     (folder / "about.json").write_text(json.dumps(about))
 
 
-def compare(footage: Footage, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
+def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
     """Milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
     arguments = [str(folder), "--device", device, *flags]
@@ -256,7 +256,7 @@ def main() -> None:
         return
 
     from gffe_cl.engine.opencl.device import open_device
-    from gffe_cl.lab.bench.footage import SCENE, footage_of
+    from gffe_cl.lab.bench.footage import SCENE, loop_of
 
     width, height = (int(n) for n in asked.size.split("x"))
     reports = []
@@ -266,7 +266,7 @@ def main() -> None:
         subjects = [*asked.scene, *asked.sequence] or [SCENE]
         for number, (subject, name) in enumerate((s, d) for s in subjects for d in asked.device or [None]):
             device = open_device(name)
-            footage = footage_of(device, subject, (width, height), asked.frame)
+            footage = loop_of(device, subject, (width, height), asked.frame)
             place = folder / f"footage_{number}"
             flags = [flag for flag, is_set in (("--scn", asked.scn), ("--host", asked.host)) if is_set]
             reports.append(compare(footage, place, trees, device.info.index, asked.repeats, flags))

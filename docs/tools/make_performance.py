@@ -180,14 +180,14 @@ def measure(sequence: Path | None, device: str | None) -> None:
 def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
     from gffe_cl.engine.options import Options
     from gffe_cl.engine.timing.bench import Copier, bench_size
-    from gffe_cl.lab.bench.footage import footage_of
+    from gffe_cl.lab.bench.footage import loop_of
 
     copier = Copier(device)
     for subject in subjects:
-        footage = footage_of(device, subject, SIZE)
-        result = bench_size(device, copier, footage, Options(), repeats=1)
+        loop = loop_of(device, subject, SIZE)
+        result = bench_size(device, copier, loop, Options(), repeats=1)
         yield (
-            footage.name,
+            loop.name,
             {
                 "size": SIZE,
                 "commands": result.commands,

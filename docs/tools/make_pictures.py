@@ -24,7 +24,6 @@ from scipy.ndimage import uniform_filter
 from situation_regions import region_of_situation, submitted_frames
 from upscaling_defects import SCALE, SEED, pipeline_of, shown_by
 
-from gffe_cl.captures.offline.source import jittered_renderer
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
@@ -122,9 +121,8 @@ def shading_picture(device: Device):
 def upscaled_picture(device: Device, scene_name: str, x: int, y: int):
     """As `picture`, without captions."""
     scene = load_scene(scene_name, SEED)
-    small, jitter = jittered_renderer(device, scene, UPSCALED_SIZE, SCALE)
     truths = SceneRenderer(device, scene, *UPSCALED_SIZE, 8)
-    frames = SceneFrames(small, size=UPSCALED_SIZE, jitter=jitter, truths=truths)
+    frames = SceneFrames.for_upscaling(device, scene, UPSCALED_SIZE, SCALE, truths=truths)
     pipelines = [pipeline_of(device, UPSCALED_SIZE, upscale) for upscale in (0, SCALE)]
     for pipeline in pipelines:
         pipeline.exposure = scene.exposure

@@ -21,8 +21,8 @@ import numpy as np
 from pages import MEASURED, table, write_tables
 from upscaling_defects import defect_tables, defects
 
-from gffe_cl.captures.offline.source import JITTER_LENGTH, jittered_renderer
 from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.scenes.sequences import JITTER_LENGTH
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
@@ -41,9 +41,9 @@ class Measured:
 
     def __init__(self, device: Device, name: str):
         self.device, self.scene = device, load_scene(name, SEED)
-        small, jitter = jittered_renderer(device, self.scene, SIZE, SCALE)
-        self.frames = SceneFrames(small, size=SIZE, jitter=jitter, truths=SceneRenderer(device, self.scene, *SIZE, 8))
-        render_size = (small.width, small.height)
+        truths = SceneRenderer(device, self.scene, *SIZE, 8)
+        self.frames = SceneFrames.for_upscaling(device, self.scene, SIZE, SCALE, truths=truths)
+        render_size = self.frames.render_size
         self.upscaled, self.plain = (
             Pipeline(device, *SIZE, Options(upscale=u, shading_correction=False), render_size=render_size)
             for u in (SCALE, 0)
@@ -98,10 +98,9 @@ def cost(device: Device) -> dict[str, float]:
     hardly changes: with upscaling less without, and GAE whose rendered frames have the display's size. The pipelines
     take turns from frame to frame."""
     scene, size = load_scene("corridor", SEED), TIMED_SIZE
-    small, jitter = jittered_renderer(device, scene, size, SCALE)
     large = SceneFrames(SceneRenderer(device, scene, *size, 1))
-    frames = SceneFrames(small, size=size, jitter=jitter)
-    options, render_size = Options(shading_correction=False), (small.width, small.height)
+    frames = SceneFrames.for_upscaling(device, scene, size, SCALE)
+    options, render_size = Options(shading_correction=False), frames.render_size
     with_it, without = (
         Pipeline(device, *size, replace(options, upscale=upscale), render_size=render_size) for upscale in (SCALE, 0)
     )

@@ -13,7 +13,6 @@ import numpy as np
 from pages import REPOSITORY, table
 from scipy.ndimage import binary_dilation
 
-from gffe_cl.captures.offline.source import jittered_renderer
 from gffe_cl.captures.scenes import SCENES, SceneFrames, load_scene
 from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
@@ -82,8 +81,7 @@ def shimmer(device: Device) -> dict[str, list[float]]:
     made = {}
     for name in SCENES:
         scene = load_scene(name, SEED)
-        small, jitter = jittered_renderer(device, scene, SHIMMER_SIZE, SCALE)
-        held = SceneFrames(small, size=SHIMMER_SIZE, jitter=jitter)
+        held = SceneFrames.for_upscaling(device, scene, SHIMMER_SIZE, SCALE)
         seen = {upscale: [] for upscale in (0, SCALE)}
         pipelines = {upscale: pipeline_of(device, SHIMMER_SIZE, upscale) for upscale in seen}
         for pipeline in pipelines.values():

@@ -5,4 +5,4 @@ from importlib.resources import files
 
 def report_style() -> str:
     """Return the CSS for light and dark, narrow and wide pages, and for print."""
-    return files("gffe_cl.engine.core").joinpath("report.css").read_text("utf-8")
+    return files("gffe_cl.captures").joinpath("report.css").read_text("utf-8")

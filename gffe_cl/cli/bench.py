@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import Device, DeviceInfo
     from gffe_cl.engine.options import Options
     from gffe_cl.engine.timing.bench import SizeBench
-    from gffe_cl.engine.timing.footage import Footage
+    from gffe_cl.engine.timing.footage import FrameLoop
     from gffe_cl.lab.bench.counting import KernelTraffic
     from gffe_cl.lab.bench.io_times import IoTimes
 
@@ -138,7 +138,7 @@ def _bench_times(
     from dataclasses import asdict
 
     from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
-    from gffe_cl.lab.bench.footage import footage_of, is_sequence
+    from gffe_cl.lab.bench.footage import is_sequence, loop_of
 
     asked: Sequence[tuple[int, int] | None] | None = sizes
     if asked is None:
@@ -150,13 +150,13 @@ def _bench_times(
             advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(asked) * repeats)
             copier = Copier(device)
             for size in asked:
-                footage = footage_of(device, subject, size, frame, options.upscale)
-                results.append(bench_size(device, copier, footage, options, repeats, advance))
-        _print_bench(device.info, footage.name, results)
+                loop = loop_of(device, subject, size, frame, options.upscale)
+                results.append(bench_size(device, copier, loop, options, repeats, advance))
+        _print_bench(device.info, loop.name, results)
         if kernels:
             _print_kernels(results)
         named = {"device": device.info.name, "platform": device.info.platform, "copied by": copier.way}
-        figures = {"of": footage.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
+        figures = {"of": loop.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
         report.append(named | figures)
     write_json(json_path, {"devices": report, "paper": PAPER})
 
@@ -197,19 +197,19 @@ def _bench_io(
     from dataclasses import asdict
 
     from gffe_cl.lab.bench.counting import SIZE
-    from gffe_cl.lab.bench.footage import footage_of, is_sequence
+    from gffe_cl.lab.bench.footage import is_sequence, loop_of
     from gffe_cl.lab.bench.io_times import FORMS, measure_io
 
     report = []
     for device in devices:
         results = []
         for size in sizes or [None if is_sequence(subject) else SIZE]:
-            footage = footage_of(device, subject, size, frame)
+            loop = loop_of(device, subject, size, frame)
             with progress_bars() as progress:
                 advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(FORMS) * repeats)
-                results += measure_io(device, footage.frames[-1], repeats, advance)
-        _print_io(device.info, footage.name, results)
-        named = {"device": device.info.name, "platform": device.info.platform, "of": footage.name}
+                results += measure_io(device, loop.frames[-1], repeats, advance)
+        _print_io(device.info, loop.name, results)
+        named = {"device": device.info.name, "platform": device.info.platform, "of": loop.name}
         report.append(named | {"repeats": repeats, "frames": [asdict(result) for result in results]})
     write_json(json_path, {"devices": report})
 
@@ -225,7 +225,7 @@ def _bench_host(
 ) -> None:
     from dataclasses import asdict
 
-    from gffe_cl.lab.bench.footage import footage_of, is_sequence
+    from gffe_cl.lab.bench.footage import is_sequence, loop_of
     from gffe_cl.lab.bench.host_times import SIZE, measure_host
 
     report = []
@@ -233,10 +233,10 @@ def _bench_host(
     for device in devices:
         results = []
         for size in sizes or [None if is_sequence(subject) else SIZE]:
-            footage = footage_of(device, subject, size, frame)
+            loop = loop_of(device, subject, size, frame)
             with progress_bars() as progress:
                 advance = steps(progress)(f"{device.info.name} ({device.info.platform})", repeats)
-                results.append(measure_host(device, footage, options, repeats, advance))
+                results.append(measure_host(device, loop, options, repeats, advance))
         for result in results:
             times = (f"{milliseconds:.3f}" for milliseconds in (result.submit, result.extrapolate, result.sum))
             table.add_row(plain(device.info.platform), f"{result.width}×{result.height}", *times)
@@ -256,15 +256,15 @@ def _bench_traffic(
     json_path: Path | None,
 ) -> None:
     from gffe_cl.lab.bench.counting import SIZE, count, report
-    from gffe_cl.lab.bench.footage import footage_of
+    from gffe_cl.lab.bench.footage import loop_of
 
     if sizes and len(sizes) > 1:
         raise GffeError(f"--traffic takes one size, got {len(sizes)}")
-    footage = footage_of(device, subject, sizes[0] if sizes else SIZE, frame)
-    counted = {n: count(footage, options, n) for n in lanes}
+    loop = loop_of(device, subject, sizes[0] if sizes else SIZE, frame)
+    counted = {n: count(loop, options, n) for n in lanes}
     for n, kernels in counted.items():
-        _print_traffic(footage, n, kernels)
-    write_json(json_path, report(counted, footage))
+        _print_traffic(loop, n, kernels)
+    write_json(json_path, report(counted, loop))
 
 
 def _parse_lanes(text: str) -> list[int]:
@@ -354,11 +354,11 @@ def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
     )
 
 
-def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
+def _print_traffic(loop: FrameLoop, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
     from gffe_cl.engine.timing.traffic import group
 
     form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
-    title = plain(f"{footage.name}, a part of {footage.width}×{footage.height}, {form}")
+    title = plain(f"{loop.name}, a part of {loop.width}×{loop.height}, {form}")
     heads = ("must move", "loaded", "stored", "counted : must move")
     table = Table("bytes per pixel", *heads, title=title, box=None, header_style="bold")
     gae = {name: moved for name, moved in kernels.items() if group(name.partition(".")[0]) == "GAE"}

@@ -13,6 +13,7 @@ import pytest
 import tiny_sequence
 from scn_models import constant_model
 
+from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
@@ -146,7 +147,7 @@ def test_bench_of_arrays(gffe, tmp_path):
 
 def test_time_of_arrays_is_that_of_each_part(device, monkeypatch):
     """By a clock that each part moves on by what it is said to take."""
-    frame = inputs.footage_of(device, "plaza", (16, 12)).frames[-1]
+    frame = inputs.loop_of(device, "plaza", (16, 12)).frames[-1]
     now, took = [0.0], {"_upload_frame": 6.0, "_copy_in": 3.0, "_download": 2.0, "_copy_out": 1.0}
     took |= {"_share_frame": 0.5, "_map": 0.25}
     monkeypatch.setattr(io_times.time, "perf_counter", lambda: now[0])
@@ -214,7 +215,7 @@ def small_copies(monkeypatch):
 def test_turns_follow_the_frame_that_motion_refers_to():
     camera = Camera(np.eye(4), 10, 10, 5, 5)
     frames = tuple(RenderedFrame(k, k, k, camera, 0.0) for k in range(4))
-    loop = timed_footage.Footage("x", 10, 10, 1.0, 0.1, frames, (None,) * 4, forward=True)
+    loop = timed_footage.FrameLoop("x", 10, 10, 1.0, 0.1, frames, (None,) * 4, forward=True)
     turns = list(loop.turns(4))
     assert [turn.index for turn in turns] == [0, 1, 2, 3, 0, 1, 2, 3]
     assert [turn.counts for turn in turns] == [False, False, True, True] * 2
@@ -229,7 +230,7 @@ def test_turns_follow_the_frame_that_motion_refers_to():
 
 
 def test_a_part_sees_what_the_whole_does():
-    shown = inputs.scene_footage(open_device(), "room", 64, 48)
+    shown = inputs.scene_loop(open_device(), "room", 64, 48)
     part = shown.part(20, 16, (0.25, 0.5))
     assert (part.width, part.height) == (20, 16) == part.frames[0].depth.shape[::-1]
     assert np.array_equal(part.frames[1].motion, shown.frames[1].motion[16:32, 6:26])
@@ -238,22 +239,27 @@ def test_a_part_sees_what_the_whole_does():
     assert np.allclose(one, shown.frames[0].camera.unproject(pixel + (6, 16), 2.0))
     assert part.cameras[0].cx == shown.cameras[0].cx - 6
     assert shown.part(100, 100, (0.5, 0.5)).frames[0].color.shape == (48, 64, 3)
+    reset = replace(shown, frames=tuple(replace(frame, motion=None) for frame in shown.frames))
+    assert reset.part(20, 16, (0.5, 0.5)).frames[0].motion is None
 
 
 def test_loops_avoid_resets(tmp_path):
     sequence = open_sequence(tiny_sequence.write(tmp_path / "in", frames=12))
-    assert inputs._loop(sequence, None) == (3, 9) and inputs._loop(sequence, 1) == (0, 6)
-    assert inputs._loop(sequence, 11) == (6, 12)
+
+    def loop(number=None):
+        return inputs._loop(Recorded(sequence, None), number)
+
+    assert loop() == (3, 9) and loop(1) == (0, 6) and loop(11) == (6, 12)
     for number in (0, 12, -1):
         with pytest.raises(GffeError, match=rf"--frame {number}: expected a rendered frame"):
-            inputs._loop(sequence, number)
+            loop(number)
     sequence.frames[:] = [replace(entry, reset=entry.file == sequence.rendered[5].file) for entry in sequence.frames]
-    assert inputs._loop(sequence, 6) == (5, 11) and inputs._loop(sequence, 4) == (0, 5)
+    assert loop(6) == (5, 11) and loop(4) == (0, 5)
     with pytest.raises(GffeError, match="and no reset"):
-        inputs._loop(sequence, 5)
+        loop(5)
     sequence.frames[:] = [replace(entry, reset=True) for entry in sequence.frames]
     with pytest.raises(GffeError, match="no rendered frame follows another one"):
-        inputs._loop(sequence, None)
+        loop()
 
 
 def test_enlarging_keeps_planes_and_edges():
@@ -352,7 +358,7 @@ def test_traffic_does_not_grow(lanes):
         assert not os.environ.get("CI"), "CI must have oclgrind"
         pytest.skip("oclgrind is not installed")
     table = json.loads(TABLE.read_text())
-    shown = inputs.scene_footage(open_device(), table["of"], *table["size"])
+    shown = inputs.scene_loop(open_device(), table["of"], *table["size"])
     now = counting.report({lanes: counting.count(shown, Options(), lanes)}, shown)
     found = counting.grown(table, now)
     assert not found, "\n".join([*found, f"If that is meant to be: {RECORD}"])

@@ -21,7 +21,6 @@ def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -
     Raises GffeError for frames with faults, and where the folder cannot be written.
     """
     lines = [f"gffe-raw 1 {source.width} {source.height} {' '.join(map(str, source.render_size))} {source.fps!r}"]
-    before = None
     try:
         with made_folder(folder), TemporaryDirectory(prefix=".gffe-frames-", dir=folder) as name:
             part = Path(name)
@@ -33,12 +32,10 @@ def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -
                 shown = display_camera_of(frame, source.render_size, (source.width, source.height))
                 cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
                 lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")
-                interval = 1 / source.fps if before is None or frame.reset else frame.time - before
-                time = frame.time + alpha * interval
+                time = source.time(number, alpha)
                 known = source.cameras_at([time])
                 made = f"{name}_made {time!r}"
                 lines.append(f"make {made} {_numbers(known[0])}" if known else f"predict {made}")
-                before = frame.time
             (part / "frames.txt").write_text("\n".join(lines) + "\n", "ascii")
             for path in sorted(part.iterdir()):
                 os.replace(path, folder / path.name)

@@ -1,14 +1,15 @@
-"""Source of a run: a sequence on disk, or a built-in scene that is rendered meanwhile."""
+"""Sources of rendered frames: a sequence on disk, or a built-in scene that is rendered meanwhile."""
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
-from gffe_cl.captures.scenes.sequences import require_frames, smaller_renderer
+from gffe_cl.captures.scenes.sequences import require_frames
 from gffe_cl.captures.sequence import (
     FrameEntry,
     Sequence,
@@ -18,88 +19,128 @@ from gffe_cl.captures.sequence import (
     require_clean,
 )
 from gffe_cl.captures.sequence.description import rendered_entry
-from gffe_cl.captures.sequence.read_ahead import usable_cores
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.captures.sequence.read_ahead import read_ahead, usable_cores
+from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.jitter import Jitter, without_jitter
+from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, display_camera_of, host_arrays
 from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.presentation import present
 
-JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
-
 
 class Source(Protocol):
-    """Source of rendered frames in order of time.
+    """Source of rendered frames by number, and of what is known about the times between them.
 
     `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
-    `attributes`: of EXR headers, which new frames get.
+    `resets`: numbers of those that are known to be one, in order; `attributes`: of EXR headers, which new frames get.
     """
 
+    name: str
     width: int
     height: int
     render_size: tuple[int, int]
     fps: float
     exposure: float
     count: int
+    resets: tuple[int, ...] = (0,)
     attributes: dict[str, Any]
+
+    def rendered(self, k: int) -> RenderedFrame:
+        """Return frame `k`. A frame of a built-in scene follows frame `k` − 1 if that was the last one asked for;
+        otherwise it is a reset. Raises GffeError."""
+        ...
 
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
         """Yield each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
         `strict` bad pixels raise GffeError."""
-        ...
+        for k in range(self.count):
+            frame = self.rendered(k)
+            entry = rendered_entry(k, frame, (self.width, self.height))
+            if strict:
+                require_clean(entry.file, host_arrays(frame).bad)
+            yield entry, frame
+
+    def reset_before(self, k: int) -> int:
+        """Return the number of the last reset frame up to `k`."""
+        return self.resets[bisect_right(self.resets, k) - 1]
+
+    def _time_of(self, k: int) -> float:
+        """Return the time of frame `k` (seconds): by default they are 1 / `fps` apart."""
+        return k * (1.0 / self.fps)
+
+    def interval(self, k: int) -> float:
+        """Return the seconds from the frame before to frame `k`; of a reset 1 / fps."""
+        return 1.0 / self.fps if self.reset_before(k) == k else self._time_of(k) - self._time_of(k - 1)
+
+    def time(self, k: int, alpha: float = 0.0) -> float:
+        """Return the time `alpha` intervals after frame `k` (seconds)."""
+        return self._time_of(k) + alpha * self.interval(k)
+
+    def cameras_at(self, times: list[float]) -> list[Camera] | None:
+        """Return the display cameras of the new frames of one interval, at `times` (seconds). None unless each of them
+        is known: predicted and known cameras do not mix within an interval."""
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Write a rendered frame to an output."""
-
-    def cameras_at(self, times: list[float]) -> list[Camera] | None:
-        """Return the display cameras of the new frames of one interval, at `times` (seconds); None unless each of them
-        is known: predicted and known cameras do not mix within an interval."""
-        ...
+        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def number_of(self, entry: FrameEntry) -> str:
         """Return a text that identifies a rendered frame in names of files: the number in its own file's name, or its
         index."""
-        ...
+        return Path(entry.file).stem.removeprefix("frame_")
 
     def refuse(self, output: Path) -> None:
         """Raise GffeError if `output` must not be written to."""
 
     def warnings(self) -> list[str]:
         """Return legal but suspicious properties of the input so far, as sentences."""
-        ...
+        return []
 
 
-class Recorded:
+class Recorded(Source):
     """Source from a sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts
     as rendered through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is
     the factor from rendered to displayed size. Without a display camera, a principal point within a pixel of the center
-    is then taken for jitter.
+    is then taken for jitter. `windowed`: whether a window, or another size than the display's, makes such parts differ.
 
     Raises GffeError for other windows than that, and for a sequence without rendered frames.
     """
 
+    _cut = False  # whether only display parts are used
+
     def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
+        self.name, self._device, self._upscale = printable(sequence.path.resolve().name), device, upscale
+        self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
+        self.exposure, self.attributes = sequence.exposure, sequence.attributes
+        self._window = window
+        self._take(sequence)
+        if upscale:
+            self._enlarge(self.render_size, upscale)
+
+    def _take(self, sequence: Sequence) -> None:
+        """Take the frames of `sequence`, which may be longer than before."""
+        self.sequence, self.entries = sequence, sequence.rendered
+        if not self.entries:
+            raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
+        self.count, self._stored = len(self.entries), sequence.size_of(self.entries[0])
+        self.resets = tuple(k for k, entry in enumerate(self.entries) if entry.reset or k == 0)
+        whole = all(entry.display_camera == entry.render_camera for entry in self.entries)
+        self.windowed = not whole or self._stored != (sequence.width, sequence.height)
+        self._numbers = dict(zip((e.file for e in self.entries), _numbers(self.entries), strict=True))
+        self._missed = ""  # the first truth that a new frame missed by little
+        self.choose(self._window)
+
+    def choose(self, window: str | None) -> bool:
+        """Use another window from now on, and return whether the frames change by that."""
         if window not in (None, "off"):
             raise GffeError(
-                f"--window {window}: only built-in scenes are rendered through a chosen window, {sequence.path} is a"
-                " recorded sequence (expected off, or no --window)"
+                f"--window {window}: only built-in scenes are rendered through a chosen window, {self.sequence.path} is"
+                " a recorded sequence (expected off, or no --window)"
             )
-        self.sequence, self._device = sequence, device
-        self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
-        self.exposure, self.count = sequence.exposure, len(sequence.rendered)
-        self.attributes = sequence.attributes
-        stored = _render_size(sequence)
-        size = (self.width, self.height)
-        whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
-        self._cut = window == "off" and not whole
-        self._upscale = upscale
-        if upscale:
-            self._enlarge(stored, upscale)
-        self.render_size = size if self._cut else stored
-        self._numbers = dict(zip((e.file for e in sequence.rendered), _numbers(sequence.rendered), strict=True))
-        self._missed = ""  # the first truth that a new frame missed by little
+        before, self._window, self._cut = self._cut, window, window == "off" and self.windowed
+        self.render_size = (self.width, self.height) if self._cut else self._stored
+        return self._cut != before
 
     def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
         """Enlarge the display by `upscale` if it has the size of the rendered frames. Otherwise raise GffeError unless
@@ -127,34 +168,44 @@ class Recorded:
             told = without_jitter(told, size)
         return replace(frame, display_camera=self._shown(told))
 
+    def _read(self, k: int) -> RenderedFrame:
+        """Return frame `k` as it was rendered."""
+        frame = self.sequence.read(self.entries[k])
+        return self._upscaled(frame) if self._upscale else frame
+
+    def _display_part(self, k: int, frame: RenderedFrame) -> RenderedFrame:
+        """Return the display part of frame `k`; its bad pixels are those of the whole frame."""
+        last = self.entries[max(k - 1, 0)]
+        before = replace(frame, camera=last.render_camera, display_camera=last.display_camera)
+        return present(frame, before if k else None, size=self.render_size, device=self._device)
+
+    def rendered(self, k):
+        return self._display_part(k, self._read(k)) if self._cut else self._read(k)
+
     def frames(self, alphas, strict):
-        def read(entry: FrameEntry):
-            frame = self.sequence.read(entry)
-            if self._upscale:
-                frame = self._upscaled(frame)
+        def read(k: int) -> RenderedFrame:
+            frame = self._read(k)
             if strict:
-                require_clean(entry.file, host_arrays(frame).bad)
+                require_clean(self.entries[k].file, host_arrays(frame).bad)
             return frame
 
-        return self._cut_frames(
-            self.sequence.prefetch(self.sequence.rendered, read=read, ahead=2 + usable_cores() // 4)
-        )
+        return self._in_order(read_ahead(range(self.count), read, 2 + usable_cores() // 4))
 
-    def _cut_frames(self, whole):
-        before = None
-        for entry, frame in whole:
-            if not self._cut:
-                yield entry, frame
-                continue
-            shown = present(frame, before, size=self.render_size, device=self._device)
-            before = frame
-            cut = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
-            yield cut, shown
+    def _in_order(self, read):
+        for k, frame in read:
+            entry = self.entries[k]
+            if self._cut:
+                frame = self._display_part(k, frame)
+                entry = replace(entry, render_size=None, render_camera=frame.camera, display_camera=None)
+            yield entry, frame
+
+    def _time_of(self, k):
+        return self.entries[k].time
 
     def store(self, writer, entry, frame):
         own = None if self._cut else self.sequence.exr_file(entry)
         if own is None:
-            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+            super().store(writer, entry, frame)
         else:
             writer.link(entry, own)
 
@@ -178,71 +229,61 @@ class Recorded:
         refuse_same_folder(output, self.sequence.path)
 
 
-class Live:
+class Live(Source):
     """Source of `count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
 
     With `upscale` the frames are so many times smaller than the display, and jittered.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        width: int,
-        height: int,
-        count: int,
-        fps: float,
-        window="off",
+        self, scene: Scene, device: Device, width: int, height: int, count: int, fps: float, window: str = "off",
         upscale: float = 0.0,
-    ):
+    ):  # fmt: skip
         require_frames(count, fps)
-        self.scene, self.width, self.height, self.count, self.fps = scene, width, height, count, fps
-        self.exposure, self._window = scene.exposure, window
-        self.attributes: dict[str, Any] = {}
-        WindowChooser(window, (width, height), [])
-        self._renderer, self._jitter = jittered_renderer(device, scene, (width, height), upscale)
-        self.render_size = self._renderer.width, self._renderer.height
+        self.scene, self.name, self.exposure, self._device = scene, scene.name, scene.exposure, device
+        self.width, self.height, self.count, self.fps = width, height, count, fps
+        self.attributes = {}
+        self._way: Any = None  # the arguments of `choose` that frames depend on, a tuple
+        self.choose(window, [], upscale)
+
+    def choose(self, window: str, alphas: list[float], upscale: float = 0.0) -> bool:
+        """Render through `window`, for new frames at `alphas`, and for upscaling by `upscale` from now on. Return
+        whether the frames change by that."""
+        way = (window, upscale, *(alphas if window == "adaptive" else ()))
+        if way == self._way:
+            return False
+        WindowChooser(window, (self.width, self.height), alphas)
+        if self._way is None or upscale != self._way[1]:
+            self._frames = self._frames_for(upscale)
+            self.render_size = self._frames.render_size
+        self._way, self._alphas = way, alphas
+        self.restart()
+        return True
+
+    def _frames_for(self, upscale: float) -> SceneFrames:
+        size = self.width, self.height
+        if upscale:
+            return SceneFrames.for_upscaling(self._device, self.scene, size, upscale)
+        return SceneFrames(SceneRenderer(self._device, self.scene, *size))
+
+    def restart(self) -> None:
+        """Make the next frame a reset."""
+        self._frames.windows = WindowChooser(self._way[0], (self.width, self.height), self._alphas)
+        self._last = -1, None
+
+    def rendered(self, k):
+        number, before = self._last
+        frame = self._frames.rendered(self.time(k), before if number == k - 1 else None, k)
+        self._last = k, frame
+        return frame
 
     def frames(self, alphas, strict):
-        size = self.width, self.height
-        made = SceneFrames(self._renderer, WindowChooser(self._window, size, alphas), size, self._jitter)
-        for k, frame in enumerate(made.sequence(self.count, self.fps)):
-            entry = rendered_entry(k, frame, size)
-            if strict:
-                require_clean(entry.file, host_arrays(frame).bad)
-            yield entry, frame
-
-    def store(self, writer, entry, frame):
-        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+        self.choose(self._way[0], alphas, self._way[1])
+        self.restart()
+        return super().frames(alphas, strict)
 
     def cameras_at(self, times):
         return [self.scene.camera(time, self.width, self.height) for time in times]
-
-    def number_of(self, entry):
-        return Path(entry.file).stem.removeprefix("frame_")
-
-    def refuse(self, output):
-        return
-
-    def warnings(self):
-        return []
-
-
-def jittered_renderer(
-    device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int | None = None
-) -> tuple[SceneRenderer, Jitter]:
-    """Return a renderer of `scene` for upscaling to a display of `size`: small frames with one sample per pixel, with
-    textures as fine as the display, and jitter. With `upscale` 0 frames have the display's size and no jitter."""
-    if not upscale:
-        return SceneRenderer(device, scene, *size, samples or 8), Jitter()
-    return smaller_renderer(device, scene, size, upscale, samples or 1), Jitter(JITTER_LENGTH)
-
-
-def _render_size(sequence: Sequence) -> tuple[int, int]:
-    """Return the size of the rendered frames. Raises GffeError if there are none."""
-    if not sequence.rendered:
-        raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
-    return sequence.size_of(sequence.rendered[0])
 
 
 def _numbers(entries: list[FrameEntry]) -> list[str]:

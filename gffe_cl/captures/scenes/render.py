@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
-from gffe_cl.captures.scenes.sequences import smaller_renderer
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.captures.sequence.description import rendered_entry
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
@@ -92,10 +91,12 @@ class _Job:
     encoding: Encoding
 
     def frames(self, device: Device) -> SceneFrames:
-        renderer = smaller_renderer(device, self.scene, self.size, self.scale, self.samples)
         is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
         truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
-        return SceneFrames(renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths)
+        windows = WindowChooser(self.window, self.size, self.alphas)
+        return SceneFrames.for_upscaling(
+            device, self.scene, self.size, self.scale, self.samples, self.jitter, windows, truths
+        )
 
 
 def _here(job: _Job, count: int, device: Device | None) -> Iterator[tuple[FrameEntry, dict]]:

@@ -15,18 +15,13 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
 
+JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
+
 
 def require_frames(count: int, fps: float) -> None:
     """Raise GffeError unless a scene can be asked for `count` rendered frames at `fps`."""
     if count < 1 or not (0 < fps < float("inf") and 1.0 / fps < float("inf")):
         raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
-
-
-def smaller_renderer(device: Device, scene: Scene, size: tuple[int, int], scale: float, samples: int) -> SceneRenderer:
-    """Return a renderer of `scene` that is `scale` times smaller, each way, than a display of `size`, with textures as
-    fine."""
-    width, height = (max(round(n / scale), 1) for n in size)
-    return SceneRenderer(device, scene, width, height, samples, 1 / scale)
 
 
 class SceneFrames:
@@ -58,6 +53,17 @@ class SceneFrames:
         self.windows = windows or WindowChooser("off", self.size, [])
         self.jitter = jitter or Jitter()
         self._truths = truths or renderer
+
+    @classmethod
+    def for_upscaling(
+        cls, device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int = 1,
+        jitter: Jitter | None = None, windows: WindowChooser | None = None, truths: SceneRenderer | None = None,
+    ) -> SceneFrames:  # fmt: skip
+        """Return frames of `scene` for upscaling to a display of `size`: `upscale` times smaller each way, with
+        `samples` per pixel, textures as fine as the display, and jitter (None: that of built-in scenes)."""
+        width, height = (max(round(n / upscale), 1) for n in size)
+        renderer = SceneRenderer(device, scene, width, height, samples, 1 / upscale)
+        return cls(renderer, windows, size, jitter or Jitter(JITTER_LENGTH), truths)
 
     def display_camera(self, time: float) -> Camera:
         """Return the scene's camera at `time` (seconds), in display pixels."""

@@ -8,7 +8,7 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.selftest.scene import CUT, FPS, display_camera, frames
 from gffe_cl.engine.timing.bench import Copier, SizeBench, bench_size
-from gffe_cl.engine.timing.footage import Footage
+from gffe_cl.engine.timing.footage import FrameLoop
 
 SIZE = (640, 360)  # width and height, pixels
 _REPEATS = 5
@@ -19,9 +19,9 @@ def speed(device: Device) -> SizeBench:
     interval = 1 / FPS
     seen = tuple(frames(*SIZE, count=CUT, samples=1))
     cameras = tuple(display_camera(frame.time + interval / 2, *SIZE) for frame in seen)
-    footage = Footage("self-test", *SIZE, 1.0, interval, seen, cameras, forward=True)
+    loop = FrameLoop("self-test", *SIZE, 1.0, interval, seen, cameras, forward=True)
     options = Options(shading_correction=False, cut_detection=False)
-    return bench_size(device, Copier(device), footage, options, _REPEATS)
+    return bench_size(device, Copier(device), loop, options, _REPEATS)
 
 
 def figures(measured: SizeBench) -> dict[str, float]:

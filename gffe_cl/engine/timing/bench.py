@@ -27,7 +27,7 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.timing import traffic
-from gffe_cl.engine.timing.footage import Footage, Turn
+from gffe_cl.engine.timing.footage import FrameLoop, Turn
 
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts. The paper's own sum for GAE
 # is 1400, with "misc".
@@ -131,38 +131,38 @@ class _Samples:
 def bench_size(
     device: Device,
     copier: Copier,
-    footage: Footage,
+    loop: FrameLoop,
     options: Options,
     repeats: int,
     on_pair: Callable[[], None] = lambda: None,
 ) -> SizeBench:
-    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of `footage`, and return the
+    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of `loop`, and return the
     medians."""
-    footage = footage.on(device)
-    presentation = Presentation(Board(device, Sizes((footage.width, footage.height), (footage.width, footage.height))))
+    loop = loop.on(device)
+    presentation = Presentation(Board(device, Sizes((loop.width, loop.height), (loop.width, loop.height))))
     before = device.allocated
-    pipeline = Pipeline(device, footage.width, footage.height, options, render_size=footage.render_size)
-    pipeline.exposure = footage.exposure
+    pipeline = Pipeline(device, loop.width, loop.height, options, render_size=loop.render_size)
+    pipeline.exposure = loop.exposure
     samples, launches = _Samples(), {}
-    for turn in footage.turns(repeats):
+    for turn in loop.turns(repeats):
         bandwidth = copier.bandwidth()
         device.queue.finish()
-        launches = _timed_pair(pipeline, footage, turn, samples)
+        launches = _timed_pair(pipeline, loop, turn, samples)
         if turn.counts:
-            if not footage.render_size:
+            if not loop.render_size:
                 samples.parts["misc"].append(_windowing(device, presentation, turn))
             samples.bandwidths.append(bandwidth)
             on_pair()
     bandwidth = statistics.median(samples.bandwidths)
     milliseconds = samples.medians()
-    pixels = footage.width * footage.height
+    pixels = loop.width * loop.height
     shares = traffic.counters(pipeline)
     by_stage = traffic.memory(pipeline)
     network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
-    frames = KEPT_BYTES_PER_PIXEL * math.prod(footage.render_size or (footage.width, footage.height))
+    frames = KEPT_BYTES_PER_PIXEL * math.prod(loop.render_size or (loop.width, loop.height))
     return SizeBench(
-        footage.width,
-        footage.height,
+        loop.width,
+        loop.height,
         milliseconds,
         bytes_per_pixel={name: ms * 1e6 * bandwidth / pixels for name, ms in milliseconds.items()},
         wall=statistics.median(samples.walls),
@@ -188,14 +188,14 @@ def growth(results: list[SizeBench]) -> float | None:
     return float(1 + np.polyfit(pixels, np.log([r.bytes_per_pixel["GAE"] for r in results]), 1)[0])
 
 
-def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
+def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
     """Submit and extrapolate, and return the launches of both. Adds times to `samples` if the turn counts."""
     events: dict[str, dict[str, list]] = {}
     launches: dict[str, traffic.Launches] = {}
     start = time.perf_counter()
     for when, work in (
         ("rendered", lambda: pipeline.submit(turn.frame)),
-        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval)).color),
+        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(loop.interval)).color),
     ):
         launches[when] = traffic.launches_of(pipeline, work)
         stages = {FrameBlocks.name: pipeline.board.blocks} | pipeline.stages

@@ -1,4 +1,4 @@
-"""Footage of benchmarks: rendered frames in a loop in which each one follows the frame that its motion refers to."""
+"""Loops of benchmarks: rendered frames in a loop in which each one follows the frame that its motion refers to."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SETTLED = 2  # frames after a reset that do not count: movers, and surfaces behi
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn of the loop: submit `frame` (number `index` of the footage), then extrapolate by half an interval, seen
+    """One turn of the loop: submit `frame` (number `index` of the loop), then extrapolate by half an interval, seen
     by `camera` (None: the predicted one). `before`: the frame submitted before it, None after a reset."""
 
     index: int
@@ -33,7 +33,7 @@ class Turn:
 
 
 @dataclass(frozen=True)
-class Footage:
+class FrameLoop:
     """Input of a benchmark. `name`: the scene; `width`, `height`: of the display; `cameras`: of the extrapolated
     frames; `interval`: seconds; `render_size`: of rendered frames that are smaller than the display."""
 
@@ -62,15 +62,15 @@ class Footage:
         """Return how many turns `turns` yields."""
         return sum(1 for _ in self.turns(counted))
 
-    def part(self, width: int, height: int, center: tuple[float, float]) -> Footage:
-        """Return the footage of a part of the images, of at most that size, around `center` (shares of width and
+    def part(self, width: int, height: int, center: tuple[float, float]) -> FrameLoop:
+        """Return the loop of a part of the images, of at most that size, around `center` (shares of width and
         height); its frames are host arrays."""
         width, height = min(width, self.width), min(height, self.height)
         x = min(max(int(self.width * center[0] - width / 2), 0), self.width - width)
         y = min(max(int(self.height * center[1] - height / 2), 0), self.height - height)
 
-        def cut(array: np.ndarray) -> np.ndarray:
-            return np.ascontiguousarray(array[y : y + height, x : x + width])
+        def cut(array: np.ndarray | None) -> np.ndarray | None:  # a reset may lack motion
+            return None if array is None else np.ascontiguousarray(array[y : y + height, x : x + width])
 
         def moved(camera: Camera) -> Camera:
             return replace(camera, cx=camera.cx - x, cy=camera.cy - y)
@@ -82,7 +82,7 @@ class Footage:
         cameras = tuple(camera and moved(camera) for camera in self.cameras)
         return replace(self, width=width, height=height, frames=frames, cameras=cameras)
 
-    def shown_larger(self, width: int, height: int) -> Footage:
+    def shown_larger(self, width: int, height: int) -> FrameLoop:
         """Return the same frames for a larger display, as upscaling takes them."""
         factors = width / self.width, height / self.height
         frames = tuple(replace(f, display_camera=f.camera.scaled(*factors)) for f in self.frames)
@@ -90,8 +90,8 @@ class Footage:
         size = self.width, self.height
         return replace(self, width=width, height=height, frames=frames, cameras=cameras, render_size=size)
 
-    def on(self, device: Device) -> Footage:
-        """Return the footage with its frames in buffers of `device`."""
+    def on(self, device: Device) -> FrameLoop:
+        """Return the loop with its frames in buffers of `device`."""
         return replace(self, frames=tuple(uploaded(device, frame) for frame in self.frames))
 
 

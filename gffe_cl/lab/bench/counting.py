@@ -31,7 +31,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
 from gffe_cl.engine.timing import traffic
-from gffe_cl.engine.timing.footage import Footage
+from gffe_cl.engine.timing.footage import FrameLoop
 
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,
@@ -69,16 +69,16 @@ class KernelTraffic:
         return self.loaded + self.stored
 
 
-def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTraffic]:
-    """Return the traffic by "stage.kernel" in a part of the footage (of host arrays), with so many lanes (simd.h).
+def count(loop: FrameLoop, options: Options, lanes: int) -> dict[str, KernelTraffic]:
+    """Return the traffic by "stage.kernel" in a part of the loop (of host arrays), with so many lanes (simd.h).
     Raises GffeError if Oclgrind is missing or fails."""
-    footage = footage.part(*PART, CENTER)
+    loop = loop.part(*PART, CENTER)
     command = shutil.which("oclgrind")
     if command is None:
         raise GffeError("--traffic counts with oclgrind, which is not installed (Debian, Ubuntu: apt install oclgrind)")
     with tempfile.TemporaryDirectory(prefix="gffe_traffic_") as temporary:
         folder = Path(temporary)
-        (folder / "asked").write_bytes(pickle.dumps((footage, asdict(options))))
+        (folder / "asked").write_bytes(pickle.dumps((loop, asdict(options))))
         variables = {name: value for name, value in os.environ.items() if name not in _HIDDEN}
         variables |= {"GFFE_LANES": str(lanes), "PYOPENCL_NO_CACHE": "1"}
         # One thread: the order of execution, and so the result of atomics, is always the same.
@@ -90,7 +90,7 @@ def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTra
             raise GffeError(f"oclgrind ended with {child.returncode}: {last}")
         made = json.loads((folder / "made").read_text())
         blocks = list(parse_counts((folder / "counts").read_text()))
-    return _joined(made, blocks, math.prod((footage.width, footage.height)))
+    return _joined(made, blocks, math.prod((loop.width, loop.height)))
 
 
 def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
@@ -161,18 +161,18 @@ class _SilentNetwork:
 def _make(folder: Path) -> None:
     """Make the frames under Oclgrind, and write the launches of the last pair and the bytes that they must move to a
     file."""
-    footage, options = pickle.loads((folder / "asked").read_bytes())
+    loop, options = pickle.loads((folder / "asked").read_bytes())
     device = open_device()
     if device.info.platform != _NAME:
         raise GffeError(f"expected {_NAME}, got {device.info.platform}")
-    footage = footage.on(device)
-    pipeline = Pipeline(device, footage.width, footage.height, Options(**options))
-    pipeline.exposure = footage.exposure
+    loop = loop.on(device)
+    pipeline = Pipeline(device, loop.width, loop.height, Options(**options))
+    pipeline.exposure = loop.exposure
     if correction := pipeline.stages.get(ShadingCorrection.name):
         correction.use(_SilentNetwork())
         correction.works_alone = True  # Oclgrind takes commands of one thread only
         pipeline.stages[ShadingTrend.name].never_still = True  # with vectors it finds no change of light
-    *before, last = (turn for turn in footage.turns(1))
+    *before, last = (turn for turn in loop.turns(1))
     for turn in before:
         pipeline.submit(turn.frame)
     pipeline.device.queue.finish()
@@ -181,7 +181,7 @@ def _make(folder: Path) -> None:
 
     def pair() -> None:
         pipeline.submit(last.frame)
-        pipeline.extrapolate(last.camera, last.time(footage.interval))
+        pipeline.extrapolate(last.camera, last.time(loop.interval))
 
     launches = traffic.launches_of(pipeline, pair)
     device.queue.finish()
@@ -196,11 +196,11 @@ def _make(folder: Path) -> None:
     (folder / "made").write_text(json.dumps({"launched": launched, "declared": declared}))
 
 
-def report(by_lanes: dict[int, dict[str, KernelTraffic]], footage: Footage) -> dict:
+def report(by_lanes: dict[int, dict[str, KernelTraffic]], loop: FrameLoop) -> dict:
     """Return the document that `gffe bench --traffic --json` writes and tests compare with."""
     return {
-        "of": footage.name,
-        "size": [footage.width, footage.height],
+        "of": loop.name,
+        "size": [loop.width, loop.height],
         "part": list(PART),
         "lanes": {
             str(lanes): {

@@ -1,18 +1,17 @@
-"""Footage of benchmarks: two frames of a built-in scene go back and forth; frames of a sequence go forward, and start
-again with a reset that is not counted."""
+"""Loops of frames for benchmarks: two frames of a built-in scene go back and forth; frames of a sequence go forward,
+and start again with a reset that is not counted."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gffe_cl.captures.formats import open_capture
+from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.scenes import SceneRenderer, is_scene, load_scene
-from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.stages.presentation import present
-from gffe_cl.engine.timing.footage import Footage
+from gffe_cl.engine.timing.footage import FrameLoop
 
 SCENE, SCENE_FRAME = "plaza", 31  # by default: the later one of a scene's two frames, at SCENE_FPS
 SCENE_FPS = 30.0
@@ -23,27 +22,27 @@ _BAND = 128  # rows enlarged at a time
 
 
 def is_sequence(subject: str | None) -> bool:
-    """Return whether `footage_of` takes this for the folder of a sequence."""
+    """Return whether `loop_of` takes this for the folder of a sequence."""
     return subject is not None and not is_scene(subject)
 
 
-def footage_of(
+def loop_of(
     device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None, upscale: float = 0.0
-) -> Footage:
-    """Return the footage of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder;
-    `size` None: the sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the
-    display is larger than the sequence."""
+) -> FrameLoop:
+    """Return the loop of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size`
+    None: the sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is
+    larger than the sequence."""
     if upscale:
         smaller = None if size is None else (max(1, round(size[0] / upscale)), max(1, round(size[1] / upscale)))
-        footage = footage_of(device, subject, smaller, number)
-        return footage.shown_larger(*(size or (round(n * upscale) for n in (footage.width, footage.height))))
+        loop = loop_of(device, subject, smaller, number)
+        return loop.shown_larger(*(size or (round(n * upscale) for n in (loop.width, loop.height))))
     if is_sequence(subject):
-        return sequence_footage(device, open_capture(str(subject)), size, number)
+        return sequence_loop(Recorded(open_capture(str(subject)), device, "off"), size, number)
     assert size is not None  # of scenes it is always given
-    return scene_footage(device, subject or SCENE, *size, number=number)
+    return scene_loop(device, subject or SCENE, *size, number=number)
 
 
-def scene_footage(device: Device, name: str, width: int, height: int, number: int | None = None) -> Footage:
+def scene_loop(device: Device, name: str, width: int, height: int, number: int | None = None) -> FrameLoop:
     """Return the frames `number` − 1 and `number` (default: `SCENE_FRAME`) of a built-in scene, back and forth,
     rendered on `device`, as host arrays."""
     number = SCENE_FRAME if number is None else number
@@ -59,52 +58,36 @@ def scene_footage(device: Device, name: str, width: int, height: int, number: in
         arrays = (image.read(buffer) for buffer in ("color", "depth", "motion"))
         frames.append(RenderedFrame(*arrays, camera=seen[k], time=times[k]))
     between = scene.camera(sum(times) / 2, width, height)
-    return Footage(name, width, height, scene.exposure, 1 / SCENE_FPS, tuple(frames), (between,) * 2, forward=False)
+    return FrameLoop(name, width, height, scene.exposure, 1 / SCENE_FPS, tuple(frames), (between,) * 2, forward=False)
 
 
-def sequence_footage(
-    device: Device, sequence: Sequence, size: tuple[int, int] | None = None, number: int | None = None
-) -> Footage:
+def sequence_loop(source: Recorded, size: tuple[int, int] | None = None, number: int | None = None) -> FrameLoop:
     """Return up to 6 rendered frames of a sequence around `number` (default: the middle one), forward, none of them a
-    reset except perhaps the first, as host arrays; enlarged to `size` (width, height) by `enlarged`.
-
-    Frames that were rendered through a window are cut to the displayed part. The cameras are those of the truth where
-    there is some.
-    """
-    entries = sequence.rendered
-    first, last = _loop(sequence, number)
-    width, height = size or (sequence.width, sequence.height)
-    factors = width / sequence.width, height / sequence.height
-    frames, cameras, before = [], [], None
-    interval = (entries[last - 1].time - entries[first].time) / (last - 1 - first)
-    for entry in entries[first:last]:
-        read = frame = sequence.read(entry)
-        if frame.display_camera is not None:
-            frame = present(frame, before, size=(sequence.width, sequence.height), device=device)
-        before = read
-        camera = sequence.camera_at(entry.time + interval / 2)
-        frames.append(enlarged(frame, width, height))
-        cameras.append(camera and camera.scaled(*factors))
-    name = sequence.path.resolve().name
-    return Footage(name, width, height, sequence.exposure, interval, tuple(frames), tuple(cameras), forward=True)
+    reset except perhaps the first, as host arrays; enlarged to `size` (width, height) by `enlarged`. The cameras are
+    those of the truth where there is some."""
+    first, last = _loop(source, number)
+    width, height = size or (source.width, source.height)
+    interval = (source.time(last - 1) - source.time(first)) / (last - 1 - first)
+    frames = tuple(enlarged(source.rendered(k), width, height) for k in range(first, last))
+    known = [source.cameras_at([source.time(k) + interval / 2]) for k in range(first, last)]
+    factors = width / source.width, height / source.height
+    cameras = tuple(found[0].scaled(*factors) if found else None for found in known)
+    return FrameLoop(source.name, width, height, source.exposure, interval, frames, cameras, forward=True)
 
 
-def _loop(sequence: Sequence, number: int | None) -> tuple[int, int]:
+def _loop(source: Recorded, number: int | None) -> tuple[int, int]:
     """Return the number of the first rendered frame of the loop and of the one after its last."""
-    entries = sequence.rendered
-    resets = [k for k, entry in enumerate(entries) if entry.reset or k == 0]
+    count, resets, path = source.count, source.resets, source.sequence.path
     if number is None:
-        followers = [k for k in range(len(entries)) if k not in resets]
+        followers = [k for k in range(count) if k not in resets]
         if not followers:
-            raise GffeError(f"{sequence.path}: no rendered frame follows another one (expected at least 2 in a row)")
-        number = min(followers, key=lambda k: abs(k - len(entries) // 2))
-    if not 0 <= number < len(entries) or number in resets:
+            raise GffeError(f"{path}: no rendered frame follows another one (expected at least 2 in a row)")
+        number = min(followers, key=lambda k: abs(k - count // 2))
+    if not 0 <= number < count or number in resets:
         raise GffeError(
-            f"--frame {number}: expected a rendered frame of {sequence.path} with one before it, 1 to"
-            f" {len(entries) - 1}, and no reset"
+            f"--frame {number}: expected a rendered frame of {path} with one before it, 1 to {count - 1}, and no reset"
         )
-    start = max(k for k in resets if k < number)
-    end = min((k for k in resets if k > number), default=len(entries))
+    start, end = source.reset_before(number), min((k for k in resets if k > number), default=count)
     first = max(start, min(number - _LOOP // 2, end - _LOOP))
     return first, min(end, first + _LOOP)
 

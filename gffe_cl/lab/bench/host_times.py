@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.timing.footage import Footage
+from gffe_cl.engine.timing.footage import FrameLoop
 
 SIZE = (320, 180)  # pixels, by default: kernels are short there, and hide nothing
 
@@ -28,17 +28,17 @@ class HostTimes:
 
 
 def measure_host(
-    device: Device, footage: Footage, options: Options, pairs: int, on_pair: Callable[[], None]
+    device: Device, loop: FrameLoop, options: Options, pairs: int, on_pair: Callable[[], None]
 ) -> HostTimes:
-    """Time `pairs` pairs of a rendered and a new frame of `footage`, and return the medians."""
-    footage = footage.on(device)
-    pipeline = Pipeline(device, footage.width, footage.height, options, render_size=footage.render_size)
-    pipeline.exposure = footage.exposure
+    """Time `pairs` pairs of a rendered and a new frame of `loop`, and return the medians."""
+    loop = loop.on(device)
+    pipeline = Pipeline(device, loop.width, loop.height, options, render_size=loop.render_size)
+    pipeline.exposure = loop.exposure
     taken: list[tuple[float, float]] = []
-    for turn in footage.turns(pairs):
+    for turn in loop.turns(pairs):
         calls = (
             lambda turn=turn: pipeline.submit(turn.frame),
-            lambda turn=turn: pipeline.extrapolate(turn.camera, turn.time(footage.interval)),
+            lambda turn=turn: pipeline.extrapolate(turn.camera, turn.time(loop.interval)),
         )
         times = [_processor_milliseconds(device, call) for call in calls]
         if turn.counts:
@@ -46,8 +46,8 @@ def measure_host(
             on_pair()
     submitted, extrapolated = zip(*taken, strict=True)
     return HostTimes(
-        footage.width,
-        footage.height,
+        loop.width,
+        loop.height,
         statistics.median(submitted),
         statistics.median(extrapolated),
         statistics.median(map(sum, taken)),

@@ -10,15 +10,16 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from gffe_cl.captures.formats import open_capture
-from gffe_cl.captures.offline.source import Recorded, jittered_renderer
+from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
-from gffe_cl.captures.sequence import Sequence
+from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
@@ -188,32 +189,28 @@ class _Scene(Footage):
         size = (subject.width, subject.height)
         super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale)
         self._renderer = SceneRenderer(device, self._scene, *size)
-        self._small = jittered_renderer(device, self._scene, size, subject.upscale) if subject.upscale else None
+        self._small = SceneFrames.for_upscaling(device, self._scene, size, subject.upscale) if subject.upscale else None
 
     def render_size(self, window):
         if self._small is None or window != "given":
             return rendered_size(window, (self.width, self.height))
-        return self._small[0].width, self._small[0].height
+        return self._small.render_size
 
     def _make(self, window):
         size = (self.width, self.height)
         if window == "given":
             assert self._small is not None  # else no window is given
-            frames = SceneFrames(self._small[0], size=size, jitter=self._small[1])
+            frames = self._small
         else:
             renderer = self._renderer
             if (larger := self.render_size(window)) != size:
                 renderer = SceneRenderer(self._device, self._scene, *larger)
             frames = SceneFrames(renderer, chooser_of(window, size, self._subject.alphas), size)
-        reference = self._reference(window)
-        before = None
-        for frame in frames.sequence(self._subject.frames + 1, self.fps, self._subject.start / self.fps):
-            if before is not None:
-                shown, moments, moving = next(reference)
-                yield Shot(before, shown, moments, frame, moving)
-            before = frame
+        rendered = frames.sequence(self._subject.frames + 1, self.fps, self._subject.start / self.fps)
+        for (frame, following), (shown, moments, moving) in zip(pairwise(rendered), self._reference(), strict=False):
+            yield Shot(frame, shown, moments, following, moving)
 
-    def _reference(self, window):
+    def _reference(self):
         """Yield the displayed picture, the later moments and the movers of each rendered frame: the same for all
         windows."""
         if "off" in self._kept:
@@ -250,38 +247,30 @@ class _Scene(Footage):
 
 class _Folder(Footage):
     def __init__(self, subject: FolderSubject, device: Device):
-        self._sequence, self._device = open_capture(subject.path), device
-        s = self._sequence
+        self._sequence = s = open_capture(subject.path)
         super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, subject.upscale)
-        self._given_size = Recorded(s, device, upscale=subject.upscale).render_size
+        self._sources = {"off": Recorded(s, device, "off"), "given": Recorded(s, device, upscale=subject.upscale)}
 
     def render_size(self, window):
-        return (self.width, self.height) if window == "off" else self._given_size
+        return self._sources[window].render_size
 
     def _make(self, window):
+        source, truths = self._sources[window], truths_after(self._sequence)
         shown = self.shots("off") if window != "off" else None
-        is_off = window == "off"
-        recorded = Recorded(self._sequence, self._device, "off" if is_off else None, 0.0 if is_off else self.upscale)
-        truths = truths_after(self._sequence)
-        before = None
-        for entry, frame in recorded.frames([], strict=False):
-            if before is not None:
-                yield self._shot(*before, None if frame.reset else frame, truths, shown)
-            before = entry, frame
-        if before is not None:
-            yield self._shot(*before, None, truths, shown)
+        frames = (frame for _, frame in source.frames([], strict=False))
+        for k, (frame, following) in enumerate(pairwise(chain(frames, [None]))):
+            assert frame is not None  # only the last of `following` is
+            following = None if following is None or following.reset else following
+            if shown is not None:
+                yield replace(next(shown), frame=frame, following=following)
+            else:
+                moments = tuple(self._moment(source, k, truth) for truth in truths.get(k, ()))
+                yield Shot(frame, frame.color[..., :3], moments, following)
 
-    def _shot(self, entry, frame, following, truths, shown) -> Shot:
-        if shown is not None:
-            same = next(shown)
-            return Shot(frame, same.shown, same.moments, following)
-        read, index = self._sequence.read_color, self._sequence.rendered.index(entry_of(self._sequence, entry))
-        interval, moments = interval_at(self._sequence, index), []
-        for truth in truths.get(entry.file, ()):
-            camera = self._sequence.camera_at(truth.time)
-            alpha = (truth.time - entry.time) / interval
-            moments.append(Moment(truth.time, alpha, camera, read(truth)))
-        return Shot(frame, frame.color[..., :3], tuple(moments), following)
+    def _moment(self, source: Recorded, k: int, truth: FrameEntry) -> Moment:
+        """Return the moment of `truth` after rendered frame `k`."""
+        alpha = (truth.time - source.time(k)) / source.interval(k)
+        return Moment(truth.time, alpha, self._sequence.camera_at(truth.time), self._sequence.read_color(truth))
 
 
 _MOVES = 0.5  # pixels from which a surface counts as moving by itself
@@ -328,10 +317,10 @@ def parse_subject(
     return FolderSubject(text, count, upscale)
 
 
-def truths_after(sequence: Sequence) -> dict[str, list]:
-    """Return entries of ground truth by the file of the rendered frame before them. That frame must have history and
+def truths_after(sequence: Sequence) -> dict[int, list[FrameEntry]]:
+    """Return entries of ground truth by the number of the rendered frame before them. That frame must have history and
     a rendered frame after it, because interpolation needs it and all methods are measured at the same moments."""
-    found: dict[str, list] = {}
+    found: dict[int, list[FrameEntry]] = {}
     rendered, since, usable = sequence.rendered, 0, []
     for k, entry in enumerate(rendered):
         since = 0 if entry.reset or k == 0 else since + 1
@@ -340,19 +329,8 @@ def truths_after(sequence: Sequence) -> dict[str, list]:
     for truth in sequence.ground_truth:
         index = sequence.rendered_before(truth.time)
         if index is not None and usable[index]:
-            found.setdefault(rendered[index].file, []).append(truth)
+            found.setdefault(index, []).append(truth)
     return found
-
-
-def interval_at(sequence: Sequence, index: int) -> float:
-    """Return the seconds from the rendered frame before to rendered frame `index`, which has one before it."""
-    rendered = sequence.rendered
-    return rendered[index].time - rendered[index - 1].time if index else 1 / sequence.fps
-
-
-def entry_of(sequence: Sequence, entry):
-    """Return the sequence's own entry of that file: `Recorded` may return changed ones."""
-    return next(own for own in sequence.rendered if own.file == entry.file)
 
 
 def turned(camera: Camera, degrees: float) -> Camera:

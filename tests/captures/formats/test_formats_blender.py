@@ -212,7 +212,8 @@ def test_commands_take_it(tmp_path, monkeypatch):
 
 
 def test_the_viewer_and_bench_take_it(tmp_path):
-    from gffe_cl.lab.bench.footage import sequence_footage
+    from gffe_cl.captures.offline.source import Recorded
+    from gffe_cl.lab.bench.footage import sequence_loop
     from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 
     folder = write_blender(tmp_path, shots())
@@ -221,8 +222,8 @@ def test_the_viewer_and_bench_take_it(tmp_path):
     np.testing.assert_array_equal(source.truth(1, 0.5), shots()[3].color)
     assert source.camera(1, 0.5).intrinsics == shots()[3].camera.intrinsics and source.has_truth
     source.close()
-    footage = sequence_footage(None, open_capture(folder))
-    assert len(footage.frames) == 3 and footage.cameras[1].intrinsics == shots()[3].camera.intrinsics
+    loop = sequence_loop(Recorded(open_capture(folder), None))
+    assert len(loop.frames) == 3 and loop.cameras[1].intrinsics == shots()[3].camera.intrinsics
 
 
 def test_a_frame_that_is_missing_is_a_gap(tmp_path):

@@ -265,6 +265,21 @@ def test_help_names_every_scene():
     assert all(name in text for name in (*NAMES, *SITUATIONS))
 
 
+@pytest.mark.parametrize("upscale", [0.0, 2.0])
+def test_frames_of_a_scene_by_number(device, upscale):
+    """As in order, if the one before was asked for last; otherwise resets."""
+    live = Live(load_scene("plaza"), device, 32, 20, 4, 30.0, "adaptive", upscale)
+    in_order = [frame for _, frame in live.frames([0.5], strict=False)]
+    live.restart()
+    for k, frame in enumerate(in_order):
+        again = live.rendered(k)
+        assert (again.time, again.camera, again.reset) == (live.time(k), frame.camera, k == 0)
+        assert again.motion.tobytes() == frame.motion.tobytes()
+    assert in_order[3].camera.fx != in_order[0].camera.fx and live.interval(0) == pytest.approx(1 / 30)
+    alone = live.rendered(2)
+    assert alone.reset and alone.camera.fx == in_order[0].camera.fx
+
+
 def test_strict_counts_bad_pixels_of_built_in_scenes(device, monkeypatch):
     live = Live(load_scene("corridor"), device, 16, 12, 2, 30.0)
     render = SceneFrames.rendered

@@ -8,17 +8,14 @@ import threading
 from bisect import bisect_left, bisect_right, insort
 from collections import OrderedDict
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from gffe_cl.captures.offline.run import alphas_for
-from gffe_cl.captures.offline.source import jittered_renderer
+from gffe_cl.captures.offline.source import Live
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
-from gffe_cl.captures.scenes.sequences import require_frames
 from gffe_cl.engine.frame.camera import Camera, predict_camera
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, RenderedFrame
-from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.base import read_some_rows
 from ..explain.motion_trail import REMEMBERED
@@ -41,7 +38,7 @@ class _Made:
     rows: np.ndarray | None
 
 
-class SceneSource(FrameSource):
+class SceneSource(Live, FrameSource):
     """A built-in scene, rendered on the engine's device and left there.
 
     The camera follows the scene's path where it has not been flown. The last frames are kept on the device: a warm-up
@@ -57,28 +54,22 @@ class SceneSource(FrameSource):
         self, scene: Scene, device: Device, width: int, height: int, fps: float | None = None,
         window: str | None = None, count: int = 600, samples: int = 8, cache_bytes: int = CACHE_BYTES,
     ):  # fmt: skip
-        self.fps = scene.fps if fps is None else fps
-        require_frames(count, self.fps)
-        self.scene, self.name, self.exposure = scene, scene.name, scene.exposure
-        self.width, self.height, self.count, self.render_size = width, height, count, (width, height)
-        self._device, self._whole = device, SceneRenderer(device, scene, width, height, samples)
-        self._frames, self._upscale, self._most = SceneFrames(self._whole), 0.0, cache_bytes
-        self._empty_ring()
+        self._whole, self._most = SceneRenderer(device, scene, width, height, samples), cache_bytes
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
-        self._since: list[_Made] = []  # delivered since `restart`
         self._flown: dict[float, Camera] = {}  # by k + alpha
         self._flown_at: list[float] = []  # its keys in order
         self._flown_last = -1.0  # key of the last call of `fly`
         self._flights = 0  # calls of `fly`
         self._lock = threading.Lock()  # of the flown poses
-        self._way: Any = None  # the argument of `configure`, a tuple
+        super().__init__(scene, device, width, height, count, scene.fps if fps is None else fps, window or "off")
+        self._empty_ring()
         self.configure(window, 1)
 
     def sibling(self):
         other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
-        other._frames, other._since = copy.copy(self._frames), []
-        other._way, other._most = None, self._most // 4
+        other._frames, other._most = copy.copy(self._frames), self._most // 4
         other._empty_ring()
+        other.restart()
         return other
 
     def _empty_ring(self) -> None:
@@ -88,30 +79,18 @@ class SceneSource(FrameSource):
         self.held = min(REMEMBERED, self._ring_size - 1)
 
     def configure(self, window, n, upscale=0.0):
-        window = window or "off"
-        way = (window, upscale, *(alphas_for(n) if window == "adaptive" else ()))
-        if way == self._way:
-            return False
-        if upscale != self._upscale:
-            self._render_for(upscale)
-        self._frames.windows = WindowChooser(window, (self.width, self.height), alphas_for(n))
-        self._way = way
-        self.restart()
-        return True
+        size = self.render_size
+        changed = self.choose(window or "off", alphas_for(n), upscale)
+        if self.render_size != size:
+            self._empty_ring()
+        return changed
 
-    def _render_for(self, upscale: float) -> None:
-        """Frames for upscaling: smaller and jittered, as `gffe run` renders them; 0: as they are shown."""
-        size, renderer, jitter = (self.width, self.height), self._whole, None
-        if upscale:
-            renderer, jitter = jittered_renderer(self._device, self.scene, size, upscale)
-        self._frames = SceneFrames(renderer, None, size, jitter, self._whole)
-        self._upscale, self.render_size = upscale, self._frames.render_size
-        self._empty_ring()
+    def _frames_for(self, upscale):
+        return super()._frames_for(upscale) if upscale else SceneFrames(self._whole)
 
     def restart(self):
-        size = self.width, self.height
-        self._frames.windows = WindowChooser(self._way[0], size, self._frames.windows.alphas)
-        self._since = []
+        super().restart()
+        self._since: list[_Made] = []  # delivered since then
 
     def outdated(self, k, alpha):
         changed = [made for made in self._since if self.camera(made.k, 0.0) != made.frame.display_camera]
@@ -167,10 +146,6 @@ class SceneSource(FrameSource):
             if end - start > _LONGEST_GAP:
                 return None
             return predict_camera(self._flown[start], self._flown[end], (at - end) / (end - start))
-
-    def time(self, k, alpha=0.0):
-        step = 1.0 / self.fps
-        return k * step + alpha * (k * step - (k - 1) * step if k else step)
 
     def rendered(self, k):
         before = self._since[-1] if self._since and self._since[-1].k == k - 1 else None

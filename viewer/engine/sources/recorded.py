@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import threading
-from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,9 @@ import numpy as np
 from gffe_cl.captures.offline.run import alphas_for
 from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.sequence import Sequence
-from gffe_cl.engine.core.errors import GffeError, printable
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.stages.presentation import present
 from .file_watch import Growth, continues
 from .source import CACHE_BYTES, FrameSource
 
@@ -30,26 +28,20 @@ class RecordedSource(Recorded, FrameSource):
     """A sequence on disk, its decoded frames cached.
 
     `device` presents the display part for the window "off"; None is the window it was rendered through. `cache_bytes`:
-    of decoded frames that are kept. Raises GffeError as `pipeline.source.Recorded` does; for faults of a file when its
-    frame is asked for.
+    of decoded frames that are kept. Raises GffeError as `Recorded` does; for faults of a file when its frame is asked
+    for.
     """
 
     def __init__(self, sequence: Sequence, device: Device, window: str | None = None, cache_bytes: int = CACHE_BYTES):
-        super().__init__(sequence, device, "off")
-        self.windowed = self._cut
         super().__init__(sequence, device, window)
-        self.name = printable(sequence.path.resolve().name)
         self.suspicions: list[str] = []
         self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
-        self._chosen = window
+        self.growth: Growth | None = None
         self._alphas = alphas_for(1)
         self._cache = _ReadAhead(cache_bytes)
-        self.growth: Growth | None = None
-        self._list_frames(sequence)
 
-    def _list_frames(self, sequence: Sequence) -> None:
-        self._entries = sequence.rendered
-        self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
+    def _take(self, sequence):
+        super()._take(sequence)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)
@@ -58,18 +50,12 @@ class RecordedSource(Recorded, FrameSource):
         sequence = self.growth and self.growth.look()
         if not sequence or not continues(self.sequence, sequence):
             return False
-        self._list_frames(sequence)
-        super().__init__(sequence, self._device, self._chosen)
+        self._take(sequence)
         return True
 
     def configure(self, window, n, upscale=0.0):
         self._alphas = alphas_for(n)
-        if window == self._chosen:
-            return False
-        before = self._cut
-        super().__init__(self.sequence, self._device, window)
-        self._chosen = window
-        return self._cut != before
+        return self.choose(window)
 
     def look_closer(self):
         check, self.check = self.check, None
@@ -80,23 +66,19 @@ class RecordedSource(Recorded, FrameSource):
         with suppress(GffeError):  # an unreadable frame: displaying it reports the error
             self.suspicions += filter(None, [check()])
 
-    def reset_before(self, k):
-        return self.resets[bisect_right(self.resets, k) - 1]
-
     def rendered(self, k):
-        made = self._cache.get(("shown", k), lambda: self._shown(k)) if self._cut else self._as_rendered(k)
+        make, read = super().rendered, super()._read
+        made = self._cache.get(("shown", k), lambda: make(k)) if self._cut else make(k)
         following = [(k + i) % self.count for i in range(1, _AHEAD + 1)]
-        self._cache.ahead("rendered", {("rendered", m): lambda m=m: self._read(m) for m in following})
+        self._cache.ahead("rendered", {("rendered", m): partial(read, m) for m in following})
         return made
+
+    def _read(self, k):
+        return self._cache.get(("rendered", k), partial(super()._read, k))
 
     def camera(self, k, alpha):
         cameras = self.cameras_at([self.time(k, new) for new in self._alphas])
         return cameras and cameras[self._alphas.index(alpha)]
-
-    def time(self, k, alpha=0.0):
-        time = self._entries[k].time
-        first = k == 0 or self._entries[k].reset
-        return time + alpha * (1.0 / self.fps if first else time - self._entries[k - 1].time)
 
     def truth(self, k, alpha):
         entry = self.sequence.at("ground_truth", self.time(k, alpha))
@@ -114,19 +96,6 @@ class RecordedSource(Recorded, FrameSource):
 
     def close(self):
         self._cache.close()
-
-    def _as_rendered(self, k: int) -> RenderedFrame:
-        return self._cache.get(("rendered", k), lambda: self._read(k))
-
-    def _read(self, k: int) -> RenderedFrame:
-        return self.sequence.read(self._entries[k])
-
-    def _shown(self, k: int) -> RenderedFrame:
-        """The display part; bad pixels are those of the whole."""
-        frame = self._as_rendered(k)
-        entry = self._entries[max(k - 1, 0)]
-        before = replace(frame, camera=entry.render_camera, display_camera=entry.display_camera)
-        return present(frame, before, size=self.render_size, device=self._device)
 
 
 class _ReadAhead:

@@ -8,37 +8,29 @@ from typing import Protocol
 
 import numpy as np
 
+from gffe_cl.captures.offline.source import Source
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.options import Options
 from ..explain.motion_trail import REMEMBERED
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps
 
 
-class FrameSource(Protocol):
-    """Rendered frames by number. All but `fly`, `forget_flight` and `time` is called from one thread, the engine's.
+class FrameSource(Source, Protocol):
+    """Source whose frames are looked at. All but `fly`, `forget_flight` and `time` is called from one thread, the
+    engine's.
 
-    `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
-    rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
-    may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
-    that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
-    `held`: of the frames delivered last, so many stay as they are; `follows`: shows what a running program does: the
-    only slot is another frame whenever it is asked for; `options`: of the running program that the frames are from;
-    `suspicions`: sentences about the whole, more of them may come.
+    `target`: how the user named it; `render_size` may change with `configure`; `live`: rendered meanwhile, the camera
+    may be flown; `windowed`: rendered through a window that can be used or not; `flight`: another number whenever other
+    poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `follows`: shows what a
+    running program does: the only slot is another frame whenever it is asked for; `options`: of the running program
+    that the frames are from; `generated`: its new frames after each rendered one; `suspicions`: sentences about the
+    whole, more of them may come.
     """
 
-    name: str
-    width: int
-    height: int
-    render_size: tuple[int, int]
-    fps: float
-    exposure: float
-    count: int
     target: str = ""
     live: bool = False
     windowed: bool = False
-    resets: tuple[int, ...] = (0,)
     has_truth: bool = False
     flight: int = 0
     held: int = REMEMBERED
@@ -66,28 +58,12 @@ class FrameSource(Protocol):
         displayed."""
         return False
 
-    def reset_before(self, k: int) -> int:
-        """Number of the last reset frame up to `k`."""
-        return 0
-
-    def rendered(self, k: int) -> RenderedFrame:
-        """Frame `k`, of host arrays or device buffers. Raises GffeError."""
-        ...
-
     def camera(self, k: int, alpha: float) -> Camera | None:
         """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
 
     def truth(self, k: int, alpha: float) -> np.ndarray | None:
         """Return (H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, None if there is
         none."""
-
-    def time(self, k: int, alpha: float = 0.0) -> float:
-        """Seconds: of frame `k`, and `alpha` times the interval before it later."""
-        ...
-
-    def warnings(self) -> list[str]:
-        """Legal but suspicious things met so far."""
-        return []
 
     def grow(self) -> bool:
         """Take over frames that were added at the end since it was opened; whether there are any."""
