@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pyopencl as cl
 import pytest
-from test_twins import run
+from twin_cases import run
 
 from gffe_cl.engine.options import Options
 
@@ -57,8 +57,8 @@ def bits(pipeline):
 @pytest.mark.parametrize("int64", [True, False])
 def test_the_order_of_work_groups_changes_no_bit(device, monkeypatch, int64):
     int64 = int64 and device.int64_atomics
-    expected = bits(run(device, W, H, OPTIONS, int64)[0])
+    expected = bits(run(device, W, H, OPTIONS, int64).pipeline)
     pieces = in_shuffled_pieces(monkeypatch)
-    found = bits(run(device, W, H, OPTIONS, int64)[0])
+    found = bits(run(device, W, H, OPTIONS, int64).pipeline)
     assert all(min(pieces[name], default=0) > 1 for name in SHARING), pieces
     assert [name for name in expected if found[name] != expected[name]] == []
