@@ -463,7 +463,7 @@ class FrameBlocks(Stage):
 
     def forget(self) -> None:
         """Make the blocks be written again before they are used."""
-        self._steps.clear()
+        self.held.clear()
 
 
 class NearestStage(Stage):
