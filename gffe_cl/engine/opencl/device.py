@@ -308,7 +308,7 @@ class Device:
         at work."""
         queue = cl.CommandQueue(self.context, self.cl_device)
         flags = cl.map_flags.WRITE_INVALIDATE_REGION
-        array, _ = cl.enqueue_map_buffer(queue, buffer, flags, 0, (buffer.size,), np.uint8)
+        array, _ = cl.enqueue_map_buffer(queue, buffer, flags, 0, (buffer.size,), np.dtype(np.uint8))
         ask_for_huge_pages(array.ctypes.data, buffer.size)
         array.base.release(queue)
         queue.finish()
