@@ -66,7 +66,7 @@ INLINE float3 code_of(const Texels t, const int texel, const bool shown, const f
 
 /* ---- collection --------------------------------------------------------------------------------------------- */
 
-/* How much the depth of the surface at pixel i changes within a pixel. */
+/* The amount by which the depth of the surface at pixel i changes within a pixel. */
 INLINE float slope_at(const int src, const int source_width, __global const float *depth, __global const uchar *links) {
     const int bits = links[src];
     const float z = depth[src];
@@ -443,7 +443,7 @@ SCAN __kernel void settle_level(__constant Frame *frame, const int level, __glob
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
-/* The same, and begins the next level with the fragments pushed down. */
+/* Completes a level, and begins the next one with the fragments pushed down. */
 SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __global Key *fill_keys,
                                    __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
                                    __global const half *frame_color, __global const float *frame_depth,

@@ -47,7 +47,7 @@ INLINE Ints dynamic_beside(const Place p, const int dx, const int dy) {
     return x == there ? to_ints(dynamic) : (Ints)(0);
 }
 
-/* Which of them have nothing dynamic within GROW. */
+/* Gives which of them have nothing dynamic within GROW. */
 INLINE Ints nothing_moves(const Place p) {
     Ints moving = 0;
     for (int dy = -GROW; dy <= GROW; ++dy)
@@ -175,7 +175,7 @@ INLINE Ints small_step(const Floats a, const Floats b) {
 
 INLINE Ints large_step(const Floats a, const Floats b) { return fabs(a - b) > LARGE_STEP * (a < b ? a : b); }
 
-/* The same by depth; *clear is unchanged where that decides. */
+/* Narrows that by depth; *clear is unchanged where that decides. */
 INLINE Ints links_by_depth(const Place p, Ints *clear) {
     const Floats z = depth_beside(p, 0, 0);
     *clear = z > 0.0f;

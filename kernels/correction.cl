@@ -79,8 +79,9 @@ INLINE void head_of(__global const float *head, const Floats *seen, Floats *said
     }
 }
 
-/* How `now`, moved from a place along the flow, differs from the color here, within MARGIN times the change from the
-   previous frame to it here and there: texture is in both frames, so none of it moves along where light stays. */
+/* The difference between `now`, moved from a place along the flow, and the color here, within MARGIN times the change
+   from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
+   stays. */
 INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
                           const Floats before, const Sample *along) {
     const Floats there = sampled(frame_now, along), moved = there - now;

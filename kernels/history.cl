@@ -396,8 +396,8 @@ INLINE void find_history(const int src_x, const int src_y, __constant Frame *fra
     for (int k = known; k < positions - 1; ++k) f.history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
-/* Which of LANES fragments may be fixed to the camera: by their motion, and because static ones would have moved in
-   the image (`moves`), or changed their depth. */
+/* Gives which of LANES fragments may be fixed to the camera: by their motion, and because static ones would have
+   moved in the image (`moves`), or changed their depth. */
 INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x, const Floats mv_y, const Floats z,
                          const Floats z_static, const Ints moves, __constant Frame *frame) {
     const Pinhole inverse = frame->to_previous.source_inverse, before = frame->to_previous.target;

@@ -110,7 +110,7 @@ INLINE float4 weighted_mean(const Border *a, const int directions, const bool sq
     return (float4)(decode_color(mean_of(sum.xyz, weight_sum), code_offset), divide(sum.w, weight_sum));
 }
 
-/* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
+/* The place of a static pixel in the rendered image, and its depth there; z <= 0: behind the camera. */
 INLINE float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
     return reproject(pixel_center(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY,
                      to_source);
@@ -176,10 +176,10 @@ INLINE int surface_behind(const Border *a, const int behind) {
     return counts;
 }
 
-/* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole,
-   lies outside of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by
-   count most. Else it is a disocclusion, and shows the surface behind it. Gives (color, inverse depth); false where
-   no direction meets a valid pixel. */
+/* Continues the surfaces of the first valid pixels in eight directions, up to `reach` px away: a surface that,
+   continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
+   theirs, those close by count most. Else it is a disocclusion, and shows the surface behind it. Gives (color,
+   inverse depth); false where no direction meets a valid pixel. */
 INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     Border a;
@@ -270,7 +270,7 @@ __kernel void push_image(__constant Frame *frame, __global const uchar *filled_b
     weight[texel_y * level_width + texel_x] = any ? 1.0f : 0.0f;
 }
 
-/* The same from one level to the next; weights add up to at most 1. */
+/* Adds up from one level to the next; weights add up to at most 1. */
 __kernel void push_level(__constant Frame *frame, const int level, __global const float4 *fine_mean,
                          __global const float *fine_weight, __global float4 *mean, __global float *weight) {
     const int fine_width = level_side(frame->target_width, level - 1);
@@ -391,7 +391,7 @@ typedef struct {
     __local uint *asked, *any_asks; /* whether a pixel needs them */
 } Tile;
 
-/* Where a pixel lies between the centers of four texels of the downsampled image: the first one, and how far from
+/* The place of a pixel between the centers of four texels of the downsampled image: the first one, and how far from
    it. */
 INLINE int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
     const float2 b = pixel_center(dst_x, dst_y) * (1.0f / DOWNSAMPLING) - 0.5f;

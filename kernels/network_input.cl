@@ -12,7 +12,7 @@
 #define SCANNERS 64       /* work-items of find_median */
 #define MAX_INVERSE_DEPTH 8.0f
 
-/* How often each bin of finite depth occurs in some of the rows. */
+/* Counts how often each bin of finite depth occurs in some of the rows. */
 WIDE __kernel void depth_histogram(__constant Frame *frame, __global const float *depth, __global uint *histogram) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;

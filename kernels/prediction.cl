@@ -25,7 +25,7 @@ INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
-/* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
+/* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
 INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];

@@ -17,6 +17,6 @@ INLINE Rgb load_rgb(__global const uint2 *color, const int i) {
     return c;
 }
 
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
+/* The lesser and the greater of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
 INLINE float lesser(const float a, const float b) { return a < b ? a : b; }
 INLINE float greater(const float a, const float b) { return a < b ? b : a; }

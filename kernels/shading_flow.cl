@@ -37,7 +37,7 @@ WIDE __kernel void halve_frames(__constant Frame *frame, __global const float *f
     }
 }
 
-/* Both frames' brightness at `level`, from the level above. */
+/* Makes both frames' brightness at `level`, from the level above. */
 WIDE __kernel void halve_brightness(__constant Frame *frame, const int level, __global const float *fine,
                                     __global float *brightness) {
     const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;

@@ -59,7 +59,7 @@ INLINE void load_depths(const Span p, __global const float *depth, Depths *d) {
     for (int k = 0; k < 9; ++k) d->z[k] = beside(p, depth, k % 3 - 1, k / 3 - 1);
 }
 
-/* Which of them lie at a step of depth. */
+/* Gives which of them lie at a step of depth. */
 INLINE Ints at_step(Depths *d) {
     Floats nearest = INFINITY, farthest = 0.0f;
 #pragma unroll
@@ -74,7 +74,7 @@ INLINE Ints at_step(Depths *d) {
     return step;
 }
 
-/* Which of them have layers around, on both sides of d->middle, that move apart. */
+/* Gives which of them have layers around, on both sides of d->middle, that move apart. */
 INLINE Ints layers_part(const Span p, const Source s, __global const float *depth, Depths *d) {
     load_depths(p, depth, d);
     const Ints step = at_step(d);
@@ -162,8 +162,8 @@ INLINE void mark_around(const float2 px, const int width, const int height, __gl
     }
 }
 
-/* Which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's `share`
-   of the pixel. Marks the target blocks where they go; they come unmarked. */
+/* Finds which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's
+   `share` of the pixel. Marks the target blocks where they go; they come unmarked. */
 WIDE __kernel void find_layers(__constant Frame *frame, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked) {
@@ -317,7 +317,7 @@ typedef struct {
     Ints far;
 } LayerPairs;
 
-/* Which of LANES pixels lie between two layers that move apart. A layer's place is that of the pixel itself if it
+/* Gives which of LANES pixels lie between two layers that move apart. A layer's place is that of the pixel itself if it
    shows the layer, else the mean of its neighbors', or of its corners' without any. */
 INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *pairs) {
     Depths d;
@@ -406,7 +406,7 @@ INLINE uchar soften_pixel(const Source s, const Layers l, const Shown f, const i
     return 1;
 }
 
-/* Which of LANES pixels may show pixels of a far layer. */
+/* Gives which of LANES pixels may show pixels of a far layer. */
 INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Shown f) {
     if (!p.inner) return (Ints)(-1);
     Floats motion_y;

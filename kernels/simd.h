@@ -189,7 +189,7 @@ INLINE void store_some_halfs(const Floats v, const int count, __global half *p) 
 /* x + 0.5 of each lane's pixel. */
 INLINE Floats row_centers(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 
-/* Where pixel i of an image is. */
+/* The column and the row of pixel i of an image. */
 INLINE void wide_column_and_row(const Ints i, const int width, Ints *column, Ints *row) {
     const Ints near = to_ints(to_floats(i) * (1.0f / (float)width)), rest = i - near * width; /* one row off at most */
     *row = near + (rest < 0 ? (Ints)(-1) : rest >= width ? (Ints)(1) : (Ints)(0));

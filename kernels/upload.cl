@@ -8,7 +8,7 @@
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
-/* How many runs a row of `width` pixels has, for a single lane. */
+/* The number of runs in a row of `width` pixels, for a single lane. */
 INLINE int runs_of(const int width) { return (width + RUN_PIXELS - 1) / RUN_PIXELS; }
 
 /* Pixel k * LANES of the run of this work-item, in its row. */
@@ -17,7 +17,7 @@ INLINE int run_x(const int width, const int k) {
     return LANES > 1 ? (run * RUN_PIXELS + k) * LANES : run + k * runs_of(width);
 }
 
-/* How many of the first `count` lanes a condition holds for. */
+/* Counts those of the first `count` lanes for which a condition holds. */
 INLINE int lanes_where(const Ints condition, const int count) {
     int number = 0;
     uchar lanes[LANES];

@@ -86,7 +86,7 @@ INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near
     return ANY((dx != 0) | (dy != 0));
 }
 
-/* How much of px in the image before was not hidden by something nearer than `expected`: bilinear. */
+/* The share of px in the image before was not hidden by something nearer than `expected`: bilinear. */
 INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expected, const int width, const int height,
                          __global const float *previous_depth) {
     const Ints met = within(px_x, px_y, width, height);

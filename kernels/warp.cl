@@ -199,8 +199,8 @@ typedef struct {
     float u, v;
 } Sample;
 
-/* At (src_x, src_y) + d. Whether the neighborhood moves alike is judged by its four inner taps and its corners, or
-   known of `smooth` blocks. */
+/* Prepares a sample at (src_x, src_y) + d. Whether the neighborhood moves alike is judged by its four inner taps and
+   its corners, or known of `smooth` blocks. */
 INLINE void sample_at(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here,
                       const Flow flow, const bool smooth, Sample *s) {
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
@@ -273,7 +273,7 @@ INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winn
 }
 
 #if LANES == 8
-/* Of fragments within one smooth surface: nothing to check. */
+/* The flow of fragments within one smooth surface: nothing to check. */
 INLINE void smooth_flow(const Positions at, WideFlow *flow) {
     const Cross x = at.x, y = at.y, z = at.z;
     WideFlow f;
@@ -296,7 +296,7 @@ INLINE Floats wide_deviation(const Floats there_x, const Floats there_y, const F
     return ex > ey ? ex : ey;
 }
 
-/* Which lanes have no neighbor from which step_off_silhouette steps off. */
+/* Gives which lanes have no neighbor from which step_off_silhouette steps off. */
 INLINE Ints stays(const Positions at, const Cross depth, const WideFlow f) {
     const Cross x = at.x, y = at.y;
     const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
@@ -310,7 +310,7 @@ INLINE Ints stays(const Positions at, const Cross depth, const WideFlow f) {
            & !((depth.down < near) & down_moves);
 }
 
-/* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */
+/* Gives which taps around (ox, oy) from the winners move alike, in bits: see resample. */
 INLINE Ints taps_alike(const Fragments from, const Positions at, const Ints src, const Floats ox, const Floats oy,
                        const WideFlow f) {
     Places base;
@@ -482,7 +482,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
 
 #endif
 
-/* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of
+/* The places where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of
    backward_blocks.cl. */
 INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
     const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PYTHON = ("gffe_cl",)  # folders whose docstrings are checked
-KERNELS: tuple[str, ...] = ()  # folders where the comments above kernels are checked
+KERNELS = ("kernels",)
 GENERATED = {"gffe_config.h", "gffe_tables.c"}  # by `gffe export`
 
 FRAGMENT = re.compile(
