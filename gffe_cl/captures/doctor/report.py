@@ -16,7 +16,7 @@ from gffe_cl.captures.doctor.hypotheses.cameras import CAMERA_AS_GIVEN
 from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN, rays
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Clip, Look
 from gffe_cl.captures.doctor.repair import Repair, static_motion
-from gffe_cl.captures.report_style import report_style
+from gffe_cl.captures.report_style import heat, report_style
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 _MOST_WIDTH = 960  # pixels of a picture
@@ -165,10 +165,10 @@ def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
             "color, display values",
             np.clip(np.nan_to_num(here.color[..., :3].astype(np.float32)) * exposure, 0, 1) ** (1 / 2.2),
         ),
-        (f"residual as given, pixels: 0 (black) to {top:.3g} (white)", _heat(given / top)),
+        (f"residual as given, pixels: 0 (black) to {top:.3g} (white)", heat(given / top)),
     ]
     if repaired and diagnosis.faults:
-        figures.append((f"residual repaired, pixels: 0 (black) to {top:.3g} (white)", _heat(read / top)))
+        figures.append((f"residual repaired, pixels: 0 (black) to {top:.3g} (white)", heat(read / top)))
     made = "".join(
         f'<figure><img alt="" src="data:image/png;base64,{_png(image)}">'
         f"<figcaption>{escape(text)}</figcaption></figure>"
@@ -196,10 +196,6 @@ def _residual(frame: RenderedFrame, before: RenderedFrame) -> np.ndarray:
         return np.zeros(frame.depth.shape)
     off = np.linalg.norm(frame.motion - static_motion(frame, before.camera), axis=-1)
     return np.nan_to_num(off, nan=0.0, posinf=1e6)
-
-
-def _heat(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.stack([3 * values, 3 * values - 1, 3 * values - 2], -1), 0, 1)
 
 
 def _png(image: np.ndarray) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
 from gffe_cl.engine.inference.network import default_model
-from gffe_cl.engine.inference.providers import CPU
+from gffe_cl.engine.inference.substitute import SubstituteNetwork
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -72,23 +72,14 @@ def forms_of(device: Device) -> list[Form]:
     return [own, *others, *([replace(own, name="32-bit atomics", int64_atomics=False)] if own.int64_atomics else [])]
 
 
-class FixedNetwork:
-    """Replacement for the shading correction network, whose output differs between machines: a pattern that depends on
-    its size alone. Kernels around it must give the same results everywhere."""
+# The network's output differs between machines. Kernels around it must give the same results everywhere.
+_HEAD = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
 
-    copying, provider = 0.0, CPU.ort
-    head = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
 
-    def prepare(self, height: int, width: int) -> None:
-        """Do nothing: this network needs no preparation for a size."""
-
-    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
-        """Fill `judgement` with the pattern, and return 0: no pixel has NaN or infinity."""
-        planes, height, width = judgement.shape
-        plane, y, x = np.ogrid[:planes, :height, :width]
-        pattern = ((x * 7 + y * 13 + plane * 29 + (x // 4) * (y // 4) * 3) % 64).astype(np.float32)
-        judgement[:] = pattern / 64 - 0.5
-        return 0
+def _pattern(shape: tuple[int, ...]) -> np.ndarray:
+    """Return a judgement (planes, height, width) float32 that holds all kinds of values."""
+    plane, y, x = np.ogrid[: shape[0], : shape[1], : shape[2]]
+    return ((x * 7 + y * 13 + plane * 29 + (x // 4) * (y // 4) * 3) % 64).astype(np.float32) / 64 - 0.5
 
 
 def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
@@ -102,7 +93,7 @@ def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[
     pipeline.exposure = EXPOSURE
     pipeline.keep()
     if correction := pipeline.stages.get(ShadingCorrection.name):
-        correction.use(FixedNetwork())
+        correction.use(SubstituteNetwork(_HEAD, _pattern))
     for k, frame in enumerate(frames(*SIZE, case.render_size)):
         pipeline.submit(frame)
         for j, alpha in enumerate(ALPHAS, 1):

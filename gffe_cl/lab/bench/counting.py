@@ -25,6 +25,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
+from gffe_cl.engine.inference.substitute import SubstituteNetwork
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -144,20 +145,6 @@ def _joined(made: dict, blocks: list[tuple[str, int, int, int]], pixels: int) ->
     }
 
 
-class _SilentNetwork:
-    """Replacement for the shading correction network, by whose focus mask kernels load more or less: its mask is 0."""
-
-    copying, head = 0.0, np.zeros(HEAD_WEIGHTS, np.float32)
-
-    def prepare(self, height: int, width: int) -> None:
-        """Do nothing: this network needs no preparation for a size."""
-
-    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
-        """Fill `judgement` with 0, and return 0: no pixel has NaN or infinity."""
-        judgement[:] = 0
-        return 0
-
-
 def _make(folder: Path) -> None:
     """Make the frames under Oclgrind, and write the launches of the last pair and the bytes that they must move to a
     file."""
@@ -169,7 +156,8 @@ def _make(folder: Path) -> None:
     pipeline = Pipeline(device, loop.width, loop.height, Options(**options))
     pipeline.exposure = loop.exposure
     if correction := pipeline.stages.get(ShadingCorrection.name):
-        correction.use(_SilentNetwork())
+        # Kernels load more or less by the focus mask, which is 0 here.
+        correction.use(SubstituteNetwork(np.zeros(HEAD_WEIGHTS, np.float32), lambda shape: 0))
         correction.works_alone = True  # Oclgrind takes commands of one thread only
         pipeline.stages[ShadingTrend.name].never_still = True  # with vectors it finds no change of light
     *before, last = (turn for turn in loop.turns(1))
