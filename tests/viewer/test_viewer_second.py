@@ -22,7 +22,7 @@ class WideCanvas(Canvas):
 
 @pytest.fixture
 def session(tmp_path, monkeypatch):
-    monkeypatch.setattr("test_viewer_model.Canvas", WideCanvas)
+    monkeypatch.setattr("viewer_session.Canvas", WideCanvas)
     session = Session(tiny_sequence.write(tmp_path / "first"))
     yield session
     session.model.close()

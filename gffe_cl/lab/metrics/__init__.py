@@ -3,6 +3,7 @@
 from gffe_cl.lab.metrics.images import (
     FOCUS,
     METRICS,
+    PSNR_CAP,
     Metric,
     RegionErrors,
     decibels,
@@ -22,6 +23,7 @@ from gffe_cl.lab.metrics.images import (
 __all__ = [
     "FOCUS",
     "METRICS",
+    "PSNR_CAP",
     "Metric",
     "RegionErrors",
     "decibels",

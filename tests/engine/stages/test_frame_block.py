@@ -14,7 +14,8 @@ def test_kernel_writes_the_block(case):
         step = Step(board.rendered, board.previous, [0.1, 0.06], camera, 0.12, 0.6)
         given = np.frombuffer(bytes(step.block(board)), FRAME)[0]
         written = np.zeros(1, FRAME)
-        cl.enqueue_copy(board.device.queue, written, board.blocks.of(step))
+        board.blocks.set(step)
+        cl.enqueue_copy(board.device.queue, written, board.blocks.buffer[slot])
         board.blocks.forget()
         for name in FRAME.names:
             assert written[0][name].tobytes() == given[name].tobytes(), (slot, name)
