@@ -37,7 +37,7 @@ def without_camera(search: Search) -> Verdict | None:
     camera, depth = _by_colors(search)
     static = search.full.static(camera, depth)
     seen = np.abs(np.nan_to_num(static[solid])).max(-1) > max(_VISIBLE, 0.55 * step)
-    if seen.mean() < _SEEN:
+    if seen.mean() < _SEEN or not mostly_nothing(length[solid][seen]):
         return None
     color = search.camera_color(camera, depth)
     if not color > search.static_color(np.zeros_like(static), PREVIOUS) + _GAIN:
