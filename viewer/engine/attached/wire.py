@@ -77,7 +77,7 @@ class Program:
 
 @dataclass(frozen=True)
 class Recording:
-    """Where the last rendered frames are kept: in the block whose descriptor comes with this."""
+    """Layout of the last rendered frames, which are kept in the block whose descriptor comes with this message."""
 
     plan: RecordingPlan
 
