@@ -32,7 +32,8 @@ class RegionMap:
 
 
 def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionMap:
-    """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colors (H, W, 4) of the same slot."""
+    """Return the map of regions of a generated slot of A with the layers `slot_metrics.NEEDED`. `b`: B's final colors
+    (H, W, 4) of the same slot, if B is there."""
     labels = region_labels(result, exposure)
     true = to_display(result.images[names.TRUTH][..., :3], exposure)
 
@@ -46,7 +47,7 @@ OVERLAY = "regions"
 
 
 class Regions:
-    """Found while the overlay "regions" is on.
+    """Regions of errors, found while the overlay "regions" is on.
 
     Attributes
     ----------
@@ -76,13 +77,14 @@ class Regions:
         return list(REGIONS)[self._view.region] if self.on and self._view.region >= 0 else None
 
     def see_only(self, name: str | None) -> None:
-        """One region alone, None: all of them, each in its color; again: all of them."""
+        """Show one region alone; None: all of them, each in its color. The region that is seen alone already: all of
+        them."""
         again = name is not None and name == self.only
         self.switch(True)
         self._view.region = -1 if name is None or again else list(REGIONS).index(name)
 
     def why_not(self) -> str | None:
-        """Why there are no regions here."""
+        """Return why there are no regions here; None if there can be."""
         contents = self._contents
         reason = contents.why_not(names.TRUTH)
         if reason or contents.result is None:

@@ -22,7 +22,7 @@ Rectangle = tuple[int, int, int, int]  # left, top, right, bottom: display pixel
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of `count` pixels.
+    """Statistics of `count` pixels.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Statistics:
 
 
 def statistics(result: Result, rectangle: Rectangle, exposure: float) -> Statistics:
-    """Of a slot with the layers `NEEDED`, as far as there are."""
+    """Return the statistics of the pixels in `rectangle`, of a slot with the layers `NEEDED`, as far as there are."""
     left, top, right, bottom = rectangle
     images = {name: image[top:bottom, left:right] for name, image in result.images.items() if name in NEEDED}
     generated = result.moment.alpha > 0
@@ -105,7 +105,7 @@ class Selection:
         self.statistics: Statistics | None = None
 
     def draw(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Between two display positions; all pixels that it touches."""
+        """Select the rectangle between two display positions, with all pixels that it touches."""
         sides = []
         for a, b, size in zip(start, end, self._contents.size, strict=True):
             low, high = math.floor(min(a, b)), math.floor(max(a, b)) + 1
