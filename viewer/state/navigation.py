@@ -70,7 +70,7 @@ _MOST = 50
 
 @dataclass(frozen=True)
 class _Place:
-    """Return the remembered view."""
+    """Remembered view: a place to go back to."""
 
     slot: int
     layer: str
@@ -91,7 +91,7 @@ class Walk:
         self._left.clear()
 
     def why_not(self, link: Link) -> str | None:
-        """Why a link leads nowhere."""
+        """Return why a link leads nowhere; None if it can be followed."""
         if link.layer and self._contents.spec(link.layer) is None:
             return "this layer is not made with these options"
         if link.pixel is not None and not all(0 <= c < s for c, s in zip(link.pixel, self._contents.size, strict=True)):
@@ -132,7 +132,7 @@ class Walk:
         return bool(self._left)
 
     def back(self) -> None:
-        """To where the last link was followed."""
+        """Go back to the place from which the last link was followed."""
         place = self._left.pop()
         self._view.a, self._view.zoom, self._view.center = place.layer, place.zoom, place.center
         if self._playback.slot != place.slot:

@@ -30,7 +30,7 @@ class Needed:
         self._regions, self._disocclusions, self._selection = regions, disocclusions, selection
 
     def all(self) -> frozenset[str]:
-        """All layers."""
+        """Return the names of all layers; the displayed image alone while they are not known."""
         return frozenset(spec.name for spec in self._contents.layers) or frozenset({names.FINAL})
 
     def of_first(self) -> frozenset[str]:
@@ -109,7 +109,7 @@ class Prefetch:
 
 
 class Asking:
-    """Looks into the cache first, else asks the engine.
+    """Requests for slots: it looks into the cache first, else it asks the engine.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Asking:
         self._serial = itertools.count(1)
 
     def serial(self) -> int:
-        """Another number for everything that is asked of the engine."""
+        """Return another number for each request to the engine."""
         return next(self._serial)
 
     def forget(self) -> None:
@@ -198,7 +198,7 @@ class Asking:
         return result is not None and bool(wanted) and wanted == replace(result.request, serial=wanted.serial)
 
     def _came(self, result: Result) -> None:
-        """A's result is there; where it is compared with B's it waits for that."""
+        """Show A's result, which has come; where it is compared with B's it waits for that."""
         if self._second.belongs(result):
             self._second.pair(result)
         else:

@@ -42,11 +42,11 @@ class Subject:
         return result.request.slot if result is not None else self.playback.slot
 
     def unused(self, stem: str, suffix: str) -> Path:
-        """A new path in the working folder."""
+        """Return a new path in the working folder."""
         return unused_name(Path.cwd(), f"{self.contents.source.name}_{stem}", suffix)
 
     def picture(self, canvas) -> np.ndarray:
-        """(H, W, 4) uint8 of the view, unzoomed."""
+        """Return (H, W, 4) uint8 of the view, unzoomed."""
         width, height = self.contents.size
         view = replace(self.shown(), zoom=1.0, center=(width / 2, height / 2), grid=False)
         return read(canvas.draw(view, (width, height), "export"))
@@ -81,7 +81,7 @@ class Work:
         """Stop if possible; `finished` then becomes true."""
 
     def close(self) -> None:
-        """The viewer ends: nothing half done is left, unless it takes more than seconds to stop."""
+        """Cancel as the viewer ends: nothing half done is left, unless it takes more than five seconds to stop."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
@@ -162,7 +162,7 @@ class RecordingWork(Work):
         self.done += 1
 
     def _proceed(self, canvas):
-        """All is done on the thread."""
+        """Do nothing: all is done on the thread."""
 
 
 class VideoWork(Work):
