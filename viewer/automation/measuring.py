@@ -46,7 +46,8 @@ def measure(
 
 
 class _Stopwatch:
-    """Called once per frame of the interface: starts the passes one after the other, and closes the window."""
+    """Stopwatch, called once per frame of the interface: starts the passes one after the other, and closes the
+    window."""
 
     def __init__(self, seconds: float, look: Look):
         self.seconds, self.problem = seconds, None
