@@ -86,7 +86,7 @@ class _Stopwatch:
                 app.close()
 
     def count(self, app: App) -> None:
-        """Call once per picture that is shown in the interface as it is."""
+        """Count a picture that was drawn without a frame of the interface. Call once per such picture."""
         played = self.cached or self.first
         if played is not None:
             played.count(time.perf_counter(), app.model, interface=False)

@@ -86,7 +86,7 @@ class Engine(Exchange):
         return self._thread.is_alive()
 
     def close(self) -> None:
-        """Ends the thread; returns within two seconds even if a kernel takes longer."""
+        """End the thread. Waits two seconds at most, even if a kernel takes longer."""
         with self._news:
             self._closing = True
             self._news.notify()

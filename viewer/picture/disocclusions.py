@@ -54,7 +54,7 @@ class Disocclusions:
         return self._view.overlay == OVERLAY
 
     def switch(self, on: bool) -> None:
-        """Show them over the picture, or not."""
+        """Show the disocclusions over the picture, or not."""
         self._view.overlay = OVERLAY if on else "none"
 
     def forget(self) -> None:
@@ -64,7 +64,7 @@ class Disocclusions:
 
     @property
     def needed(self) -> frozenset[str]:
-        """Layers to read back for it."""
+        """Layers to read back for disocclusions."""
         return _NEEDED if self.on else frozenset()
 
     @property

@@ -23,8 +23,8 @@ SPEC = LayerSpec(
 
 @dataclass(frozen=True)
 class RegionMap:
-    """`labels`: (H, W) uint8, indices into `REGIONS`, as A's pipeline finds them; the parts of A's error in them, and
-    of B's, if it is there."""
+    """Map of regions. `labels`: (H, W) uint8, indices into `REGIONS`, as A's pipeline finds them; `a`, `b`: the parts
+    of A's error in them, and of B's, if it is there."""
 
     labels: np.ndarray
     a: dict[str, Part]
@@ -68,7 +68,7 @@ class Regions:
         return self._view.overlay == OVERLAY
 
     def switch(self, on: bool) -> None:
-        """Show them over the picture, or not."""
+        """Show the regions over the picture, or not."""
         self._view.overlay, self._view.region = OVERLAY if on else "none", -1
 
     @property
@@ -96,7 +96,7 @@ class Regions:
 
     @property
     def needed(self) -> frozenset[str]:
-        """Layers to read back for it."""
+        """Layers to read back for the regions."""
         return NEEDED if self.on else frozenset()
 
     @property
@@ -105,7 +105,7 @@ class Regions:
         return not self.on or self.why_not() is not None or self._maps.ready
 
     def update(self, canvas) -> str | None:
-        """Call once per frame of the interface: take the result, and request the next. Returns an error message, if
+        """Take the result, and request the next. Call once per frame of the interface. Returns an error message, if
         any."""
         if not self.on:
             return None

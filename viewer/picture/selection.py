@@ -118,7 +118,7 @@ class Selection:
 
     @property
     def needed(self) -> frozenset[str]:
-        """Layers to read back for it."""
+        """Layers to read back for the statistics."""
         return NEEDED if self.rectangle else frozenset()
 
     @property
@@ -127,7 +127,8 @@ class Selection:
         return self.rectangle is None or self._latest.ready
 
     def update(self) -> str | None:
-        """Call once per frame of the interface. Returns an error message, if any."""
+        """Take the result, and request the next. Call once per frame of the interface. Returns an error message, if
+        any."""
         try:
             made = self._latest.take()
         except Exception as error:

@@ -174,8 +174,8 @@ class Comparison:
         return self._view.compare != "flip error" or self._nothing or self._maps.ready
 
     def update(self, canvas) -> str | None:
-        """Call once per frame of the interface: take the finished map, and request the next. Returns an error
-        message, if any; then the comparison is switched off."""
+        """Take the finished map, and request the next. Call once per frame of the interface. Returns an error message,
+        if any; then the comparison is switched off."""
         self.follow()
         view, contents = self._view, self._contents
         if view.compare != "flip error":

@@ -19,7 +19,7 @@ class Loop:
         self._was_playing = False
 
     def update(self, now: float, canvas) -> None:
-        """Update at `now`, seconds of the playback clock. `canvas`: None without a window."""
+        """Move the model on to `now`, seconds of the playback clock. `canvas`: None without a window."""
         model = self._model
         model.screen.canvas = canvas
         if model.previewer is not None and (preview := model.previewer.take()) is not None:

@@ -152,7 +152,7 @@ class Model:
         return isinstance(self.source, FrozenSource)
 
     def reload(self) -> None:
-        """Read the same thing again, and stay where we are."""
+        """Open the present source again, and stay at the same slot."""
         self.keep_place = True
         self.open(self._target)
 

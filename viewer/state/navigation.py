@@ -80,7 +80,7 @@ class _Place:
 
 
 class Walk:
-    """The places from which links were followed."""
+    """Walk along the links of stories, with the places from which they were followed."""
 
     def __init__(self, view: View, contents: Contents, playback: Playback, pointing: Pointing):
         self._view, self._contents, self._playback, self._pointing = view, contents, playback, pointing
@@ -121,7 +121,7 @@ class Walk:
         self.look_at(pixel)
 
     def look_at(self, pixel: tuple[int, int]) -> None:
-        """Tell the pixel's story. If only a part of the picture is visible, center it."""
+        """Request the pixel's story. If only a part of the picture is visible, center it."""
         self._pointing.pick(pixel)
         view, size = self._view, self._contents.size
         if view.center != (size[0] / 2, size[1] / 2):

@@ -203,7 +203,7 @@ class Parameters:
         return option.low if option.low != option.off else option.low + 1
 
     def take(self, options: Options, window: str | None) -> None:
-        """Set options and window at once, as they were kept."""
+        """Set options and window at once. An earlier failure of shading correction is forgotten."""
         self.network_fault = None
         self.options, self.window = replace(options, **self._always), window
 

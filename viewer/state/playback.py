@@ -1,4 +1,4 @@
-"""Playback: which slot is due, asked for and shown. The wall clock is handed in; nothing here waits."""
+"""Playback: the slots that are due, requested and shown. The wall clock is handed in; nothing here waits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ _RATE_WINDOW = 1.0  # seconds
 
 
 class Tick(NamedTuple):
-    """`request`: slot to ask the engine for; `visible`: slot to have on screen, None before the first delivery."""
+    """Outcome of a tick. `request`: slot to ask the engine for; `visible`: slot to have on screen, None before the
+    first delivery."""
 
     request: int
     visible: int | None

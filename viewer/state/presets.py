@@ -19,8 +19,8 @@ _LONGEST = 60  # letters of a name
 
 @dataclass(frozen=True)
 class Kept:
-    """Named settings: modules, parameters, network and rendering window. `kernels`: the build in use, of this
-    session; empty: the newest. `weights`: identifies the network's weights."""
+    """Named settings: modules, parameters, network and rendering window. `kernels`: a build that was in use since the
+    viewer was started; empty: the newest. `weights`: identifies the network's weights."""
 
     name: str
     options: Options

@@ -79,8 +79,8 @@ class Prefetch:
         return self._cache.get(FrameKey(recipe, request.slot), request.layers, request.metrics)
 
     def update(self, now: float, recipe: Recipe, request: Request, nbytes: int, beside: bool) -> None:
-        """Call once per frame of the interface. `request`: the picture's, whose slots take `nbytes` each; `beside`:
-        whether computation in advance is allowed."""
+        """Plan the slots to compute in advance. Call once per frame of the interface. `request`: the picture's, whose
+        slots take `nbytes` each; `beside`: whether computation in advance is allowed."""
         if not self._cache.most:
             return
         playback, wanted = self._playback, (recipe, request.layers, request.metrics)
@@ -177,7 +177,7 @@ class Asking:
             self._show(*pair)
 
     def fill(self, now: float, recipe: Recipe, may_run: bool) -> None:
-        """Call once per frame of the interface: request slots in advance."""
+        """Request slots in advance, where `may_run` allows it. Call once per frame of the interface."""
         result = self._contents.result
         if result is None or self._wanted is None:
             return

@@ -103,7 +103,8 @@ class Work:
 
 
 class PictureWork(Work):
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it."""
+    """Saving of the view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under
+    it."""
 
     def __init__(self, subject: Subject):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
@@ -119,7 +120,7 @@ class PictureWork(Work):
 
 
 class LayersWork(Work):
-    """All layers of the present slot as EXR files in a new folder."""
+    """Saving of all layers of the present slot as EXR files in a new folder."""
 
     def __init__(self, subject: Subject):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_layers", ""), 1)
@@ -148,7 +149,7 @@ class LayersWork(Work):
 
 
 class RecordingWork(Work):
-    """Frames of a running program as a sequence in a new folder."""
+    """Writing of a running program's frames as a sequence in a new folder."""
 
     def __init__(self, subject: Subject, sequence: Sequence):
         super().__init__(subject, subject.unused("recorded", ""), len(sequence.rendered))
@@ -166,7 +167,7 @@ class RecordingWork(Work):
 
 
 class VideoWork(Work):
-    """Every slot between the in and the out point as MP4; then back to the slot from which it was started."""
+    """Saving of every slot between the in and the out point as MP4; then back to the slot from which it was started."""
 
     def __init__(self, subject: Subject):
         playback = subject.playback

@@ -23,7 +23,7 @@ _HISTORY = 2  # rendered frames before the one that a slot is made of
 
 @dataclass(frozen=True)
 class Side:
-    """A or B, with its measured figures."""
+    """A or B: its setup, and the recipe by which its figures are stored."""
 
     setup: Setup
     recipe: Recipe
@@ -59,7 +59,8 @@ class Survey:
     # ---- measuring -----------------------------------------------------------------------------------------
 
     def update(self, a: Setup, b: Setup | None, exposure: float, may_run: bool) -> None:
-        """Call once per frame of the interface; `may_run`: whether the engine is idle."""
+        """Take the figures that became known, and request slots that are missing. Call once per frame of the interface;
+        `may_run`: whether the engine is idle."""
         self.a, self.b = (None if setup is None else Side(setup, self._engine.recipe(setup)) for setup in (a, b))
         while (answer := self._engine.poll_survey()) is not None:
             self._planned = None

@@ -87,7 +87,7 @@ class Pointing:
                 self._ask(wanted)
 
     def pick(self, pixel: tuple[int, int] | None) -> None:
-        """Tell the story of a pixel."""
+        """Request the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
         self.picked, self.story = None, None
         self.inspection = self.inspection if self._hovered else None
         if pixel is not None and self._is_inside(pixel):

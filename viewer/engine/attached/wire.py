@@ -50,7 +50,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class Use:
-    """Change the pipeline's options before the next rendered frame. Answered by `Refused` if that fails."""
+    """Request to change the pipeline's options before the next rendered frame. Answered by `Refused` if that fails."""
 
     options: Options
 
@@ -102,7 +102,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Refused:
-    """Options could not be used."""
+    """Answer to `Use` if the options could not be used: the reason, and the options that the pipeline still has."""
 
     why: str
     options: Options

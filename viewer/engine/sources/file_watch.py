@@ -1,4 +1,4 @@
-"""Captures that are being written while they are looked at."""
+"""Watch over captures that are being written while they are looked at."""
 
 from __future__ import annotations
 
