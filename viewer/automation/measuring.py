@@ -46,7 +46,8 @@ def measure(
 
 
 class _Stopwatch:
-    """Called once per frame of the interface: starts the passes one after the other, and closes the window."""
+    """Stopwatch, called once per frame of the interface: starts the passes one after the other, and closes the
+    window."""
 
     def __init__(self, seconds: float, look: Look):
         self.seconds, self.problem = seconds, None
@@ -85,7 +86,7 @@ class _Stopwatch:
                 app.close()
 
     def count(self, app: App) -> None:
-        """Call once per picture that is shown in the interface as it is."""
+        """Count a picture that was drawn without a frame of the interface. Call once per such picture."""
         played = self.cached or self.first
         if played is not None:
             played.count(time.perf_counter(), app.model, interface=False)

@@ -30,7 +30,7 @@ class Look:
     other: str | None = None
 
     def take(self, model: Model) -> None:
-        """Show it in a model that has layers. Raises GffeError."""
+        """Show these layers in a model that has layers. Raises GffeError."""
         model.show_layer(found_layer(model, self.layer))
         if self.other:
             model.view.b = found_layer(model, self.other)

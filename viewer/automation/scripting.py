@@ -40,8 +40,8 @@ def play_script(
 
 
 class Director:
-    """Called once per frame of the interface: does the next step when the last one is on the screen, and closes the
-    window after the last; `frames` are those of the film."""
+    """Director of a script, called once per frame of the interface: does the next step when the last one is on the
+    screen, and closes the window after the last; `frames` are those of the film."""
 
     def __init__(self, script: Path, steps: list[Step], film: bool):
         self._script, self._steps, self._film = script, list(steps), film
@@ -56,7 +56,7 @@ class Director:
         self._taken = True
 
     def clock(self) -> float:
-        """Seconds."""
+        """Return the seconds that have passed in the script."""
         return self._time
 
     def __call__(self, app: App) -> None:
@@ -135,12 +135,12 @@ class Director:
 
 
 def _works_beside(model: Model) -> bool:
-    """Whether frames are being measured, the doctor examines the sequence, or something is being saved."""
+    """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
     return model.survey.busy or model.export is not None or (model.doctor is not None and not model.doctor.done)
 
 
 def require_film(path: Path) -> None:
-    """GffeError if a film cannot be written to `path`."""
+    """Raise GffeError if a film cannot be written to `path`."""
     if path.suffix.lower() not in FILMS:
         raise GffeError(f"{path}: a film's name must end in {' or '.join(FILMS)}")
     if not path.absolute().parent.is_dir():

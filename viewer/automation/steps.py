@@ -51,9 +51,9 @@ class Step:
 
 
 def parse(path: Path, app: App | None = None) -> list[Step]:
-    """The steps of a script: one a line, empty lines and those that begin with # left out. Everything is checked that
-    does not depend on the sequence. `app`: whose actions and panels there are (None: a viewer's that is never opened).
-    Raises GffeError."""
+    """Return the steps of a script: one a line, empty lines and those that begin with # left out. Everything is checked
+    that does not depend on the sequence. `app`: whose actions and panels there are (None: a viewer's that is never
+    opened). Raises GffeError."""
     try:
         lines = read_bounded(path, _MOST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -81,7 +81,7 @@ def _read(command: str, argument: str, app: App) -> Any:
 
 
 def unopened() -> App:
-    """An application without a window and without a device: for its actions and panels."""
+    """Return an application without a window and without a device: for its actions and panels."""
     return App(Model(Settings(), start=False, save_settings=False))
 
 
@@ -131,7 +131,7 @@ def _slot_fits(app: App, slot: int) -> None:
 
 
 def found_layer(model: Model, name: str) -> str:
-    """Full name of a layer that can be shown. Raises GffeError."""
+    """Return the full name of a layer that can be shown. Raises GffeError."""
     found = model.contents.find(name)
     if found is None:
         raise GffeError(f"no layer is called '{name}' (nearest: {', '.join(_nearest(model, name))})")
@@ -189,7 +189,7 @@ def _share(text: str, _app: App) -> float:
 
 
 def _whole(name: str, count: int, example: str) -> Callable[[str, Any], tuple[int, ...] | None]:
-    """Reads so many coordinates, or "none"."""
+    """Return a function that reads `count` coordinates, or "none"."""
 
     def read(text: str, _app: App) -> tuple[int, ...] | None:
         if text == "none":
@@ -237,7 +237,7 @@ def _listed(values) -> str:
 
 
 def _setting(text: str, _app: App) -> tuple[str, bool, Any]:
-    """(option, whether it is a switch, value)."""
+    """Return (option, whether it is a switch, value)."""
     name, _, value = text.partition(" ")
     option, value = ALL.get(name), value.strip()
     if option is None:
@@ -385,7 +385,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def number(text: str) -> float:
-    """Finite. Raises GffeError."""
+    """Return the finite number in `text`. Raises GffeError."""
     try:
         value = float(text)
     except ValueError:
@@ -396,5 +396,5 @@ def number(text: str) -> float:
 
 
 def numbers(text: str) -> list[float]:
-    """Of "1,2.5"; raises GffeError."""
+    """Return the numbers of a list such as "1,2.5". Raises GffeError."""
     return [number(part) for part in text.split(",")]

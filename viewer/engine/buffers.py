@@ -106,7 +106,7 @@ class DeviceLayer:
 
 
 def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
-    """All images of the slot by the layers' names.
+    """Return all images of the slot by the layers' names.
 
     At a rendered slot the stages after `submit` still hold the extrapolated frame before it, but for what is transient.
     """
@@ -153,8 +153,8 @@ def start_reading(
 
 
 def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[float, float] | None:
-    """Where display pixel (x, y) comes from in the rendered image, pixels: the warp's motion, or the place on the
-    display of a rendered frame. None if that is not finite."""
+    """Return the position in the rendered image, in pixels, that display pixel (x, y) comes from: by the warp's motion,
+    or by the place on the display of a rendered frame. None if that is not finite."""
     if not shot.moment.alpha:
         return moved((x + 0.5, y + 0.5), shot.moment.display_camera, shot.moment.render_camera)
     motion = read_blocks(pipeline, {"motion": (device_layers(pipeline, shot)[names.MOTION], x, y, 1, 1)})["motion"]
@@ -163,8 +163,8 @@ def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[flo
 
 
 def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np.ndarray]:
-    """Values (planes?, channels) of all device layers at display pixel (x, y); rendered images and background levels
-    where it comes from. Layers without a pixel there are left out."""
+    """Return the values (planes?, channels) of all device layers at display pixel (x, y); of rendered images and
+    background levels those where it comes from. Layers without a pixel there are left out."""
     source_px, layers = source_position(pipeline, shot, x, y), device_layers(pipeline, shot)
     places = {name: layer.place((x, y), source_px) for name, layer in layers.items()}
     read = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name, at in places.items() if at})
@@ -172,7 +172,8 @@ def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np
 
 
 def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.ndarray]:
-    """Values (planes, height, width, channels) from (layer, x, y, width, height) each, with one wait for all."""
+    """Return the values (planes, height, width, channels) of each block (layer, x, y, width, height), with one wait for
+    all."""
     queue = pipeline.device.queue
     read = {name: layer.read_block(queue, *where) for name, (layer, *where) in wanted.items()}
     known = {name: layer.read_known(queue, *where) for name, (layer, *where) in wanted.items()}
@@ -187,7 +188,7 @@ def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.nd
 
 
 def moved(px, image: Camera, other: Camera) -> tuple[float, float]:
-    """The position in `other`'s image of position `px` in `image`'s; both have one pose."""
+    """Return the position in `other`'s image of position `px` in `image`'s; both cameras have one pose."""
     return (
         float((px[0] - image.cx) * other.fx / image.fx + other.cx),
         float((px[1] - image.cy) * other.fy / image.fy + other.cy),

@@ -31,14 +31,15 @@ class _Kept:
 
 @dataclass(frozen=True)
 class Playhead:
-    """Where frames are needed next: from `slot` on, and from `first` again after `last`."""
+    """Playback position: frames are needed next from `slot` on, and from `first` again after `last`."""
 
     slot: int = 0
     first: int = 0
     last: int = 0
 
     def distance(self, slot: int) -> int:
-        """Slots until `slot` is shown; those outside of the points come after all others."""
+        """Return the number of slots until `slot` is shown; slots outside of `first` to `last` come after all
+        others."""
         length = self.last - self.first + 1
         if not self.first <= slot <= self.last:
             return length + abs(slot - self.slot)
@@ -72,7 +73,8 @@ class FrameCache:
             self._in_use, self._playhead = frozenset(recipes), playhead
 
     def get(self, key: FrameKey, layers: frozenset[str], metrics: bool = False) -> Result | None:
-        """The slot with `layers`, those that exist, and measured if `metrics` are wanted; None if it is not kept so."""
+        """Return the slot with those of `layers` that exist, and measured if `metrics` are wanted; None if it is not
+        cached so."""
         with self._lock:
             kept = self._kept.get(key.recipe, {}).get(key.slot)
             if kept is None or not (layers <= kept.asked and (kept.result.request.metrics or not metrics)):
@@ -82,7 +84,7 @@ class FrameCache:
         return replace(result, images={name: result.images[name] for name in layers if name in result.images})
 
     def slots(self, recipe: Recipe, layers: frozenset[str], metrics: bool = False) -> frozenset[int]:
-        """The slots that `get` would find."""
+        """Return the slots that `get` would find."""
         with self._lock:
             kept = self._kept.get(recipe, {})
             return frozenset(
@@ -108,7 +110,7 @@ class FrameCache:
         return True
 
     def room(self, nbytes: int) -> int:
-        """How many slots of so many bytes it can hold."""
+        """Return how many slots of `nbytes` bytes each the cache can hold."""
         return self.most // max(nbytes, 1)
 
     def forget(self, outdated: Callable[[FrameKey], bool]) -> None:
@@ -154,7 +156,7 @@ class FrameCache:
         )
 
     def _is_nearer(self, kept: FrameKey, new: FrameKey) -> bool:
-        """Whether `kept` is needed before `new`."""
+        """Return whether `kept` is needed before `new`."""
         used = kept.recipe in self._in_use, new.recipe in self._in_use
         if used[0] != used[1]:
             return used[0]

@@ -86,7 +86,7 @@ class Engine(Exchange):
         return self._thread.is_alive()
 
     def close(self) -> None:
-        """Ends the thread; returns within two seconds even if a kernel takes longer."""
+        """End the thread. Waits two seconds at most, even if a kernel takes longer."""
         with self._news:
             self._closing = True
             self._news.notify()
@@ -202,7 +202,7 @@ class Engine(Exchange):
             self._notify()
 
     def _holding(self, request: Request) -> SlotMaker | RemoteSlots:
-        """A maker whose buffers hold that slot, all layers of it."""
+        """Return the maker of role "a" whose buffers hold all layers of that slot, which it makes first if need be."""
         maker = self._maker("a")
         if not maker.holds(request):
             maker.make(request, to_inspect=True)
@@ -265,7 +265,8 @@ class Engine(Exchange):
         self._notify()
 
     def _made(self, request: Request) -> Result:
-        """The slot, which is kept in the cache from now on, if it is all of one recipe."""
+        """Return the computed slot. It is stored in the cache if the request wants that and its dependencies did not
+        change meanwhile."""
         before = self.recipe(request.setup)
         result = self._maker(request.role).make(request)
         if self.cache.most and request.keep and before == self.recipe(request.setup):
@@ -288,7 +289,8 @@ class Engine(Exchange):
             raise Closing
 
     def _check_while_waiting(self) -> None:
-        """A program may be stopped for long."""
+        """Raise Interrupted if another source is to be opened, Closing if the engine closes: an attached program may be
+        stopped for long."""
         self._check()
         if "source" in self._posted:
             raise Interrupted

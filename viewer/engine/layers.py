@@ -76,7 +76,7 @@ _LABELS = {
 
 
 def named_images(pipeline: Pipeline) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
-    """Every image that the pipeline holds, by its layer's name."""
+    """Return every image that the pipeline holds, by its layer's name."""
     return {
         f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name])
         for owner, spec in pipeline.named_buffers()
@@ -85,12 +85,12 @@ def named_images(pipeline: Pipeline) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
 
 
 def _words(name: str) -> str:
-    """A buffer's name as people write it."""
+    """Return a buffer's name as people write it."""
     return name.replace("_", " ").replace(".", " ").capitalize()
 
 
 def layer_of(group: str, spec: BufferSpec, name: str = "", of_generated: bool = False) -> LayerSpec:
-    """The layer of a buffer; `group` is its owner's name."""
+    """Return the layer of a buffer; `group` is its owner's name."""
     name = name or f"{group}.{spec.name}"
     return LayerSpec(
         name=name,
@@ -127,7 +127,7 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
 
 
 def _only_for_generated(owner: Owner) -> bool:
-    """Whether nothing of its buffers changes with a rendered frame."""
+    """Return whether a rendered frame changes none of the owner's buffers."""
     if isinstance(owner, Stage) and not isinstance(owner, Presentation):
         return type(owner).rendered is Stage.rendered
     return isinstance(owner, ExtrapolatedBuffers)

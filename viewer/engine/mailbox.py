@@ -86,7 +86,7 @@ class Exchange:
                 self._news.notify()
 
     def survey(self, requests: Iterable[Request], source: FrameSource | None = None) -> None:
-        """Have slots made for `poll_survey` when nothing else is planned either; replaces those before."""
+        """Have slots made for `poll_survey` when nothing else is planned either. These replace the earlier ones."""
         with self._news:
             if source in (None, self.source):
                 self._surveys = deque(request for request in requests if request != self._surveying)

@@ -53,8 +53,8 @@ class Request:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Of the extrapolated frame at `slot` against ground truth: `values` by name of the metric, as far as they are
-    measured."""
+    """Metrics of the extrapolated frame at `slot` against ground truth: `values` by name of the metric, as far as they
+    are measured."""
 
     slot: int
     setup: Setup

@@ -22,7 +22,7 @@ UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling
 
 
 def background(name: str, level: int) -> str:
-    """A layer of a level of the background pyramid: its "color", "depth", "px" or "state"."""
+    """Return the name of a layer of background level `level`; `name`: "color", "depth", "px" or "state"."""
     return f"background.{name}_{level}"
 
 
@@ -30,7 +30,7 @@ _SECOND = "B:"
 
 
 def of_second(name: str) -> str:
-    """The same layer as other settings make it."""
+    """Return the name of the same layer as the other settings (B) make it."""
     return name if name.startswith(_SECOND) else _SECOND + name
 
 
@@ -39,5 +39,5 @@ def is_second(name: str | None) -> TypeGuard[str]:
 
 
 def plain(name: str) -> str:
-    """The layer's own name, whatever settings make it."""
+    """Return the layer's own name, whichever settings make it."""
     return name.removeprefix(_SECOND)

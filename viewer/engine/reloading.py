@@ -43,13 +43,13 @@ class Kernels(dict):
         self._device.programs = self._before
 
     def have_changed(self) -> bool:
-        """Whether files changed since this was asked last."""
+        """Return whether files changed since the last call."""
         self.look_again_at = time.monotonic() + WATCH_SECONDS
         before, self._files = self._files, _files()
         return self._files != before
 
     def reload(self) -> bool:
-        """Build all stages from the texts on disk; whether other kernels are in use now. Sets `error`."""
+        """Build all stages from the texts on disk. Returns whether other kernels are in use now. Sets `error`."""
         before = self._texts
         try:
             texts = {path.stem: expand(path.name) for path in kernel_folder().glob("*.cl")}
@@ -80,7 +80,8 @@ class Kernels(dict):
 
     @contextmanager
     def used(self, identity: str) -> Iterator[None]:
-        """Meanwhile pipelines are made of an older build; GffeError if there was none. Empty: of the newest."""
+        """Make pipelines of an older build within the context, of the newest if `identity` is empty. Raises GffeError
+        if there is no such build."""
         if identity and identity not in self._builds:
             raise GffeError(f"kernels {identity}: not built since the viewer was started")
         newest, self._texts = self._texts, self._builds.get(identity, self._texts)
@@ -103,7 +104,7 @@ class Kernels(dict):
 
 
 def _files() -> list[tuple]:
-    """Names, times of change and sizes of the kernels' files."""
+    """Return names, times of change (nanoseconds) and sizes (bytes) of the kernels' files."""
     found = []
     for path in sorted(kernel_folder().glob("*.[ch]*")):
         with suppress(OSError):

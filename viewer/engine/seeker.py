@@ -92,7 +92,7 @@ class Seeker:
         return notes
 
     def shoot(self, k: int, alpha: float) -> Shot:
-        """Make the slot of rendered frame `k`, submitted last, and `alpha`."""
+        """Make the slot at `alpha` after rendered frame `k`, which was submitted last, and return it."""
         pipeline, frame, shown, self.truth = self._running, self._frame, self._presented, None
         assert frame is not None and shown is not None  # `go_to` came first
         buffers = {

@@ -60,14 +60,15 @@ class Part:
 
     @classmethod
     def of(cls, pixels: float, squared: float, whole: float) -> Part:
-        """`whole`: the mean squared error of the image."""
+        """Return a region with a share `pixels` of the image; `squared` is its squared error and `whole` that of all
+        regions, both as means over the whole image."""
         psnr = METRICS["psnr"].of_mean(squared / pixels) if pixels else float("nan")
         return cls(pixels, squared / whole if whole > 0 else 0.0, squared, psnr)
 
 
 @dataclass(frozen=True)
 class Figures:
-    """Of one slot: by the names of `QUANTITIES`, as far as they are known, and by region."""
+    """Figures of one slot: by the names of `QUANTITIES`, as far as they are known, and by region."""
 
     values: dict[str, float]
     parts: dict[str, Part] = field(default_factory=dict)
@@ -81,7 +82,8 @@ class Measurer:
         self._before: int | None = None
 
     def measure(self, result: Result, exposure: float) -> Figures:
-        """Of a generated slot with the layers `NEEDED`, as far as there are."""
+        """Return the figures of a generated slot, as far as its layers allow; `NEEDED` are the layers for all of
+        them."""
         values = {"kernels": sum(result.milliseconds.values())}
         holes = result.images.get(names.DISOCCLUDED)
         if holes is not None:
@@ -99,7 +101,7 @@ class Measurer:
         return Figures(values, parts_of(region_labels(result, exposure), squared_error(shown, true)))
 
     def _change(self, result: Result, shown: np.ndarray, true: np.ndarray) -> float | None:
-        """Flicker since the slot before; rendered ones have no error."""
+        """Return the flicker since the slot before, None if that was not measured. Rendered slots have no error."""
         slot, n = result.request.slot, result.request.setup.n
         if slot % (n + 1) == 1:
             self._flicker.cut()
@@ -111,14 +113,14 @@ class Measurer:
 
 
 def displayed(result: Result, exposure: float) -> tuple[np.ndarray, np.ndarray]:
-    """Display values (H, W, 3) as shown and as they should be."""
+    """Return display values (H, W, 3) as shown and as they should be."""
     shown, true = (to_display(result.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
     return shown, true
 
 
 def out_of_screen(result: Result, holes: np.ndarray) -> np.ndarray:
-    """(H, W) bool: those of `holes`, pixels of a generated slot, that the rendered frame does not reach; needs the
-    layer `names.DEPTH`."""
+    """Return (H, W) bool: the pixels of `holes`, in a generated slot, that lie outside of the rendered frame's view.
+    Needs the layer `names.DEPTH`."""
     moment, outside = result.moment, np.zeros_like(holes)
     width, height = result.render_size
     world = world_positions(moment.camera, result.images[names.DEPTH], holes)
@@ -127,7 +129,8 @@ def out_of_screen(result: Result, holes: np.ndarray) -> np.ndarray:
 
 
 def region_labels(result: Result, exposure: float) -> np.ndarray:
-    """(H, W) uint8, indices into `REGIONS`, of a generated slot with the layers `NEEDED`."""
+    """Return (H, W) uint8: the region of each pixel, as an index into `REGIONS`, of a generated slot with the layers
+    `NEEDED`."""
     images = result.images
     depth, dynamic = images[names.DEPTH], images[names.DYNAMIC] != 0
     holes = images[names.DISOCCLUDED] != 0
@@ -148,7 +151,8 @@ def region_labels(result: Result, exposure: float) -> np.ndarray:
 
 
 def parts_of(labels: np.ndarray, squared: np.ndarray) -> dict[str, Part]:
-    """By region; `squared`: (H, W) squared error of display values."""
+    """Return the regions' shares and errors by name. `labels`: (H, W) indices into `REGIONS`; `squared`: (H, W) squared
+    error of display values."""
     counts = np.bincount(labels.ravel(), minlength=len(REGIONS))
     sums = np.bincount(labels.ravel(), squared.ravel(), minlength=len(REGIONS))
     parts = (float(sums[number]) / labels.size for number in range(len(REGIONS)))

@@ -48,15 +48,15 @@ class SlotMaker:
         self._seeker.drop()
 
     def holds(self, request: Request) -> bool:
-        """Whether the pipeline's buffers are those of this slot."""
+        """Return whether the pipeline's buffers are those of this slot."""
         last = self.last
         if self._seeker.shot is None or last is None:
             return False
         return (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
 
     def make(self, request: Request, to_inspect: bool = False) -> Result:
-        """`to_inspect`: the pipeline's buffers are to hold all layers, whatever the request is for. Raises GffeError;
-        the pipeline is forgotten then."""
+        """Return the computed slot. `to_inspect`: the pipeline's buffers are to hold all layers, whichever the request
+        is for. Raises GffeError; the pipeline is forgotten then."""
         start = time.perf_counter()
         alphas = (0.0, *alphas_for(request.setup.n))
         k, j = divmod(request.slot, len(alphas))
@@ -115,7 +115,8 @@ class SlotMaker:
         )
 
     def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:
-        """A fault of the truth is a warning: the slot itself can be shown."""
+        """Return the ground truth, None if there is none. A fault of it becomes a warning in `notes`, because the slot
+        itself can be shown."""
         try:
             return self.source.truth(k, alpha)
         except GffeError as error:
@@ -123,7 +124,8 @@ class SlotMaker:
             return None
 
     def must_move(self) -> dict[str, dict[str, float]]:
-        """Bytes per display pixel, by stage and kernel, that the slot made last had to move; empty without one."""
+        """Return bytes per display pixel, by stage and kernel, that the slot made last had to move; empty without
+        one."""
         pipeline = self._seeker.pipeline
         if pipeline is None or self._seeker.shot is None:
             return {}
@@ -158,7 +160,8 @@ def weights_of(options: Options) -> str:
 
 
 def _rgba(color: np.ndarray) -> np.ndarray:
-    """(H, W, 4) float16 of (H, W, 3)."""
+    """Return colors (H, W, 3) as (H, W, 4) float16 with 0 in the last channel; other types are clipped to float16's
+    range."""
     out = np.zeros((*color.shape[:2], 4), np.float16)
     out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
     return out

@@ -54,7 +54,7 @@ def draw(app: Interface) -> None:
 
 
 def _second(model: Model, layers: dict[str, str]) -> None:
-    """B: another layer, or A's layer as kept settings make it."""
+    """Draw the choice of B: another layer, or A's layer as kept settings make it."""
     comparison, b = model.comparison, model.kept.b
     settings = {f"{_SETTINGS}{kept.name}": f"settings: {kept.name}" for kept in model.kept.all}
     chosen = f"{_SETTINGS}{b.name}" if b is not None and comparison.by_settings else model.view.b or ""
@@ -95,7 +95,7 @@ def _settings(app: Interface) -> None:
 
 
 def _beside(b: dict[str, float], a: dict[str, float]) -> str:
-    """B's score, and how much more or less than A's that is."""
+    """Return B's scores in words, each with its difference from A's."""
     return "   ".join(
         f"{metric.sentence(b[name])} ({metric.text(b[name] - a[name], signed=True)})"
         for name, metric in METRICS.items()
@@ -141,7 +141,7 @@ def _quality(model: Model) -> None:
 
 
 def _plot(model: Model) -> None:
-    """All that was measured with these settings."""
+    """Plot all metrics that were measured with these settings."""
     legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value
     if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
         implot.setup_axes("frame", "dB", 0, implot.AxisFlags_.auto_fit.value)

@@ -51,7 +51,7 @@ def draw(app: Interface) -> None:
 
 
 def _values(app: Interface, inspection) -> None:
-    """A table for each stage, under its name: layers, and their values."""
+    """Draw a table for each stage, under its name: layers, and their values."""
     rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
     names = _widest(row.label for row in rows)
     with widgets.compact():
@@ -82,7 +82,7 @@ def _table(group: str, rows: list[Row], names: float) -> None:
 
 
 def _rows(app: Interface, inspection) -> list[Row]:
-    """Made once for an inspection."""
+    """Return the rows of an inspection, which are made once for it."""
     known, rows = app.inspected
     if known is not inspection:
         rows = [
@@ -117,7 +117,7 @@ def _story(model: Model, story: Story) -> None:
 
 
 def _links(model: Model, number: int, links) -> None:
-    """Where a step leads, under it."""
+    """Draw the links of a step, under it."""
     with widgets.in_rows() as row:
         for link in links:
             reason, name = model.walk.why_not(link), f"{link.label}###{number} {link.label}"
@@ -137,7 +137,7 @@ def _where(link) -> str:
 
 
 def _rectangle(model: Model, left: int, top: int, right: int, bottom: int) -> None:
-    """Statistics of the pixels in the rectangle."""
+    """Draw the statistics of the pixels in the rectangle."""
     selection = model.selection
     widgets.heading(f"Rectangle ({left}, {top}) – ({right - 1}, {bottom - 1})")
     found = selection.statistics
@@ -161,7 +161,7 @@ def _rectangle(model: Model, left: int, top: int, right: int, bottom: int) -> No
 
 
 def _motion(found) -> None:
-    """Histogram of the lengths of motion."""
+    """Draw the median motion, and a histogram of the lengths of motion."""
     imgui.text_wrapped(f"median motion ({found.motion[0]:+.2f}, {found.motion[1]:+.2f}) px")
     flags = implot.Flags_.no_mouse_text | implot.Flags_.no_legend | implot.Flags_.no_inputs
     if implot.begin_plot("###motion", ImVec2(-1, hello_imgui.em_size(8)), int(flags)):

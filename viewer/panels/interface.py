@@ -30,7 +30,7 @@ class Spot:
 
 
 class Interface:
-    """What all panels share. The window is a subclass (`shell.app.App`).
+    """State and tools that all panels share. The window is a subclass (`shell.app.App`).
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ def _modules(model: Model, options: dict[str, Option]) -> None:
 
 
 def _width(listed: list[tuple[str, Option]]) -> float:
-    """Of their switches below each other, pixels."""
+    """Return the width of the options' switches below each other, pixels."""
     box = imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2
     return box + max(imgui.calc_text_size(_label(option)).x for _, option in listed)
 

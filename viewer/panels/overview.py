@@ -16,7 +16,7 @@ _ACCENT = (0.35, 0.85, 1.0, 1.0)
 
 
 def draw(app: Interface, room: tuple[int, int]) -> None:
-    """Into `room`, screen pixels."""
+    """Draw all layers as tiles into `room`, screen pixels."""
     model = app.model
     model.pointing.hover(None)
     if imgui.begin_child("###tiles", ImVec2(*room)):
@@ -35,7 +35,7 @@ def draw(app: Interface, room: tuple[int, int]) -> None:
 
 
 def _size(count: int, room: tuple[int, int], picture: tuple[int, int], caption: int) -> tuple[int, int]:
-    """`room`, or higher than it where tiles would be narrower than `_LEAST`."""
+    """Return `room`, or a size higher than it where tiles would be narrower than `_LEAST`."""
     width = room[0] - round(imgui.get_style().scrollbar_size)
     least = hello_imgui.em_size(_LEAST)
     columns = max(int((width - _GAP) / (least + _GAP)), 1)

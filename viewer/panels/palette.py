@@ -62,7 +62,7 @@ class Palette:
         return not lost
 
     def _typed(self, hint: str) -> bool:
-        """The field; whether Enter was pressed."""
+        """Draw the field, and return whether Enter was pressed."""
         if imgui.is_window_appearing() or self._refocus:
             imgui.set_keyboard_focus_here()
         self._refocus = False
@@ -74,7 +74,8 @@ class Palette:
         return entered
 
     def _search(self, actions) -> str | None:
-        """The id of the action that Enter, the arrows or a click have chosen."""
+        """Draw the field and the actions that match. Return the id of the action that Enter or a click has chosen; ""
+        if Enter was pressed where none matches, None until then."""
         entered = self._typed("command")
         found = actions.search(self.text)[:_FOUND]
         self.at = min(max(self.at + _arrows(), 0), max(len(found) - 1, 0))
@@ -91,7 +92,7 @@ class Palette:
         return "" if entered and not found else run
 
     def _number(self, parameters: Parameters) -> str | None:
-        """ "" when a value was taken."""
+        """Draw the field for a number, and return "" when a value was taken, else None."""
         name = self.asked
         assert name is not None  # it is open
         option, value = ALL[name], parameters.value(name)
@@ -113,7 +114,7 @@ class Palette:
 
 
 def _at_right(text: str) -> None:
-    """As much of it as the line has room for, at its end."""
+    """Draw as much of the text as the line has room for, at its end."""
     room = imgui.get_content_region_avail().x
     text = widgets.shortened(text, room)
     imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - imgui.calc_text_size(text).x)
@@ -129,7 +130,7 @@ def _state(action) -> str:
 
 
 def stepped(option: Option, value: float | None, steps: int) -> float | int:
-    """The value so many steps further, within the range."""
+    """Return the value `steps` steps further, within the range."""
     high = option.high if option.usual_high is None else option.usual_high
     size = 1 if option.kind is int else (high - option.low) / _STEPS
     start = by_hand(option) if value is None else value

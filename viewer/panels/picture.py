@@ -76,7 +76,7 @@ def draw(app: Interface) -> None:
 
 
 class Placement:
-    """Where display pixels are on the screen."""
+    """Conversion between display pixels and positions on the screen."""
 
     def __init__(self, model: Model, origin, size):
         self.view, self.origin, self.size = model.view, origin, size
@@ -97,7 +97,7 @@ def _welcome(app: Interface, size) -> None:
 
 
 def _preview(app: Interface, preview: Preview, origin, size) -> None:
-    """The first rendered frame, as long as nothing can be computed."""
+    """Draw the first rendered frame, as long as nothing can be computed."""
     model, (height, width) = app.model, preview.color.shape[:2]
     view = View(names.FINAL, model.looks.of(names.FINAL))
     view.fit(size, (width, height))
@@ -109,7 +109,8 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
 
 
 def _mouse(app: Interface, place) -> None:
-    """Of the item drawn last: hover, zoom at the cursor, drag the wipe's line or the picture, click a pixel."""
+    """Handle the mouse on the item drawn last: hover, zoom at the cursor, drag the wipe's line or the picture, click a
+    pixel."""
     model, io, view = app.model, imgui.get_io(), app.model.view
     at = imgui.get_mouse_pos()
     hovered = imgui.is_item_hovered()
@@ -151,7 +152,7 @@ def _distance(a, b) -> float:
 
 
 def _arrows(model: Model, place, marks) -> None:
-    """Motion of the layer A at a grid of places."""
+    """Draw the motion of the layer A at a grid of places."""
     spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None or spec.view != "motion":
         return
@@ -184,7 +185,8 @@ def _arrows(model: Model, place, marks) -> None:
 
 
 def _texels(model: Model, spec, image) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Display pixels per texel of a layer's plane, and where on the display its first texel begins."""
+    """Return the display pixels per texel of a layer's plane, and the position on the display where its first texel
+    begins."""
     x0, y0, x1, y1 = model.contents.frame_info().area(spec)
     wide, high = model.source.width / (x1 - x0), model.source.height / (y1 - y0)
     return (wide / image.shape[1], high / image.shape[0]), (-x0 * wide, -y0 * high)
@@ -223,7 +225,8 @@ def _numbers(model: Model, place, marks) -> bool:
 
 
 def short(value: float, letters: int) -> str:
-    """A number with three digits, or as many as so many letters have room for; without the zero before the point."""
+    """Return a number with three digits, or as many as so many letters have room for; without the zero before the
+    point."""
     for digits in (3, 2, 1):
         text = f"{value:.{digits}g}"
         text = text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
@@ -254,7 +257,7 @@ def _trajectory(model: Model, place, marks) -> None:
 
 
 def _way(model: Model, place, marks) -> None:
-    """Where the picked fragment was in the last rendered frames."""
+    """Draw the positions of the picked fragment in the last rendered frames."""
     story = model.pointing.story
     if story is None or len(story.way) < 2:
         return
@@ -273,12 +276,12 @@ def _way(model: Model, place, marks) -> None:
 
 
 def _unit() -> float:
-    """Screen pixels: 1 at the usual size of letters."""
+    """Return the size of marks in screen pixels: 1 at the usual size of letters."""
     return imgui.get_font_size() / _USUAL_LETTERS
 
 
 def _rectangle(model: Model, place, marks) -> None:
-    """The rectangle whose statistics the inspector shows."""
+    """Draw the rectangle whose statistics the inspector shows."""
     if model.selection.rectangle is None:
         return
     left, top, right, bottom = model.selection.rectangle

@@ -37,7 +37,7 @@ def draw(app: Interface) -> None:
 
 
 def _curves(survey) -> list[tuple]:
-    """(side, slots, values, weight), A last: over B both are seen."""
+    """Return (side, slots, values, weight) of each curve, A last: over B both are seen."""
     sides = ("B", survey.b, 3.5), ("A", survey.a, 1.5)
     curves = [(name, survey.curve(side), weight) for name, side, weight in sides]
     return [(name, slots, values, weight) for name, (slots, values), weight in curves if slots.size]
@@ -66,8 +66,8 @@ def _plot(model: Model, curves: list[tuple], height: float) -> None:
 
 
 def _axes(slots: int, values: np.ndarray, height: float) -> None:
-    """Slots as the timeline below has them, and a range for these values, whose numbers stand inside; `height`: of the
-    curves, pixels."""
+    """Set up the axes: slots as the timeline below has them, and a range for these values, whose numbers stand inside;
+    `height`: of the curves, pixels."""
     hidden = implot.AxisFlags_.no_label.value
     implot.setup_axes("frame", "value", hidden, hidden | implot.AxisFlags_.no_tick_labels.value)
     implot.setup_axis_limits(implot.ImAxis_.x1, 0, slots, imgui.Cond_.always.value)
@@ -83,7 +83,8 @@ def _axes(slots: int, values: np.ndarray, height: float) -> None:
 
 
 def scale_of(least: float, most: float) -> tuple[float, float, list[float], list[str]]:
-    """Range of an axis on which these values have some room, round numbers in it, and how they are written."""
+    """Return the range of an axis on which these values have some room, round numbers in it, and how they are
+    written."""
     room = max(0.1 * (most - least), 1e-3 * abs(most), 1e-3)
     low, high = least - room, most + 2 * room
     step = next(
@@ -98,13 +99,13 @@ def scale_of(least: float, most: float) -> tuple[float, float, list[float], list
 
 
 def _step(slots: int, most: float) -> int:
-    """Slots between two marks, of which there are at most so many: 1, 2 or 5 times a power of ten."""
+    """Return the slots between two marks, of which there are at most so many: 1, 2 or 5 times a power of ten."""
     steps = (factor * 10**power for power in range(9) for factor in (1, 2, 5))
     return next(step for step in steps if slots / step <= max(most, 2) or step >= slots)
 
 
 def _controls(app: Interface) -> None:
-    """Side by side, in as many rows as they need."""
+    """Draw the controls side by side, in as many rows as they need."""
     model, survey, em = app.model, app.model.survey, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:
         row(0)
@@ -159,7 +160,7 @@ def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, mar
 
 
 def _hovered(model: Model, curves, quantity) -> None:
-    """The known slot nearest to the pointer: its values, and a click that goes there."""
+    """Show the values of the known slot nearest to the pointer; a click goes there."""
     known = np.unique(np.concatenate([xs for _, xs, _ in curves]))
     at = implot.get_plot_mouse_pos().x - 0.5
     slot = int(known[np.argmin(np.abs(known - at))])

@@ -40,7 +40,7 @@ def draw(app: Interface) -> None:
 
 
 def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
-    """A row for each region; `of`: which frames, instead of a heading."""
+    """Draw a row for each region; `of`: which frames, instead of a heading."""
     number = hello_imgui.em_size(2.6)
     columns = [("pixels", number), ("error", 1.2 * number)]
     columns += [("dB", number)] if b is None else [("A dB", number), ("B dB", number)]
@@ -76,7 +76,7 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
 
 
 def _bar(share: float) -> None:
-    """A share as a bar with its number in it."""
+    """Draw a share as a bar with its number in it."""
     draw, at = imgui.get_window_draw_list(), imgui.get_cursor_screen_pos()
     width, height = imgui.get_content_region_avail().x, imgui.get_text_line_height()
     color = imgui.get_color_u32((0.85, 0.35, 0.3, 0.55))

@@ -39,8 +39,7 @@ def draw(app: Interface) -> None:
 
 
 def _kernel_error(log: str, share: float) -> None:
-    """The compiler's first error with file and line, as long as the kernels on disk do not build; clicked, the whole
-    log is copied."""
+    """Draw the compiler's first error with file and line; a click copies the whole log."""
     imgui.text_colored(RED, f"{_icon(True)} kernels do not build:")
     imgui.same_line()
     imgui.push_style_color(imgui.Col_.text_link, RED)
@@ -61,7 +60,8 @@ def _beside(something: bool) -> None:
 
 
 def parts(model: Model) -> list[str]:
-    """Status bar: the open sequence, its times, and the values under the pointer."""
+    """Return the texts of the status bar: device or running program, the open sequence, its time, and the value under
+    the pointer."""
     told = [model.engine.device_name or "opening the device …"]
     if model.follows and (program := model.program) is not None:
         told = [f"attached to '{program.name}' (process {program.about.pid}), {program.about.device}"]
@@ -78,7 +78,7 @@ def parts(model: Model) -> list[str]:
 
 
 def _under_pointer(model: Model) -> list[str]:
-    """The value of the layer that is shown."""
+    """Return the value of the displayed layer under the pointer, in words; an empty list without one."""
     inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
     if inspection is None or spec is None or spec.name not in inspection.values:
         return []

@@ -56,7 +56,7 @@ def _following(app: Interface) -> None:
 
 
 def _transport(app: Interface) -> None:
-    """Controls side by side, in as many rows as they need."""
+    """Draw the controls side by side, in as many rows as they need."""
     playback, width = app.model.playback, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:
         if app.model.frozen and app.model.program is not None and not app.model.program.ended:
@@ -90,7 +90,7 @@ def _transport(app: Interface) -> None:
 
 
 def _combo(name: str, value, texts: dict, change, width: float, told: dict | None = None) -> None:
-    """A choice of `width` em without a label."""
+    """Draw a choice of `width` em without a label; `told`: tooltips by choice."""
     imgui.set_next_item_width(hello_imgui.em_size(width))
     if imgui.begin_combo(f"###{name}", texts.get(value, f"{value}")):
         for choice, text in texts.items():
@@ -162,7 +162,7 @@ def _cached(model: Model, draw, origin, step: float, height: float) -> None:
 
 
 def runs(slots: frozenset[int]) -> list[tuple[int, int]]:
-    """(first, last + 1) of each stretch of consecutive numbers."""
+    """Return (first, last + 1) of each stretch of consecutive numbers."""
     found = sorted(slots)
     breaks = [i for i in range(1, len(found)) if found[i] != found[i - 1] + 1]
     return [(found[a], found[b - 1] + 1) for a, b in pairwise([0, *breaks, len(found)])] if found else []

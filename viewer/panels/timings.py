@@ -95,7 +95,7 @@ def _cost(model: Model, milliseconds: float, longest: float | None, color, must:
 
 
 def _kernels(model: Model, stage: str, longest: float, color) -> None:
-    """A row for each kernel of a stage."""
+    """Draw a row for each kernel of a stage."""
     must_move = model.engine.traffic.get(stage, {})
     for kernel, milliseconds in model.timings.of_stage(stage).items():
         imgui.table_next_column()
@@ -107,7 +107,8 @@ def _kernels(model: Model, stage: str, longest: float, color) -> None:
 
 
 def _bar(share: float, necessary: float | None, color) -> None:
-    """In a cell: `share` of its width, of this the part `necessary` full, the rest paler where that is known."""
+    """Draw a bar in a cell: `share` of its width, of this the part `necessary` full, the rest paler where that is
+    known."""
     origin, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
     width = max(imgui.get_content_region_avail().x * min(share, 1.0), 1.0)
     draw, parts = imgui.get_window_draw_list(), ((1.0, _PALE), (min(necessary or 0.0, 1.0), 1.0))

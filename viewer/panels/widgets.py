@@ -17,12 +17,12 @@ _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
 
 def floating() -> None:
-    """The next window is not docked: it needs a background."""
+    """Give the next window a background: it is not docked."""
     imgui.set_next_window_bg_alpha(1.0)
 
 
 def tooltip(text: str) -> None:
-    """For the last item, disabled or not."""
+    """Show a tooltip for the last item, disabled or not."""
     if text and imgui.is_item_hovered(_DISABLED_TOO):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(hello_imgui.em_size(28))
@@ -32,7 +32,7 @@ def tooltip(text: str) -> None:
 
 
 def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
-    """A button for an action, `width` em, grayed out with the reason where it cannot run."""
+    """Draw a button for an action, `width` em, grayed out with the reason where it cannot run."""
     action = actions[name]
     reason = action.enabled()
     imgui.begin_disabled(reason is not None)
@@ -65,7 +65,7 @@ def slider(
     text: str = "%.2f",
     help_text: str = "",
 ) -> None:
-    """A slider with its unit in `text` and a button back to the default."""
+    """Draw a slider with its unit in `text` and a button back to the default."""
     whole, room = isinstance(default, int), hello_imgui.em_size(11)  # the same for all, so that they line up
     needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
     written = imgui.calc_text_size(text % value).x + 2 * imgui.get_style().frame_padding.x
@@ -87,7 +87,7 @@ def slider(
 
 
 def beside(label: str) -> None:
-    """The label of the last item, as much of it as has room."""
+    """Draw the label of the last item, as much of it as has room."""
     imgui.same_line()
     text = shortened(label, imgui.get_content_region_avail().x)
     imgui.text(text)
@@ -100,14 +100,15 @@ def leave_room_for(label: str) -> None:
 
 
 def _leave_room(pixels: float, least: float = 0.0) -> None:
-    """... but take a third of the line itself, and `least` pixels."""
+    """Make the next item leave space of `pixels` on its right, but take a third of the line itself, and `least`
+    pixels."""
     width = imgui.get_content_region_avail().x
     imgui.set_next_item_width(max(width - pixels, width / 3, least))
 
 
 @contextmanager
 def compact() -> Iterator[None]:
-    """Lower rows."""
+    """Make rows lower within the context."""
     style = imgui.get_style()
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(style.frame_padding.x, style.frame_padding.y / 3))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(style.item_spacing.x, style.item_spacing.y / 2))
@@ -122,7 +123,7 @@ def choice(
     change: Callable[[str], None],
     help_texts: dict[str, str] | None = None,
 ) -> None:
-    """A combo box over keys of `options` (shown by their texts), with a `help_texts` for each."""
+    """Draw a combo box over keys of `options` (shown by their texts), with a `help_texts` for each."""
     texts = options if isinstance(options, dict) else {name: name for name in options}
     leave_room_for(label)
     if imgui.begin_combo(f"###{label}", texts.get(value, value)):
@@ -136,14 +137,14 @@ def choice(
 
 
 def hint(text: str) -> None:
-    """Less important than the rest, in as many lines as it takes."""
+    """Draw text that is less important than the rest, in as many lines as it takes."""
     imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
     imgui.text_wrapped(text)
     imgui.pop_style_color()
 
 
 def shortened(text: str, width: float) -> str:
-    """As much of it as has room, its end rather than its middle; a few letters in any case."""
+    """Return as much of a text as has room in `width` pixels, without its middle; a few letters in any case."""
     shorter = text
     if imgui.calc_text_size(text).x <= width:
         return text
@@ -155,7 +156,7 @@ def shortened(text: str, width: float) -> str:
 
 
 def cut(text: str, width: float) -> str:
-    """As much of its beginning as has room; a few letters in any case."""
+    """Return as much of a text's beginning as has room in `width` pixels; a few letters in any case."""
     kept = len(text)
     while kept > 3 and imgui.calc_text_size(text[:kept] + "…" * (kept < len(text))).x > width:
         kept -= 1
@@ -188,7 +189,7 @@ def in_rows(indent: float = 1.4) -> Iterator[Callable[[float], None]]:
 
 
 def show_legend(shown: Legend) -> None:
-    """A ramp with its ticks, a wheel, or a swatch for each single value."""
+    """Draw a legend: a ramp with its ticks, a wheel, or a swatch for each single value."""
     draw, width = imgui.get_window_draw_list(), imgui.get_content_region_avail().x
     origin, em = imgui.get_cursor_screen_pos(), hello_imgui.em_size()
     if shown.kind == "ramp":
@@ -215,7 +216,7 @@ def show_legend(shown: Legend) -> None:
 
 
 def _ticks(ticks, origin: ImVec2, width: float) -> None:
-    """Numbers under a ramp: the ends, and of the others those that have room."""
+    """Draw the numbers under a ramp: the ends, and of the others those that have room."""
     draw, em = imgui.get_window_draw_list(), hello_imgui.em_size()
     taken: list[tuple[float, float]] = []
     for position, text, _ in (ticks[0], ticks[-1], *ticks[1:-1]):
@@ -227,7 +228,7 @@ def _ticks(ticks, origin: ImVec2, width: float) -> None:
 
 
 def swatch(name: str, color: Rgb, size: float) -> None:
-    """A square of a color, `size` em, before a text."""
+    """Draw a square of a color, `size` em, before a text."""
     side, flags = hello_imgui.em_size(size), imgui.ColorEditFlags_.no_tooltip.value
     imgui.color_button(f"###{name}", (*color, 1.0), flags, ImVec2(side, side))
     imgui.same_line(0, hello_imgui.em_size(0.3))

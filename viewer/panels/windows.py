@@ -19,7 +19,7 @@ _ABOVE_FOOT = 2.2  # em: messages are above the captions at the bottom of the pi
 
 
 class Help:
-    """All shortcuts."""
+    """Window with all shortcuts."""
 
     def __init__(self):
         self.is_open = False
@@ -62,7 +62,7 @@ def _key_column(groups: list) -> None:
 
 
 def _columns(table: list) -> list[list]:
-    """Groups of shortcuts in columns of about the same height."""
+    """Return the groups of shortcuts in columns of about the same height."""
     heights = [len(entries) + 1.5 for _, entries in table]
     columns: list[list] = [[] for _ in range(_HELP_COLUMNS)]
     done = 0.0
@@ -137,7 +137,7 @@ def messages(app: Interface) -> None:
 
 
 def progress(app: Interface) -> None:
-    """The export that is under way, with a button to stop it."""
+    """Draw the progress of the export that is under way, with a button to stop it."""
     work = app.model.export
     if work is None:
         return

@@ -40,7 +40,7 @@ Rectangle = tuple[int, int, int, int]  # left, top, right, bottom, in pixels of 
 
 @dataclass(frozen=True)
 class Tile:
-    """Where an overview shows a layer: a rectangle in its pixels, from the upper left corner."""
+    """Place of a layer in an overview: a rectangle in the overview's pixels, from the upper left corner."""
 
     name: str
     x: int
@@ -222,7 +222,7 @@ class Canvas:
         clips: Sequence[Rectangle] = (),
         bottom_up: bool = False,
     ) -> None:
-        """Into the framebuffer's viewport, which has its `corner` there and is full of background."""
+        """Draw `view` into the framebuffer's viewport, which has its `corner` there and is full of background."""
         a, b = (view.a, view.a_display), (view.b, view.b_display)
         size = framebuffer.viewport[2:]
         clips = clips or ((0, 0, *size),)
@@ -260,7 +260,8 @@ class Canvas:
         size: Size,
         bottom_up: bool,
     ) -> _Program:
-        """The program that draws two layers where the second is mixed with the first, else one, with its uniforms."""
+        """Return the program that draws two layers where the second is mixed with the first, else one, with its
+        uniforms."""
         shown = [self._shown(name, display, view.zoom) for name, display in layers]
         contrast = self._grid_contrast(view, shown[0])
         compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
@@ -292,7 +293,7 @@ class Canvas:
         return program
 
     def _grid_contrast(self, view: View, shown: _Shown) -> float:
-        """Of the lines between pixels; 0: there are none."""
+        """Return the contrast of the lines between pixels; 0: there are none."""
         narrow = min(view.zoom, *shown.uniforms.get("texel", (0.0,)))
         if not view.grid or narrow < _GRID[0]:
             return 0.0
@@ -300,14 +301,14 @@ class Canvas:
         return 0.08 + 0.25 * share * share * (3.0 - 2.0 * share)
 
     def _display_rectangle(self, view: View, size: Size) -> tuple[int, int, int, int]:
-        """Left, top, right and bottom in a picture of `size`: of all pixels that show the display."""
+        """Return left, top, right and bottom, in a picture of `size`, of all pixels that show the display."""
         low, high = view.screen_at(size, 0, 0), view.screen_at(size, *self.frame.display_size)
         left, top = (min(max(math.floor(low[i]), 0), size[i]) for i in (0, 1))
         right, bottom = (min(max(math.ceil(high[i]), 0), size[i]) for i in (0, 1))
         return left, top, right, bottom
 
     def _program(self, *key: int) -> _Program:
-        """Of the choice `key` of _VARIANT."""
+        """Return the shader for the choice `key` of _VARIANT, compiled at its first use."""
         if key not in self._programs:
             self._programs[key] = _Program(self.ctx, key)
         return self._programs[key]
@@ -327,7 +328,7 @@ class Canvas:
         return values
 
     def _shown(self, name: str | None, display: Display | None, zoom: float) -> _Shown:
-        """Layer a or b at this zoom."""
+        """Return layer a or b as the shader takes it at this zoom; the background if it is not uploaded."""
         layer = self._layers.get(name) if name is not None else None
         if layer is None or layer.spec is None or display is None:
             return self._nothing
@@ -374,7 +375,7 @@ def _release(framebuffer: moderngl.Framebuffer) -> None:
 
 
 def _grid(count: int, size: Size, picture: Size, caption: int, gap: int) -> list[tuple[int, int, int, int]]:
-    """(x, y, width, height) of `count` pictures of the aspect of `picture`, as large as fits `size`."""
+    """Return (x, y, width, height) of `count` pictures of the aspect of `picture`, as large as fits `size`."""
     best, best_columns = (0, 0), 1
     for columns in range(1, count + 1):
         rows = math.ceil(count / columns)

@@ -24,12 +24,13 @@ LABEL_COLORS: tuple[Rgb, ...] = tuple(  # of value & 15: 0 is the usual case; 14
 
 
 def label_flip(spec: LayerSpec) -> int:
-    """XORed with the low bits of a label to choose its color: of sets of bits (no names) the full one is usual."""
+    """Return the number that is XORed with the low bits of a label to choose its color: of sets of bits (no names) the
+    full one is usual."""
     return 0 if spec.labels else 15
 
 
 def color_table(name: str) -> np.ndarray:
-    """(256, 3) float32 in [0, 1], display values from low to high.
+    """Return (256, 3) float32 in [0, 1]: display values from low to high.
 
     "turbo": A. Mikhailov's, "viridis": S. van der Walt's and N. Smith's, both as polynomials.
     """
@@ -58,7 +59,8 @@ _POLYNOMIALS = {  # of R, G and B; coefficients, constant first
 
 
 def wheel_color(direction: float, length: float) -> Rgb:
-    """Display color of a motion: `direction` in turns from x (right) towards y (down), `length` in motion scales."""
+    """Return the display color of a motion: `direction` in turns from x (right) towards y (down), `length` in motion
+    scales."""
     hue = [min(max(abs((direction * 6 + shift) % 6 - 3) - 1, 0), 1) for shift in (0, 4, 2)]
     share = math.sqrt(min(max(length, 0), 1))
     red, green, blue = (WHEEL_CENTER + (value - WHEEL_CENTER) * share for value in hue)

@@ -14,7 +14,7 @@ from .displays import FrameInfo, area_of
 
 
 class Contents:
-    """Of the picture and of the list of layers.
+    """Contents of the picture and of the list of layers.
 
     Attributes
     ----------
@@ -75,14 +75,14 @@ class Contents:
         return None if self.result is None or name is None else self.result.images.get(name)
 
     def find(self, text: str) -> str | None:
-        """Full name of a layer given by it or by the buffer's name alone."""
+        """Return the full name of a layer, given by it or by the buffer's name alone; None if there is none."""
         found = [spec.name for spec in self.layers]
         if text in found:
             return text
         return next((name for name in found if name.partition(".")[2] == text), None)
 
     def why_not(self, name: str) -> str | None:
-        """Why a layer cannot be shown in this sequence."""
+        """Return why a layer cannot be shown in this sequence; None if it can."""
         name = names.plain(name)
         if name in (names.TRUTH, names.FOCUS_TRUTH) and self.source is not None and not self.source.has_truth:
             return "this sequence has no ground truth"

@@ -34,7 +34,7 @@ class Share(NamedTuple):
 
 
 class Disocclusions:
-    """Found while the overlay "disocclusions" is on, for every slot before it is drawn.
+    """Disocclusions of every slot, found before it is drawn, while the overlay "disocclusions" is on.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Disocclusions:
         return self._view.overlay == OVERLAY
 
     def switch(self, on: bool) -> None:
-        """Show them over the picture, or not."""
+        """Show the disocclusions over the picture, or not."""
         self._view.overlay = OVERLAY if on else "none"
 
     def forget(self) -> None:
@@ -64,12 +64,12 @@ class Disocclusions:
 
     @property
     def needed(self) -> frozenset[str]:
-        """Layers to read back for it."""
+        """Layers to read back for disocclusions."""
         return _NEEDED if self.on else frozenset()
 
     @property
     def mean(self) -> Share | None:
-        """Over the generated frames shown lately with these settings."""
+        """Mean share of the generated frames shown lately with these settings; None without any."""
         return Share(*np.mean(self._shares, 0).tolist()) if self._shares else None
 
     def text(self) -> str:
@@ -80,7 +80,8 @@ class Disocclusions:
         return "   ".join(parts)
 
     def update(self, canvas) -> None:
-        """Once per frame of the interface, after the images have come."""
+        """Find the disocclusions of the present slot, and upload them. Call once per frame of the interface, after the
+        images have come."""
         contents = self._contents
         if not self.on or contents.changes == self._seen:
             return
@@ -93,7 +94,7 @@ class Disocclusions:
             canvas.forget([NAME])
 
     def _labels(self, result: Result) -> np.ndarray | None:
-        """(H, W) uint8, indices into `KINDS` and NONE; nothing of rendered frames."""
+        """Return (H, W) uint8: indices into `KINDS`, and NONE; None for rendered frames."""
         if not (result.moment.alpha and result.images.keys() >= _NEEDED):
             return None
         holes = result.images[names.DISOCCLUDED] != 0

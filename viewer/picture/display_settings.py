@@ -1,4 +1,4 @@
-"""How each layer is displayed: fitted to its picture at the first look, changed by the user, remembered."""
+"""Display settings of each layer: fitted to its picture at the first look, changed by the user, remembered."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Looks:
         self._displays: dict[str, Display] = {}
 
     def of(self, name: str) -> Display:
-        """How the layer `name` is displayed now, whatever settings made it."""
+        """Return the display of the layer `name` now, whichever settings made the layer."""
         name = names.plain(name)
         if name not in self._displays:
             spec = self._contents.spec(name)
@@ -35,7 +35,7 @@ class Looks:
         return self._displays[name]
 
     def meet(self, layers: Iterable[str]) -> None:
-        """Layers whose images are there: those that were never looked at get a range that fits."""
+        """Fit the ranges of those of `layers` that were never looked at, now that their images are there."""
         for name in layers:
             spec = self._contents.spec(name)
             if name not in self._displays and name not in self._saved and spec is not None:
@@ -60,7 +60,7 @@ class Looks:
         self.change(name, exposure=self.of(name).exposure + stops)
 
     def fit(self, name: str) -> None:
-        """Range from the picture; of a color its exposure."""
+        """Fit the range of a layer to its picture; of a color, its exposure."""
         spec = self._contents.spec(name)
         if spec is None:
             return
@@ -70,7 +70,8 @@ class Looks:
         self._keep(name, self._fitted(spec, display))
 
     def _exposure(self, name: str, now: float) -> float:
-        """Stops that make the brightest of 99% of the pixels just white."""
+        """Return the stops that make the brightest of 99% of the pixels just white; `now` where there are none to go
+        by."""
         image = self._contents.image(name)
         if image is None:
             return now

@@ -1,4 +1,4 @@
-"""How layers are displayed: settings, ranges, colors, legends and texts."""
+"""Display of layers: settings, frame of reference, and ranges that fit the images."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Area = tuple[float, float, float, float]  # x0, y0, x1, y1
 
 @dataclass
 class Display:
-    """How one layer is displayed.
+    """Display settings of one layer.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Display:
     tint: Rgb = (0.95, 0.95, 0.95)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as JSON has them."""
+        """Return plain values, as JSON has them."""
         return asdict(self) | {"tint": list(self.tint)}
 
     @classmethod
@@ -117,7 +117,7 @@ class FrameInfo:
         return area[0] * x, area[1] * y, area[2] * x, area[3] * y
 
     def own_place(self, spec: LayerSpec) -> tuple[float, float, float, float]:
-        """(scale x, scale y, offset x, offset y): a texel's own position in the image that its place lies in is
+        """Return (scale x, scale y, offset x, offset y): a texel's own position in the image that its place lies in is
         scale · (position in fractions of the layer) + offset."""
         if spec.places_in != "target":
             width, height = self.render_size or self.display_size
@@ -130,7 +130,7 @@ class FrameInfo:
 
 
 def area_of(image: Camera, image_size: tuple[int, int], seen: Camera, seen_size: tuple[int, int]) -> Area:
-    """The part of an image (camera `image`, `image_size` in pixels) that a camera of the same pose `seen` sees:
+    """Return the part of an image (camera `image`, `image_size` in pixels) that a camera of the same pose `seen` sees:
     (x0, y0, x1, y1) in fractions of the image's sides."""
 
     def at(x: float, y: float) -> tuple[float, float]:
@@ -153,7 +153,8 @@ def default_display(spec: LayerSpec) -> Display:
 
 
 def shown_as(spec: LayerSpec, display: Display) -> tuple[str, int]:
-    """How the chosen channel is displayed: one of VIEWS, and the channel's index, −1 for all of them."""
+    """Return the form in which the chosen channel is displayed, one of VIEWS, and the channel's index, −1 for all of
+    them."""
     channel = display.channel if display.channel in spec.channels else spec.channels[0]
     if channel not in spec.components:
         return spec.view, -1 if channel == NATIVE.get(spec.view) else 0
@@ -166,8 +167,9 @@ def shown_as(spec: LayerSpec, display: Display) -> tuple[str, int]:
 
 
 def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = None, depth=None) -> Display:
-    """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or zero
-    and all of a scalar that has only a few; `motion_scale` 99% of the lengths. Color, masks, labels stay as they are.
+    """Return `display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or
+    zero and all of a scalar that has only a few; `motion_scale` 99% of the lengths. Color, masks, labels stay as they
+    are.
 
     `image`: (planes?, H, W, channels?). A "place" needs `frame` where its sizes differ; a "world" needs `depth` (H, W)
     of the rendered frame and `frame.source`, or it stays as it is.
@@ -216,7 +218,8 @@ def _distances(values: np.ndarray, uv: np.ndarray, depth: np.ndarray, camera: Ca
 
 
 def _displacements(values: np.ndarray, uv: np.ndarray, own: tuple[float, ...]) -> np.ndarray:
-    """(M, 2) pixels: of the places (N, 2 …) that there are from where they are stored; `own` as in `FrameInfo`."""
+    """Return (M, 2) pixels: the displacements of the places (N, 2 …) that there are from where they are stored; `own`
+    as in `FrameInfo`."""
     there = values[:, 2] > 0 if values.shape[1] > 2 else (values != 0).any(-1)
     return (values[:, :2] - (uv * own[:2] + own[2:]))[there]
 

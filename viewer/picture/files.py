@@ -27,8 +27,8 @@ _LONGEST_STEM = 120  # characters; file names end at 255 bytes
 
 
 def unused_name(folder: Path, stem: str, suffix: str) -> Path:
-    """A path in `folder` that nothing has yet: `stem`, else `stem_2`, `stem_3` …, then `suffix` (".png"). Characters
-    that file names should not have become "_"."""
+    """Return a path in `folder` that nothing has yet: `stem`, else `stem_2`, `stem_3` …, then `suffix` (".png").
+    Characters that file names should not have become "_"."""
     stem = re.sub(r"[^\w.@+=-]+", "_", stem).lstrip(".")[:_LONGEST_STEM] or "image"
     number, path = 1, Path(folder) / f"{stem}{suffix}"
     while os.path.lexists(path):
@@ -121,7 +121,7 @@ class _Feed:
         self.shape: tuple[int, ...] | None = None
 
     def next(self) -> np.ndarray | None:
-        """The next frame, its sides even; None at the end."""
+        """Return the next frame, its sides even; None at the end."""
         try:
             frame: Any = None if self.is_cancelled() else next(self.frames, None)
             if frame is None:  # perhaps because it was cancelled while the frame was awaited
@@ -152,7 +152,8 @@ class _Feed:
 
 
 def _write_all(folder: Path, images, specs, cancelled) -> list[Path]:
-    """All layers are whole in a folder of their own before the first one gets its name."""
+    """Write all layers, and return their paths, none if cancelled. All are whole in a folder of their own before the
+    first one gets its name."""
     with tempfile.TemporaryDirectory(prefix=".layers.", dir=folder, ignore_cleanup_errors=True) as staging:
         for name, image in images.items():
             if cancelled():
@@ -164,7 +165,7 @@ def _write_all(folder: Path, images, specs, cancelled) -> list[Path]:
 
 
 def _channels(spec: LayerSpec, image: np.ndarray) -> dict[str, np.ndarray]:
-    """(planes?, H, W, components?) → contiguous (H, W) by channel."""
+    """Return the channels of an image (planes?, H, W, components?) by name, each a contiguous (H, W)."""
     if len(spec.components) == 1 and image.ndim == 2 + (spec.planes > 1):
         image = image[..., None]
     return {name: np.ascontiguousarray(plane) for name, plane in _dump_channels(spec, image).items()}
@@ -172,7 +173,8 @@ def _channels(spec: LayerSpec, image: np.ndarray) -> dict[str, np.ndarray]:
 
 @contextlib.contextmanager
 def _partial(path: Path) -> Iterator[Path]:
-    """Where `path` is written until it is whole, with its suffix; removed at the end."""
+    """Yield the path at which `path` is written until it is whole, with its suffix; remove that file at the end. Raises
+    GffeError if `path` is a folder."""
     if path.is_dir():
         raise GffeError(f"{path}: is a folder")
     part = path.with_name(f".{path.stem}.part{path.suffix}")
@@ -185,7 +187,7 @@ def _partial(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _faults(path: Path, what: str) -> Iterator[None]:
-    """OSError → GffeError in one line that names `path`."""
+    """Raise GffeError in place of OSError, in one line that names `path`."""
     try:
         yield
     except OSError as error:
@@ -193,7 +195,7 @@ def _faults(path: Path, what: str) -> Iterator[None]:
 
 
 def _encoder_fault(path: Path, message: str) -> str:
-    """Why the encoder failed; all that is known where it just stopped reading is how full the disk is."""
+    """Return why the encoder failed; where it just stopped reading, all that is known is how full the disk is."""
     detail = message.partition(": cannot write the video: ")[2].partition(" FFMPEG ")[0]
     if detail and "Broken pipe" not in detail:
         return detail
@@ -202,7 +204,8 @@ def _encoder_fault(path: Path, message: str) -> str:
 
 
 def _frames_in(path: Path) -> int | None:
-    """Frames that can be decoded from a video: the encoder does not report that its last bytes did not arrive."""
+    """Return the number of frames that can be decoded from a video, None if it cannot be read: the encoder does not
+    report that its last bytes did not arrive."""
     import imageio_ffmpeg
 
     try:

@@ -26,7 +26,7 @@ class Entry:
 
 
 def with_legends(rgba: np.ndarray, entries: list[Entry]) -> np.ndarray:
-    """`rgba` (H, W, 4) uint8 with a strip under it that shows `entries`; without any, the same picture."""
+    """Return `rgba` (H, W, 4) uint8 with a strip under it that shows `entries`; without any, the same picture."""
     if not entries:
         return rgba
     from PIL import Image, ImageDraw, ImageFont
@@ -64,7 +64,7 @@ class _Pen:
         return self._y + self._gap // 2
 
     def write(self, draw, entry: Entry, image=None) -> None:
-        """Without an `image` only the room is taken that it needs."""
+        """Write a legend under those before. Without an `image` only the room is taken that it needs."""
         legend = entry.legend
         words = [entry.title, *filter(None, [legend.unit])]
         together = "   ".join(words)
@@ -138,7 +138,7 @@ class _Pen:
 
 
 def _plain(text: str) -> str:
-    """With the letters that the font has."""
+    """Return the text in letters that the font has."""
     return text.replace("−", "-").replace("×", "x").replace("–", "-")
 
 

@@ -31,7 +31,7 @@ _DIRECTIONS = ("right", "right, down", "down", "left, down", "left", "left, up",
 
 
 def legend(spec: LayerSpec, display: Display) -> Legend:
-    """Of the channel that is shown; a ramp has five ticks."""
+    """Return the legend of the channel that is shown; a ramp has five ticks."""
     view = shown_as(spec, display)[0]
     if view == "color":
         return Legend("none")
@@ -58,7 +58,7 @@ def legend(spec: LayerSpec, display: Display) -> Legend:
 
 
 def value_text(spec: LayerSpec, values) -> str:
-    """One line for the value (channels,) of one pixel of `spec`."""
+    """Return one line for the value (channels,) of one pixel of `spec`."""
     values = [float(value) for value in np.ravel(values)]
     if spec.view == "color":
         return "  ".join(f"{n} {_text(v)}" for n, v in zip(spec.components, values, strict=False) if n != "A")

@@ -23,8 +23,8 @@ SPEC = LayerSpec(
 
 @dataclass(frozen=True)
 class RegionMap:
-    """`labels`: (H, W) uint8, indices into `REGIONS`, as A's pipeline finds them; the parts of A's error in them, and
-    of B's, if it is there."""
+    """Map of regions. `labels`: (H, W) uint8, indices into `REGIONS`, as A's pipeline finds them; `a`, `b`: the parts
+    of A's error in them, and of B's, if it is there."""
 
     labels: np.ndarray
     a: dict[str, Part]
@@ -32,7 +32,8 @@ class RegionMap:
 
 
 def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionMap:
-    """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colors (H, W, 4) of the same slot."""
+    """Return the map of regions of a generated slot of A with the layers `slot_metrics.NEEDED`. `b`: B's final colors
+    (H, W, 4) of the same slot, if B is there."""
     labels = region_labels(result, exposure)
     true = to_display(result.images[names.TRUTH][..., :3], exposure)
 
@@ -46,7 +47,7 @@ OVERLAY = "regions"
 
 
 class Regions:
-    """Found while the overlay "regions" is on.
+    """Regions of errors, found while the overlay "regions" is on.
 
     Attributes
     ----------
@@ -67,7 +68,7 @@ class Regions:
         return self._view.overlay == OVERLAY
 
     def switch(self, on: bool) -> None:
-        """Show them over the picture, or not."""
+        """Show the regions over the picture, or not."""
         self._view.overlay, self._view.region = OVERLAY if on else "none", -1
 
     @property
@@ -76,13 +77,14 @@ class Regions:
         return list(REGIONS)[self._view.region] if self.on and self._view.region >= 0 else None
 
     def see_only(self, name: str | None) -> None:
-        """One region alone, None: all of them, each in its color; again: all of them."""
+        """Show one region alone; None: all of them, each in its color. The region that is seen alone already: all of
+        them."""
         again = name is not None and name == self.only
         self.switch(True)
         self._view.region = -1 if name is None or again else list(REGIONS).index(name)
 
     def why_not(self) -> str | None:
-        """Why there are no regions here."""
+        """Return why there are no regions here; None if there can be."""
         contents = self._contents
         reason = contents.why_not(names.TRUTH)
         if reason or contents.result is None:
@@ -94,7 +96,7 @@ class Regions:
 
     @property
     def needed(self) -> frozenset[str]:
-        """Layers to read back for it."""
+        """Layers to read back for the regions."""
         return NEEDED if self.on else frozenset()
 
     @property
@@ -103,7 +105,7 @@ class Regions:
         return not self.on or self.why_not() is not None or self._maps.ready
 
     def update(self, canvas) -> str | None:
-        """Call once per frame of the interface: take the result, and request the next. Returns an error message, if
+        """Take the result, and request the next. Call once per frame of the interface. Returns an error message, if
         any."""
         if not self.on:
             return None

@@ -22,7 +22,7 @@ Rectangle = tuple[int, int, int, int]  # left, top, right, bottom: display pixel
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of `count` pixels.
+    """Statistics of `count` pixels.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Statistics:
 
 
 def statistics(result: Result, rectangle: Rectangle, exposure: float) -> Statistics:
-    """Of a slot with the layers `NEEDED`, as far as there are."""
+    """Return the statistics of the pixels in `rectangle`, of a slot with the layers `NEEDED`, as far as there are."""
     left, top, right, bottom = rectangle
     images = {name: image[top:bottom, left:right] for name, image in result.images.items() if name in NEEDED}
     generated = result.moment.alpha > 0
@@ -105,7 +105,7 @@ class Selection:
         self.statistics: Statistics | None = None
 
     def draw(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Between two display positions; all pixels that it touches."""
+        """Select the rectangle between two display positions, with all pixels that it touches."""
         sides = []
         for a, b, size in zip(start, end, self._contents.size, strict=True):
             low, high = math.floor(min(a, b)), math.floor(max(a, b)) + 1
@@ -118,7 +118,7 @@ class Selection:
 
     @property
     def needed(self) -> frozenset[str]:
-        """Layers to read back for it."""
+        """Layers to read back for the statistics."""
         return NEEDED if self.rectangle else frozenset()
 
     @property
@@ -127,7 +127,8 @@ class Selection:
         return self.rectangle is None or self._latest.ready
 
     def update(self) -> str | None:
-        """Call once per frame of the interface. Returns an error message, if any."""
+        """Take the result, and request the next. Call once per frame of the interface. Returns an error message, if
+        any."""
         try:
             made = self._latest.take()
         except Exception as error:

@@ -46,7 +46,7 @@ class PixelBuffers:
         self._rings: dict[int, list[moderngl.Buffer]] = {}
 
     def next(self, nbytes: int) -> moderngl.Buffer:
-        """One of this size that may be written."""
+        """Return a buffer of `nbytes` bytes that may be written."""
         ring = self._rings.pop(nbytes, [])
         self._rings[nbytes] = ring  # the latest used is the last
         if len(ring) < _RING:
@@ -61,7 +61,7 @@ class PixelBuffers:
 
     @property
     def sizes(self) -> list[int]:
-        """Of those in use, bytes."""
+        """Sizes of the buffers in use, bytes."""
         return [buffer.size for ring in self._rings.values() for buffer in ring]
 
     def release(self) -> None:

@@ -50,12 +50,12 @@ class View:
     line: float = 2.0
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
-        """Display pixel under the screen position (x, y) of a canvas of `size`."""
+        """Return the display position, in pixels, under the screen position (x, y) of a canvas of `size`."""
         right, down = (c + (p - s / 2) / self.zoom for c, p, s in zip(self.center, (x, y), size, strict=True))
         return right, down
 
     def screen_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
-        """Screen position of the display pixel position (x, y) on a canvas of `size`."""
+        """Return the screen position of the display pixel position (x, y) on a canvas of `size`."""
         right, down = (s / 2 + (p - c) * self.zoom for c, p, s in zip(self.center, (x, y), size, strict=True))
         return right, down
 

@@ -59,7 +59,7 @@ _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
 
 def has_dialogs() -> bool:
-    """Whether the system has a dialog for folders that can be opened."""
+    """Return whether the system has a dialog for folders that can be opened."""
     programs = ("zenity", "kdialog", "matedialog", "qarma")
     return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
 
@@ -90,8 +90,8 @@ class App(Interface):
     # ---- running -----------------------------------------------------------------------------------------
 
     def run(self, size: tuple[int, int] | None = None, test=None) -> None:
-        """Opens the window, as large as last time if no `size` is given, and returns when it is closed. `test`
-        registers tests of ImGui's test engine."""
+        """Open the window, as large as last time if no `size` is given, until it is closed. `test` registers tests of
+        ImGui's test engine."""
         params = hello_imgui.RunnerParams()
         size = size or self.model.settings.window_size
         self._params = params
@@ -242,7 +242,7 @@ class App(Interface):
             self.on_frame(self)
 
     def drop(self, paths: list[str]) -> None:
-        """Paths dropped onto the window; opened in the next frame."""
+        """Note paths dropped onto the window; the first one is opened in the next frame."""
         self._dropped += paths[:1]
 
     def examine(self) -> None:

@@ -155,7 +155,7 @@ def register(app: App) -> None:
 
 
 def _comparing(app: App, add, opened) -> None:
-    """A against B."""
+    """Register the actions that compare A with B."""
     model = app.model
 
     def no_second():
@@ -187,7 +187,7 @@ def _comparing(app: App, add, opened) -> None:
 
 
 def _finding(app: App, add, opened) -> None:
-    """Frames, regions and pixels that are wrong."""
+    """Register the actions that find wrong frames, regions and pixels."""
     model, survey, regions = app.model, app.model.survey, app.model.regions
     add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
         lambda: opened(), checked=lambda: survey.on,
@@ -218,7 +218,7 @@ def _finding(app: App, add, opened) -> None:
 
 
 def _register_parameter(app: App, name: str, option: Option) -> None:
-    """A switch for a module, an action for every choice, and for a number one that asks for it."""
+    """Register a switch for a module, an action for every choice, and for a number one that asks for it."""
     model, parameters = app.model, app.model.parameters
 
     def add(id, label, group, run, checked=lambda: None, tooltip=option.sentence):

@@ -126,7 +126,7 @@ class Docks:
             self.panel(name).is_visible = not self.hidden
 
     def reset(self) -> None:
-        """The default arrangement."""
+        """Restore the default arrangement."""
         for name in self._panels:
             self.panel(name).is_visible = name not in _BY_HAND
         self.hidden = False
@@ -134,14 +134,15 @@ class Docks:
 
     @property
     def remembered(self) -> dict[str, bool]:
-        """Which are open, for the next start."""
+        """Panels by name, and whether they are open, for the next start."""
         shown = {name: self.panel(name).is_visible for name in self._panels}
         return shown | (dict.fromkeys(self._before_hiding, True) if self.hidden else {})
 
     # ---- sizes, and stacking order -------------------------------------------------------------------------
 
     def update(self) -> None:
-        """Once per frame of the interface."""
+        """Carry out requests for panels that had to wait until those were there. Call once per frame of the
+        interface."""
         self._make_room_for_plot()
         self._bring_to_front()
 
@@ -166,7 +167,8 @@ class Docks:
             imgui.internal.dock_builder_set_node_size(node.id_, size)
 
     def _bring_to_front(self) -> None:
-        """Once it is there: its tab before the others, the keyboard stays where it is unless it is at one of them."""
+        """Show the tab of the requested panel before the others, once it is there. The keyboard stays where it is
+        unless it is at one of them."""
         front = self._to_front
         nodes = _nodes(front) if front else []
         if front is None or not nodes or nodes[0].tab_bar is None:
@@ -178,7 +180,7 @@ class Docks:
         self._to_front = None
 
     def _make_room_for_plot(self) -> None:
-        """Once it is there: as high as it has to be at this size of letters."""
+        """Make the plot as high as it has to be at this size of letters, once it is there."""
         nodes = _nodes("Plot")
         if self._plot_due and nodes:
             height = min(_PLOT_HEIGHT * self._scale(), _HIGHEST * imgui.get_io().display_size.y)
@@ -190,7 +192,7 @@ class Docks:
 
 
 def _sides(width: float, scale: float) -> list[float]:
-    """Shares of a window's width, left and right of the picture."""
+    """Return shares of a window's width, left and right of the picture."""
     return [min(side * scale / width, most) for side, most in zip(_SIDES, _WIDEST, strict=True)]
 
 
@@ -201,7 +203,8 @@ def _second_row(width: float, scale: float) -> float:
 
 
 def _nodes(name: str) -> list:
-    """Where a window is docked, from its own node to the root; empty if it floats or is not there."""
+    """Return the nodes that a window is docked in, from its own node to the root; empty if it floats or is not
+    there."""
     window = imgui.internal.find_window_by_name(name)
     nodes = [window.dock_node if window is not None else None]
     while nodes[-1] is not None:

@@ -1,4 +1,4 @@
-"""From ImGui's keys to the action table, and to the camera that is flown."""
+"""Keyboard and mouse: ImGui's keys for the action table, and for the camera that is flown."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False
 
 
 def flight(model: Model) -> Flight | None:
-    """How the camera is steered now; None while it is not flown."""
+    """Return the steering of the camera now; None while it is not flown."""
     io = imgui.get_io()
     if not model.flying or io.want_text_input:
         return None

@@ -48,7 +48,7 @@ def _end(code: int) -> None:
 
 
 def require_display() -> None:
-    """GffeError where no window can be opened."""
+    """Raise GffeError where no window can be opened."""
     if not sys.platform.startswith("linux"):
         return
     without = "without a screen: xvfb-run -a gffe …"

@@ -12,7 +12,7 @@ _ROUNDED = ("window", "child", "frame", "popup", "grab", "tab")
 
 
 def apply(name: str, scale: float) -> None:
-    """Theme "light" or "dark"; everything `scale` times as large as usual on this screen.
+    """Apply the theme "light" or "dark", and make everything `scale` times as large as usual on this screen.
 
     Windows have no background of their own: filling the screen several times takes a CPU longer than all else, so it is
     cleared with their color, and what floats asks for a background (`widgets.floating`).

@@ -12,7 +12,7 @@ _ANY_POPUP = imgui.PopupFlags_.any_popup.value
 
 
 class Window(Protocol):
-    """`draw` returns whether the window has the focus."""
+    """Window over the panels; `draw` returns whether it has the focus."""
 
     @property
     def is_open(self) -> bool: ...
@@ -23,7 +23,7 @@ class Window(Protocol):
 
 
 class Stack:
-    """`windows`: all that there are.
+    """Stack of open windows; `windows`: all that there are.
 
     Attributes
     ----------

@@ -61,7 +61,8 @@ Shortcut = tuple[frozenset[str], str]
 
 
 def parse_shortcut(text: str) -> Shortcut:
-    """(modifiers, key) of a shortcut such as "Ctrl+O", "Shift+E", "Space", "F5", "1" or "?"; case does not matter.
+    """Return (modifiers, key) of a shortcut such as "Ctrl+O", "Shift+E", "Space", "F5", "1" or "?"; case does not
+    matter.
 
     Shift is part of a symbol that is typed with it: "?" and "Shift+/" both give (no modifiers, "?"). Raises
     ValueError that says what is wrong.
@@ -91,14 +92,14 @@ def parse_shortcut(text: str) -> Shortcut:
 
 
 def canonical(modifiers: frozenset[str], key: str) -> Shortcut:
-    """The one form of a shortcut: Shift is dropped where it is part of the symbol."""
+    """Return the one form of a shortcut: Shift is dropped where it is part of the symbol."""
     if "Shift" in modifiers and key in _SHIFTED:
         key = _SHIFTED[key]
     return frozenset(modifiers) - ({"Shift"} if key in _UNSHIFTED else set()), key
 
 
 def shortcut_text(shortcut: Shortcut) -> str:
-    """A parsed shortcut as it is written: "Ctrl+Shift+P"."""
+    """Return a parsed shortcut as it is written: "Ctrl+Shift+P"."""
     modifiers, key = shortcut
     return "+".join([name for name in MODIFIERS if name in modifiers] + [key])
 
@@ -169,7 +170,7 @@ class Actions:
             raise KeyError(f"no action is called {id!r}") from None
 
     def register(self, action: Action) -> Action:
-        """Add an action. Raises ValueError if its id or a shortcut is taken."""
+        """Add an action, and return it. Raises ValueError if its id or a shortcut is taken."""
         if action.id in self._actions:
             other = self._actions[action.id]
             raise ValueError(f"action {action.id!r} ({action.label}) is registered already ({other.label})")
@@ -183,14 +184,14 @@ class Actions:
         return action
 
     def grouped(self) -> dict[str, list[Action]]:
-        """Actions by group, both in the order of registration."""
+        """Return the actions by group, both in the order of registration."""
         groups: dict[str, list[Action]] = {}
         for action in self:
             groups.setdefault(action.group, []).append(action)
         return groups
 
     def shortcut_table(self) -> list[tuple[str, list[tuple[str, str]]]]:
-        """(group, [(shortcuts, label)]) of all that have a shortcut, for the help."""
+        """Return (group, [(shortcuts, label)]) of all actions that have a shortcut, for the help."""
         table = []
         for group, actions in self.grouped().items():
             rows = []
@@ -260,7 +261,7 @@ class Actions:
         self._actions[id].run(False)
 
     def search(self, text: str) -> list[Action]:
-        """Actions that match every word of `text`, those that can run first, best first; all for no text.
+        """Return the actions that match every word of `text`, those that can run first, best first; all for no text.
 
         A word matches a word of the label or, less well, of the group: whole, its beginning, a part, or letters of
         the label in their order ("tgl" finds Toggle). Of equals the shorter label comes first.
@@ -280,7 +281,7 @@ def _words(text: str) -> list[str]:
 
 
 def _score(word: str, action: Action) -> float:
-    """How well a word matches an action, 0 to 100."""
+    """Return how well a word matches an action, 0 to 100."""
     label, group = _words(action.label), _words(action.group)
     best = max((_match(word, other) for other in label), default=0)
     best = max(best, *(_match(word, other) / 2 for other in group), 0)

@@ -35,7 +35,7 @@ class Message:
 
 
 def frame_text(moment: Moment) -> str:
-    """Which frame of a running program it is."""
+    """Return the name of a running program's frame: the rendered one, or the one that it was generated from and α."""
     return f"generated: frame {moment.k} + {moment.alpha:.2f}" if moment.alpha else f"rendered frame {moment.k}"
 
 
@@ -45,13 +45,13 @@ _MOTION = LayerSpec("residual motion", "Residual motion", "overlay", "motion", (
 
 
 def region_colors() -> dict[str, Rgb]:
-    """By region, as the overlay tints them."""
+    """Return colors by region, as the overlay tints them."""
     colors = [*LABEL_COLORS[1 : len(REGIONS)], REST]
     return dict(zip(REGIONS, colors, strict=True))
 
 
 def disocclusion_colors() -> tuple[tuple[str, Rgb], ...]:
-    """Their kinds, as the overlay tints them."""
+    """Return the kinds of disocclusions with their colors, as the overlay tints them."""
     return tuple(zip(disocclusions.KINDS, LABEL_COLORS[1:], strict=False))
 
 

@@ -38,13 +38,13 @@ class Second:
         self._shown: Request | None = None  # of B, that was given to be shown
 
     def compare_with(self, kept: Kept | None) -> None:
-        """With these settings from now on; None: with none."""
+        """Compare with these settings from now on; None: with none."""
         if kept is None or self.kept is None or replace(kept, name=self.kept.name) != self.kept:
             self.forget()
         self.kept = kept
 
     def forget(self) -> None:
-        """Nothing is waited for any more."""
+        """Withdraw the request to B, and drop the results that wait."""
         if self.asked is not None:
             self._engine.withdraw("b")
         self.asked = self._first = self._made = None
@@ -61,7 +61,7 @@ class Second:
         return replace(first, setup=self.kept.setup(first.setup.n), layers=layers, role="b")
 
     def ask(self, request: Request, source) -> None:
-        """The slot of B that belongs to the one of A that is asked for now."""
+        """Request the slot of B that belongs to the one of A that is asked for now; a cached one is taken at once."""
         self.asked, self.fault = request, ""
         self._first = self._shown = None
         kept = self._find(self._engine.recipe(request.setup), request) if request.keep else None
@@ -70,18 +70,18 @@ class Second:
             self._engine.submit(request, source)
 
     def failed(self, error: EngineError) -> bool:
-        """Whether a fault is B's: then A is shown alone."""
+        """Return whether a fault is B's: then A is shown alone."""
         if self.asked is None or error.serial != self.asked.serial:
             return False
         self.fault = error.message
         return True
 
     def belongs(self, first: Result) -> bool:
-        """Whether a result of A is to be shown together with one of B."""
+        """Return whether a result of A is to be shown together with one of B."""
         return self.asked is not None and self.asked.slot == first.request.slot
 
     def pair(self, first: Result) -> None:
-        """A's result is there."""
+        """Take A's result, which waits for B's."""
         self._first = first
 
     def take(self) -> tuple[Result, Result | None] | None:

@@ -32,12 +32,12 @@ class Scores:
         self.of(self._engine.recipe(metrics.setup))[metrics.slot] = metrics
 
     def add_result(self, result: Result | None) -> None:
-        """Those that a slot came with."""
+        """Add the metrics that a slot came with, if any."""
         if result is not None and result.metrics:
             self.add(Metrics(result.request.slot, result.request.setup, result.metrics))
 
     def update(self) -> None:
-        """Once per frame of the interface: those that became known."""
+        """Add the metrics that became known. Call once per frame of the interface."""
         while (metrics := self._engine.poll_metrics()) is not None:
             self.add(metrics)
 
@@ -52,7 +52,7 @@ _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}
 
 
 class Comparison:
-    """How A and B of a view are compared; "flip error" is a map that is computed on the host."""
+    """Comparison of A and B of a view; "flip error" is a map that is computed on the host."""
 
     def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings):
         self._view, self._contents, self._looks, self._settings = view, contents, looks, settings
@@ -65,7 +65,7 @@ class Comparison:
         self._truth_instead_of = names.FINAL
 
     def why_not(self, way: str) -> str | None:
-        """Why it cannot be compared in this way."""
+        """Return why A and B cannot be compared in this way; None if they can."""
         if way != "flip error":
             return None
         if self._flip_missing:
@@ -83,7 +83,7 @@ class Comparison:
 
     @property
     def second(self) -> Kept | None:
-        """Settings of which something is to be shown."""
+        """B's settings while something of them is to be shown, else None."""
         return self._settings.b if self.by_settings and (self._view.compare != "off" or self.flipped) else None
 
     def with_settings(self, name: str | None = None) -> None:
@@ -98,7 +98,7 @@ class Comparison:
         self._by_settings, self._view.b = False, name
 
     def follow(self) -> None:
-        """B's layer is A's where settings are compared."""
+        """Make B's layer that of A where settings are compared. Where they no longer are, B is given up."""
         view = self._view
         if self.by_settings:
             view.b = names.of_second(view.a)
@@ -121,7 +121,7 @@ class Comparison:
         self.flipped = down
 
     def toggle_truth(self) -> None:
-        """Ground truth as A, and back."""
+        """Show ground truth as A, or the layer before it again."""
         view = self._view
         if view.a == names.TRUTH:
             view.a = self._truth_instead_of
@@ -129,7 +129,7 @@ class Comparison:
             self._truth_instead_of, view.a = view.a, names.TRUTH
 
     def shown(self) -> View:
-        """The view with the displays of its layers, for the canvas."""
+        """Return the view with the displays of its layers, for the canvas."""
         self.follow()
         looks = self._looks
         view = replace(self._view, a_display=looks.of(self._view.a))
@@ -143,7 +143,7 @@ class Comparison:
 
     @property
     def error_display(self) -> Display:
-        """Of maps of errors."""
+        """Display settings of error maps."""
         return Display(high=self.brightest, color_map="heat")
 
     @property
@@ -174,8 +174,8 @@ class Comparison:
         return self._view.compare != "flip error" or self._nothing or self._maps.ready
 
     def update(self, canvas) -> str | None:
-        """Call once per frame of the interface: take the finished map, and request the next. Returns an error
-        message, if any; then the comparison is switched off."""
+        """Take the finished map, and request the next. Call once per frame of the interface. Returns an error message,
+        if any; then the comparison is switched off."""
         self.follow()
         view, contents = self._view, self._contents
         if view.compare != "flip error":
@@ -211,7 +211,7 @@ class Comparison:
             view.b, view.compare = None, "off"
 
     def preferences(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return the choices to remember, as plain JSON."""
         saved = {name: getattr(self._view, name) for name in ("compare", "b", "error", *_NUMBERS)}
         return saved | ({"compare": "off", "b": None} if self.by_settings else {})
 

@@ -19,7 +19,7 @@ class Loop:
         self._was_playing = False
 
     def update(self, now: float, canvas) -> None:
-        """Update at `now`, seconds of the playback clock. `canvas`: None without a window."""
+        """Move the model on to `now`, seconds of the playback clock. `canvas`: None without a window."""
         model = self._model
         model.screen.canvas = canvas
         if model.previewer is not None and (preview := model.previewer.take()) is not None:
@@ -57,7 +57,8 @@ class Loop:
             model.advance_export(canvas)
 
     def _follow_source(self) -> None:
-        """Another render rate was chosen, or there are more frames."""
+        """Take over another render rate that was chosen, more frames of the source, and options that a running program
+        has changed."""
         model = self._model
         if model.source.live and model.parameters.render_rate != model.plan.fps:
             model.plan = model.plan._replace(fps=model.parameters.render_rate)
@@ -70,7 +71,7 @@ class Loop:
             model.parameters.take(model.source.options, None)
 
     def _take_answers(self) -> None:
-        """All that the engine has finished."""
+        """Take everything that the engine has finished."""
         model = self._model
         while model.screen.ready and (answer := model.engine.poll()) is not None:
             if isinstance(answer, EngineError):
@@ -137,7 +138,7 @@ class Loop:
         model.pointing.ask_again()
 
     def _ask(self, slot: int) -> None:
-        """Have a slot shown."""
+        """Request that a slot be shown."""
         model = self._model
         flyer = model.flyer if model.flying else None
         if flyer is not None:

@@ -113,7 +113,8 @@ class Model:
         return self.contents.source
 
     def open(self, target: str) -> None:
-        """A folder with a sequence, or the name of a built-in scene; `update` hears when it is open."""
+        """Open a folder with a sequence, or the built-in scene of that name, in the background; `update` notices when
+        it is open."""
         self.failure = None
         self.notice = f"opening {target} …"
         self.previewer = preview_of(target) if self.source is None else None
@@ -151,7 +152,7 @@ class Model:
         return isinstance(self.source, FrozenSource)
 
     def reload(self) -> None:
-        """Read the same thing again, and stay where we are."""
+        """Open the present source again, and stay at the same slot."""
         self.keep_place = True
         self.open(self._target)
 
@@ -185,7 +186,8 @@ class Model:
             self.settings.add_recent(Path(self._target).expanduser())
 
     def times(self, count: int) -> list[float] | None:
-        """Seconds, of rendered frames."""
+        """Return the times of `count` rendered frames in seconds; None in a built-in scene, and while a running program
+        is followed."""
         return None if self.source.live or self.follows else [self.source.time(k) for k in range(count)]
 
     def update(self, now: float, canvas) -> None:
@@ -193,7 +195,7 @@ class Model:
         self._loop.update(now, canvas)
 
     def go_to(self, find: Callable[[], int | None]) -> None:
-        """To the slot that `find`, of the survey, gives."""
+        """Go to the slot that `find`, a method of the survey, gives, and show a message about it."""
         slot, text = self.survey.search(find)
         if slot is not None:
             self.playback.seek(slot)
@@ -224,7 +226,7 @@ class Model:
         return self.scores.of(self.recipe)
 
     def metrics_of_second(self) -> dict[int, Metrics]:
-        """... of B's settings."""
+        """Return the metrics of B's settings, by slot; empty without B."""
         kept = self.kept.b
         return {} if kept is None else self.scores.of(self.engine.recipe(kept.setup(self.n)))
 
@@ -387,7 +389,7 @@ class Model:
         self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
 
     def lately(self, now: float, seconds: dict[str, float]) -> list[Message]:
-        """Messages that were shown first at most so many seconds ago, by their kind."""
+        """Return the messages that were shown first at most `seconds` ago, which are given by their kind."""
         found = []
         for message in self.messages:
             message.since = now if message.since is None else message.since
@@ -396,7 +398,7 @@ class Model:
         return found
 
     def dismiss_messages(self) -> None:
-        """Take all that stand over the picture away."""
+        """Take all messages away that stand over the picture."""
         for message in self.messages:
             message.dismissed = True
 
@@ -415,7 +417,7 @@ class Model:
             print(warning, file=sys.stderr)
 
     def close(self) -> None:
-        """Stop everything; again it does nothing."""
+        """Stop everything. A second call does nothing."""
         if self._closed:
             return
         self._closed = True

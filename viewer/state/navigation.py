@@ -70,7 +70,7 @@ _MOST = 50
 
 @dataclass(frozen=True)
 class _Place:
-    """Return the remembered view."""
+    """Remembered view: a place to go back to."""
 
     slot: int
     layer: str
@@ -80,7 +80,7 @@ class _Place:
 
 
 class Walk:
-    """The places from which links were followed."""
+    """Walk along the links of stories, with the places from which they were followed."""
 
     def __init__(self, view: View, contents: Contents, playback: Playback, pointing: Pointing):
         self._view, self._contents, self._playback, self._pointing = view, contents, playback, pointing
@@ -91,7 +91,7 @@ class Walk:
         self._left.clear()
 
     def why_not(self, link: Link) -> str | None:
-        """Why a link leads nowhere."""
+        """Return why a link leads nowhere; None if it can be followed."""
         if link.layer and self._contents.spec(link.layer) is None:
             return "this layer is not made with these options"
         if link.pixel is not None and not all(0 <= c < s for c, s in zip(link.pixel, self._contents.size, strict=True)):
@@ -121,7 +121,7 @@ class Walk:
         self.look_at(pixel)
 
     def look_at(self, pixel: tuple[int, int]) -> None:
-        """Tell the pixel's story. If only a part of the picture is visible, center it."""
+        """Request the pixel's story. If only a part of the picture is visible, center it."""
         self._pointing.pick(pixel)
         view, size = self._view, self._contents.size
         if view.center != (size[0] / 2, size[1] / 2):
@@ -132,7 +132,7 @@ class Walk:
         return bool(self._left)
 
     def back(self) -> None:
-        """To where the last link was followed."""
+        """Go back to the place from which the last link was followed."""
         place = self._left.pop()
         self._view.a, self._view.zoom, self._view.center = place.layer, place.zoom, place.center
         if self._playback.slot != place.slot:

@@ -57,12 +57,12 @@ ALL: dict[str, Option] = {name: option for name, option in OPTIONS.items() if na
 
 
 def by_hand(option: Option) -> Any:
-    """Where an option starts that is not automatic any more."""
+    """Return the value at which an option starts that is not automatic any more."""
     return option.default if option.default is not None else option.kind(min(max(1, option.low), option.high))
 
 
 def parsed(option: Option, text: str) -> float | int | None:
-    """The value of a number that is typed. Raises GffeError."""
+    """Return the value of a number that is typed; None for automatic. Raises GffeError."""
     text = text.strip()
     if option.automatic and text == option.automatic:
         return None
@@ -96,7 +96,7 @@ class Parameters:
         self._source: Any = None  # a FrameSource, once something is open
 
     def open(self, source: FrameSource) -> None:
-        """Another source: its windows are others."""
+        """Take over another source: its windows are others, and a running program brings its own options."""
         self._source = source
         self._always = ALWAYS if source.options is None else {}  # nothing is added to a program's own
         self.options = replace(source.options or self.options, **self._always)
@@ -130,7 +130,7 @@ class Parameters:
         return name not in live or (self._source is not None and self._source.live == live[name])
 
     def why_not(self, name: str) -> str | None:
-        """Why it cannot be changed now."""
+        """Return why a parameter cannot be changed now; None if it can."""
         if not self._applies(name):
             return "only in a built-in scene" if name in ("scene_window", "render_rate") else "only of recorded frames"
         if name == "window" and not self._source.windowed:
@@ -154,7 +154,7 @@ class Parameters:
         return getattr(self.options, name)
 
     def set(self, name: str, value: Any) -> None:
-        """Raises GffeError for values that make no sense."""
+        """Set a parameter. Raises GffeError for values that make no sense."""
         if name == "n":
             self._playback.n = ALL[name].checked(value)
         elif name == "window":
@@ -176,13 +176,13 @@ class Parameters:
         return max(round(source.width / source.render_size[0], 2), 1.0)
 
     def is_on(self, name: str) -> bool:
-        """Whether a module is on; shading correction that failed is off."""
+        """Return whether a module is on; shading correction that failed is off."""
         if name == CORRECTION:
             return self.options.corrects_shading and self.network_fault is None
         return self.value(name) != ALL[name].off
 
     def fault(self, name: str) -> str | None:
-        """Why a module was switched off, if it could not work."""
+        """Return why a module was switched off, if it could not work; None otherwise."""
         return self.network_fault if name == CORRECTION else None
 
     def switch(self, name: str, on: bool) -> None:
@@ -195,7 +195,7 @@ class Parameters:
 
     @staticmethod
     def _least(option: Option) -> Any:
-        """Of the values that a module has when it is on, for one that is usually off."""
+        """Return the value that switches a module on that is usually off."""
         if option.kind is bool:
             return True
         if option.choices:
@@ -203,7 +203,7 @@ class Parameters:
         return option.low if option.low != option.off else option.low + 1
 
     def take(self, options: Options, window: str | None) -> None:
-        """All at once, as they were kept."""
+        """Set options and window at once. An earlier failure of shading correction is forgotten."""
         self.network_fault = None
         self.options, self.window = replace(options, **self._always), window
 
@@ -216,7 +216,7 @@ class Parameters:
     # ---- from one start to the next ------------------------------------------------------------------------
 
     def preferences(self) -> dict[str, Any]:
-        """Plain JSON."""
+        """Return the values to remember, as plain JSON."""
         return {name: self.value(name) for name, option in ALL.items() if option.remembered}
 
     def restore(self, saved: dict[str, Any]) -> None:

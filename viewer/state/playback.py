@@ -1,4 +1,4 @@
-"""Playback: which slot is due, asked for and shown. The wall clock is handed in; nothing here waits."""
+"""Playback: the slots that are due, requested and shown. The wall clock is handed in; nothing here waits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ _RATE_WINDOW = 1.0  # seconds
 
 
 class Tick(NamedTuple):
-    """`request`: slot to ask the engine for; `visible`: slot to have on screen, None before the first delivery."""
+    """Outcome of a tick. `request`: slot to ask the engine for; `visible`: slot to have on screen, None before the
+    first delivery."""
 
     request: int
     visible: int | None
@@ -55,7 +56,8 @@ class Playback:
         self._stamps: deque[float] = deque()  # when slots were shown, during the last second
 
     def open(self, count: int, fps: float, times: Sequence[float] | None = None, *, keep: bool = False) -> None:
-        """Another sequence: stop at its start without in and out points. `keep`: the same one reloaded, stay."""
+        """Take over another sequence: stop at its start without in and out points. `keep`: the same one reloaded,
+        stay."""
         schedule = Schedule(count, fps, self.n, None if times is None else tuple(map(float, times)))
         self.pause()
         self._schedule, self._ready, self.visible = schedule, None, None
@@ -64,7 +66,8 @@ class Playback:
         self._place(schedule.slot_at(self._time) if keep else 0)
 
     def extend(self, count: int, times: Sequence[float] | None = None) -> None:
-        """The same sequence with more frames at its end; who stands at its last slot stays at the last."""
+        """Take over the same sequence with more frames at its end. Paused at the last slot, it goes to the new last
+        one."""
         at_end = not self._playing and self.slot == self.slots - 1
         self._schedule = Schedule(count, self.fps, self.n, None if times is None else tuple(map(float, times)))
         if at_end:
@@ -105,7 +108,7 @@ class Playback:
         self._time = max(self._time, time)
 
     def time_of(self, slot: int) -> float:
-        """Seconds of the sequence at which `slot` is due."""
+        """Return the seconds of the sequence at which `slot` is due."""
         return self._schedule.time_of(slot)
 
     @property
@@ -137,7 +140,7 @@ class Playback:
 
     @property
     def loop(self) -> bool:
-        """On: playback wraps from out to in; off: it stops at out."""
+        """Whether playback wraps from out to in; otherwise it stops at out."""
         return self._loop
 
     @loop.setter
@@ -146,7 +149,7 @@ class Playback:
         self._loop = bool(loop)
 
     def preferences(self) -> dict:
-        """How it plays, as plain JSON to remember."""
+        """Return mode, speed and loop, as plain JSON to remember."""
         return {"mode": self._mode, "speed": self._speed, "loop": self._loop}
 
     def restore(self, preferences: dict) -> None:
@@ -187,7 +190,7 @@ class Playback:
 
     @property
     def scrubbing(self) -> bool:
-        """While true nothing plays; playback stays paused afterwards."""
+        """Whether the user scrubs: then nothing plays; playback stays paused afterwards."""
         return self._scrubbing
 
     @scrubbing.setter
@@ -197,7 +200,7 @@ class Playback:
             self.pause()
 
     def seek(self, slot: int) -> None:
-        """To `slot`. Like all moves by hand it pauses, and goes no further than the ends of the sequence."""
+        """Go to `slot`. Like all moves by hand this pauses, and goes no further than the ends of the sequence."""
         self.pause()
         self._place(self._clamped(slot))
 
@@ -205,17 +208,18 @@ class Playback:
         self.seek(self.slot + slots)
 
     def step_rendered(self, frames: int = 1) -> None:
-        """To the next (1) or previous (−1) rendered frame; from a generated one, back to the frame it was made of."""
+        """Go to the next (1) or previous (−1) rendered frame; from a generated one, back to the frame it was made
+        of."""
         k, j = divmod(self.slot, self.n + 1)
         target = min(max(k + frames + (j > 0 and frames < 0), 0), self.count - 1) * (self.n + 1)
         self.seek(target if frames < 0 else max(target, self.slot))
 
     def home(self) -> None:
-        """To the in point; from there, or before it, to the first slot."""
+        """Go to the in point; from there, or before it, to the first slot."""
         self.seek(self.first if self.slot > self.first else 0)
 
     def end(self) -> None:
-        """To the out point; from there, or after it, to the last slot."""
+        """Go to the out point; from there, or after it, to the last slot."""
         self.seek(self.last if self.slot < self.last else self.slots - 1)
 
     @property
@@ -251,8 +255,9 @@ class Playback:
         self._points(None, None)
 
     def tick(self, now: float, ready: int | None) -> Tick:
-        """Once per UI frame. `now`: wall clock in seconds; `ready`: slot that the engine has delivered last, counted
-        with the present n and in the present sequence (None: nothing yet)."""
+        """Move on, once per frame of the interface, and return the slots to request and to show. `now`: wall clock in
+        seconds; `ready`: slot that the engine has delivered last, counted with the present n and in the present
+        sequence (None: nothing yet)."""
         if self._now is None:
             self._started = self._now = now
         elapsed = min(max(now - self._now, 0.0), _LONGEST_STALL)
@@ -271,7 +276,8 @@ class Playback:
         return Tick(self.slot, self.visible)
 
     def rest(self, now: float) -> float:
-        """Seconds until the next slot is due, where nothing is waited for until then; 0 if it does not play."""
+        """Return the seconds until the next slot is due, where nothing is waited for until then; 0 if it does not
+        play."""
         if not self._playing or self.waiting or self._now is None:
             return 0.0
         if self._mode == REAL_TIME:
@@ -281,7 +287,7 @@ class Playback:
         return max(left / self._speed - (now - self._now), 0.0)
 
     def _deliver(self, now: float, ready: int, news: bool) -> None:
-        """`ready` is there, between the points; `news`: it was not yet at the last tick."""
+        """Count `ready` as delivered, a slot between the points; `news`: it was not yet there at the last tick."""
         behind = self.slot - ready
         if self._loop:
             behind %= self.last - self.first + 1
@@ -337,7 +343,7 @@ class Playback:
             self._jump(self.first)
 
     def _overtake(self) -> None:
-        """Of the slots waited for, only the one due now can still come."""
+        """Drop the slots that are waited for, except the one due now, which can still come."""
         self.dropped += max(self.waiting - 1, 0)
         self.waiting = min(self.waiting, 1)
         self._spent = 0.0

@@ -19,8 +19,8 @@ _LONGEST = 60  # letters of a name
 
 @dataclass(frozen=True)
 class Kept:
-    """Named settings: modules, parameters, network and rendering window. `kernels`: the build in use, of this
-    session; empty: the newest. `weights`: identifies the network's weights."""
+    """Named settings: modules, parameters, network and rendering window. `kernels`: a build that was in use since the
+    viewer was started; empty: the newest. `weights`: identifies the network's weights."""
 
     name: str
     options: Options
@@ -29,18 +29,19 @@ class Kept:
     weights: str = ""
 
     def setup(self, n: int) -> Setup:
-        """... for `n` generated frames per rendered one, which is a matter of playback."""
+        """Return the setup of these settings for `n` generated frames per rendered one, which is a matter of
+        playback."""
         return Setup(self.options, self.window, n, self.kernels)
 
     @property
     def suspicion(self) -> str:
-        """Return the differences from the kept settings; empty if none."""
+        """Warning if the network's file has changed since the settings were kept; empty if not."""
         if self.weights != weights_of(self.options):
             return "the network's file has changed since these settings were kept"
         return ""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON; kernels are not in it."""
+        """Return the settings as plain JSON, without the kernels."""
         changed = {
             name: getattr(self.options, name)
             for name, option in OPTIONS.items()
@@ -78,7 +79,7 @@ class KeptSettings:
         self.b: Kept | None = None
 
     def keep(self, setup: Setup, kernels: str, name: str = "") -> Kept:
-        """Keep the present settings as B. Equal settings under another name get that name."""
+        """Keep the present settings as B, and return them. Equal settings under another name get that name."""
         made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, weights_of(setup.options))
         self.all = [kept for kept in self.all if replace(kept, name=made.name) != made and kept.name != made.name]
         self.all = [made, *self.all][:_MOST]
@@ -86,7 +87,7 @@ class KeptSettings:
         return made
 
     def rename(self, kept: Kept, name: str) -> None:
-        """Another name; none that is taken or empty."""
+        """Give kept settings another name, unless it is taken or empty."""
         name = name.strip()[:_LONGEST]
         if not name or any(other.name == name for other in self.all):
             return
@@ -95,7 +96,7 @@ class KeptSettings:
         self.b = renamed if self.b == kept else self.b
 
     def choose(self, name: str) -> None:
-        """As B."""
+        """Make the settings of this name B, if there are any."""
         self.b = next((kept for kept in self.all if kept.name == name), self.b)
 
     def forget(self, kept: Kept) -> None:
@@ -104,7 +105,7 @@ class KeptSettings:
             self.b = self.all[0] if self.all else None
 
     def preferences(self) -> list[dict[str, Any]]:
-        """Plain JSON."""
+        """Return all kept settings as plain JSON."""
         return [kept.to_json() for kept in self.all]
 
     def restore(self, saved: list) -> None:
@@ -127,7 +128,7 @@ def told(setup: Setup) -> str:
 
 
 def _deviations(options: Options) -> list[str]:
-    """... one by one."""
+    """Return the deviations from the defaults, one by one."""
     found = []
     for name, option in OPTIONS.items():
         value = getattr(options, name)

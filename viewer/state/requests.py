@@ -30,7 +30,7 @@ class Needed:
         self._regions, self._disocclusions, self._selection = regions, disocclusions, selection
 
     def all(self) -> frozenset[str]:
-        """All layers."""
+        """Return the names of all layers; the displayed image alone while they are not known."""
         return frozenset(spec.name for spec in self._contents.layers) or frozenset({names.FINAL})
 
     def of_first(self) -> frozenset[str]:
@@ -79,8 +79,8 @@ class Prefetch:
         return self._cache.get(FrameKey(recipe, request.slot), request.layers, request.metrics)
 
     def update(self, now: float, recipe: Recipe, request: Request, nbytes: int, beside: bool) -> None:
-        """Call once per frame of the interface. `request`: the picture's, whose slots take `nbytes` each; `beside`:
-        whether computation in advance is allowed."""
+        """Plan the slots to compute in advance. Call once per frame of the interface. `request`: the picture's, whose
+        slots take `nbytes` each; `beside`: whether computation in advance is allowed."""
         if not self._cache.most:
             return
         playback, wanted = self._playback, (recipe, request.layers, request.metrics)
@@ -109,7 +109,7 @@ class Prefetch:
 
 
 class Asking:
-    """Looks into the cache first, else asks the engine.
+    """Requests for slots: it looks into the cache first, else it asks the engine.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Asking:
         self._serial = itertools.count(1)
 
     def serial(self) -> int:
-        """Another number for everything that is asked of the engine."""
+        """Return another number for each request to the engine."""
         return next(self._serial)
 
     def forget(self) -> None:
@@ -177,7 +177,7 @@ class Asking:
             self._show(*pair)
 
     def fill(self, now: float, recipe: Recipe, may_run: bool) -> None:
-        """Call once per frame of the interface: request slots in advance."""
+        """Request slots in advance, where `may_run` allows it. Call once per frame of the interface."""
         result = self._contents.result
         if result is None or self._wanted is None:
             return
@@ -198,7 +198,7 @@ class Asking:
         return result is not None and bool(wanted) and wanted == replace(result.request, serial=wanted.serial)
 
     def _came(self, result: Result) -> None:
-        """A's result is there; where it is compared with B's it waits for that."""
+        """Show A's result, which has come; where it is compared with B's it waits for that."""
         if self._second.belongs(result):
             self._second.pair(result)
         else:

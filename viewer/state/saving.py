@@ -42,11 +42,11 @@ class Subject:
         return result.request.slot if result is not None else self.playback.slot
 
     def unused(self, stem: str, suffix: str) -> Path:
-        """A new path in the working folder."""
+        """Return a new path in the working folder."""
         return unused_name(Path.cwd(), f"{self.contents.source.name}_{stem}", suffix)
 
     def picture(self, canvas) -> np.ndarray:
-        """(H, W, 4) uint8 of the view, unzoomed."""
+        """Return (H, W, 4) uint8 of the view, unzoomed."""
         width, height = self.contents.size
         view = replace(self.shown(), zoom=1.0, center=(width / 2, height / 2), grid=False)
         return read(canvas.draw(view, (width, height), "export"))
@@ -81,7 +81,7 @@ class Work:
         """Stop if possible; `finished` then becomes true."""
 
     def close(self) -> None:
-        """The viewer ends: nothing half done is left, unless it takes more than seconds to stop."""
+        """Cancel as the viewer ends: nothing half done is left, unless it takes more than five seconds to stop."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
@@ -103,7 +103,8 @@ class Work:
 
 
 class PictureWork(Work):
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it."""
+    """Saving of the view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under
+    it."""
 
     def __init__(self, subject: Subject):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
@@ -119,7 +120,7 @@ class PictureWork(Work):
 
 
 class LayersWork(Work):
-    """All layers of the present slot as EXR files in a new folder."""
+    """Saving of all layers of the present slot as EXR files in a new folder."""
 
     def __init__(self, subject: Subject):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_layers", ""), 1)
@@ -148,7 +149,7 @@ class LayersWork(Work):
 
 
 class RecordingWork(Work):
-    """Frames of a running program as a sequence in a new folder."""
+    """Writing of a running program's frames as a sequence in a new folder."""
 
     def __init__(self, subject: Subject, sequence: Sequence):
         super().__init__(subject, subject.unused("recorded", ""), len(sequence.rendered))
@@ -162,11 +163,11 @@ class RecordingWork(Work):
         self.done += 1
 
     def _proceed(self, canvas):
-        """All is done on the thread."""
+        """Do nothing: all is done on the thread."""
 
 
 class VideoWork(Work):
-    """Every slot between the in and the out point as MP4; then back to the slot from which it was started."""
+    """Saving of every slot between the in and the out point as MP4; then back to the slot from which it was started."""
 
     def __init__(self, subject: Subject):
         playback = subject.playback

@@ -1,4 +1,4 @@
-"""When the slots of a sequence are due.
+"""Schedule of a sequence: the times at which its slots are due.
 
 A sequence of `count` rendered frames with `n` generated frames after each has count·(n+1) slots.
 """
@@ -17,7 +17,7 @@ ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many
 
 @dataclass(frozen=True)
 class Schedule:
-    """When slots are due, in seconds of the sequence.
+    """Times at which slots are due, in seconds of the sequence.
 
     Without `times` rendered frames are 1/fps apart. With them (seconds, one per rendered frame, increasing) the frames
     generated after one are spread over the interval before it, as the pipeline extrapolates, or over the one
@@ -54,16 +54,17 @@ class Schedule:
         return (self.n + 1) * (self.count - 1) / (self.times[-1] - self.times[0])
 
     def time_of(self, slot: int) -> float:
-        """When `slot` is due; for the slot after the last one, when that one has been shown long enough."""
+        """Return when `slot` is due, in seconds; for the slot after the last one, when that one has been shown long
+        enough."""
         k = min(slot // (self.n + 1), self.count - 1)
         return self._rendered(k) + self._span(k) * ((slot - k * (self.n + 1)) / (self.n + 1))
 
     def slot_at(self, time: float) -> int:
-        """The last slot that is due at `time`; the first one before its time."""
+        """Return the last slot that is due at `time` (seconds); the first one before its time."""
         return max(bisect_right(range(self.slots), time + ROUNDING, key=self.time_of) - 1, 0)
 
     def duration(self, slot: int) -> float:
-        """Seconds from `slot` until the next one is due."""
+        """Return the seconds from `slot` until the next one is due."""
         return self.time_of(slot + 1) - self.time_of(slot)
 
     def _rendered(self, k: int) -> float:

@@ -22,8 +22,8 @@ THEMES = ("dark", "light")
 
 
 def default_path() -> Path | None:
-    """viewer.json in the user's folder for configuration (Linux: $XDG_CONFIG_HOME or ~/.config, then gffe-cl); None if
-    the user has no home folder."""
+    """Return the path of viewer.json in the user's folder for configuration (Linux: $XDG_CONFIG_HOME or ~/.config, then
+    gffe-cl); None if the user has no home folder."""
     folder, old = platformdirs.user_config_path("gffe-cl", appauthor=False), _unix_folder()
     if not folder.is_absolute():
         folder = old
@@ -31,19 +31,20 @@ def default_path() -> Path | None:
 
 
 def _unix_folder() -> Path:
-    """The folder on Linux; until version 0.1 that of every system."""
+    """Return the folder for configuration on Linux; until version 0.1 it was that of every system."""
     given = os.environ.get("XDG_CONFIG_HOME", "")
     return Path(given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))) / "gffe-cl"
 
 
 def _path_to_read() -> Path | None:
-    """`default_path`, or where an older version wrote, if nothing has been written there yet."""
+    """Return `default_path`, or the path that an older version wrote to, if nothing has been written to the new one
+    yet."""
     path, old = default_path(), _unix_folder() / "viewer.json"
     return old if path and not path.exists() and old.is_file() else path
 
 
 def can_save() -> bool:
-    """Whether the user's folder for settings can be written to; it is made if it is missing."""
+    """Return whether the user's folder for settings can be written to; it is made if it is missing."""
     path = default_path()
     if path is None:
         return False
@@ -80,8 +81,8 @@ class Settings:
 
     @classmethod
     def load(cls, path: Path | None = None) -> tuple[Settings, str | None]:
-        """(settings, warning or None) from `path`, or from the user's file. Whatever is missing or damaged has its
-        default; a damaged entry costs only itself."""
+        """Return (settings, warning or None) from `path`, or from the user's file. Whatever is missing or damaged has
+        its default; a damaged entry costs only itself."""
         settings = cls()
         path = path or _path_to_read()
         if path is None:
@@ -101,7 +102,8 @@ class Settings:
         return settings, f"{path}: damaged settings have their defaults: {listed}" if damaged else None
 
     def save(self, path: Path | None = None) -> str | None:
-        """Write to `path`, or to the user's file, whole or not at all; a warning if that is not possible."""
+        """Write to `path`, or to the user's file, whole or not at all. Returns a warning if that is not possible, else
+        None."""
         path = path or default_path()
         if path is None:
             return "the settings cannot be saved: there is no home folder"

@@ -23,7 +23,7 @@ _HISTORY = 2  # rendered frames before the one that a slot is made of
 
 @dataclass(frozen=True)
 class Side:
-    """A or B, with its measured figures."""
+    """A or B: its setup, and the recipe by which its figures are stored."""
 
     setup: Setup
     recipe: Recipe
@@ -59,7 +59,8 @@ class Survey:
     # ---- measuring -----------------------------------------------------------------------------------------
 
     def update(self, a: Setup, b: Setup | None, exposure: float, may_run: bool) -> None:
-        """Call once per frame of the interface; `may_run`: whether the engine is idle."""
+        """Take the figures that became known, and request slots that are missing. Call once per frame of the interface;
+        `may_run`: whether the engine is idle."""
         self.a, self.b = (None if setup is None else Side(setup, self._engine.recipe(setup)) for setup in (a, b))
         while (answer := self._engine.poll_survey()) is not None:
             self._planned = None
@@ -120,7 +121,7 @@ class Survey:
         return self._known[recipe]
 
     def _missing(self) -> list[Request]:
-        """The next slots: A's from the playhead on and round, then B's."""
+        """Return requests for the next slots: A's from the playhead on and round, then B's."""
         slots, here = self.slots, self._playback.slot
         order = [slot for slot in slots if slot >= here] + [slot for slot in slots if slot < here]
         for side in self._sides:
@@ -133,22 +134,22 @@ class Survey:
     # ---- results -------------------------------------------------------------------------------------------
 
     def figures(self, side: Side | None) -> dict[int, Figures]:
-        """By slot."""
+        """Return the figures of A or B by slot."""
         return {} if side is None else self._of(side.recipe)
 
     def curve(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Slots and values, in order."""
+        """Return slots and values of a quantity, in order."""
         quantity = quantity or self.quantity
         known = sorted((s, f.values[quantity]) for s, f in self.figures(side).items() if quantity in f.values)
         return np.array([s for s, _ in known], np.float64), np.array([v for _, v in known], np.float64)
 
     def mean(self, side: Side | None, quantity: str) -> float | None:
-        """Over the slots that are known and counted."""
+        """Return the mean over the slots that are known and counted; None if there are none."""
         values = self._counted(side, quantity)[1]
         return float(values.mean()) if values.size else None
 
     def _counted(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Those of `curve` that have history, or all if none has."""
+        """Return those slots and values of `curve` that have history, or all if none has."""
         xs, ys = self.curve(side, quantity)
         counted = np.array([self._has_history(int(x)) for x in xs], bool)
         return (xs[counted], ys[counted]) if counted.any() else (xs, ys)
@@ -159,7 +160,7 @@ class Survey:
         return before == 0 or k - self.resets[before - 1] >= _HISTORY
 
     def parts(self, side: Side | None) -> dict[str, Part]:
-        """Of all slots that are counted: the regions' shares of the pixels and of the error."""
+        """Return the regions' shares of the pixels and of the error, of all slots that are counted."""
         pixels, errors, whole = dict.fromkeys(REGIONS, 0.0), dict.fromkeys(REGIONS, 0.0), 0
         for figures in self.with_parts(side):
             whole += 1
@@ -172,7 +173,7 @@ class Survey:
         return {name: Part.of(pixels[name] / whole, errors[name] / whole, total / whole) for name in REGIONS}
 
     def with_parts(self, side: Side | None) -> list[Figures]:
-        """Of the slots that are counted, where their regions are known."""
+        """Return the figures of the slots that are counted, where their regions are known."""
         known = {slot: figures for slot, figures in self.figures(side).items() if figures.parts}
         counted = [figures for slot, figures in known.items() if self._has_history(slot)]
         return counted or list(known.values())
@@ -191,7 +192,7 @@ class Survey:
         return None, self.why_not() or "no frame can be found by this"
 
     def why_not(self, difference: bool = False) -> str | None:
-        """Why no frame can be found."""
+        """Return why no frame can be found; None where one can be, or nothing is known yet."""
         if difference and self.b is None:
             return "B is not other settings (K keeps them)"
         quantity = QUANTITIES[self.quantity]
@@ -203,17 +204,18 @@ class Survey:
         return None
 
     def worst(self) -> int | None:
-        """The slot that is worst in `quantity`; None if none is known yet."""
+        """Return the slot that is worst in `quantity`; None if none is known yet."""
         return self._go("worst", 0)
 
     def most_different(self) -> int | None:
-        """The slot with the largest difference between A and B."""
+        """Return the slot with the largest difference between A and B, at each further call the next one; None if none
+        is known yet."""
         found = self._found
         again = found is not None and found[0] == f"difference {self.quantity}"
         return self._go("difference", found[2] + 1 if found is not None and again else 0)
 
     def next(self) -> int | None:
-        """The next one in the order of the last search, by default the worst."""
+        """Return the next slot in the order of the last search, by default the worst; None if none is known yet."""
         if self._found is None or not self._found[0].endswith(f" {self.quantity}"):
             return self.worst()
         return self._go(self._found[0].split()[0], self._found[2] + 1)
@@ -266,7 +268,7 @@ class _Measuring:
         return len(self._waiting)
 
     def slots(self, recipe: Recipe) -> set[int]:
-        """Of this recipe: they are being measured, or were and not taken."""
+        """Return the slots of this recipe that wait, that are being measured, or whose figures were not taken yet."""
         with self._news:
             found = {result.request.slot for of, result, _ in self._waiting if of == recipe}
             found |= {slot for of, slot, _ in self._made if of == recipe}

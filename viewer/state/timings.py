@@ -23,7 +23,7 @@ class Timings:
         self._readbacks: deque[float] = deque(maxlen=_MEAN)
 
     def add(self, result) -> None:
-        """Of an engine's Result."""
+        """Add the times of an engine's Result."""
         taken = dict(result.milliseconds)
         network = taken.pop("network", 0.0)
         copies = taken.pop("network copies", 0.0)
@@ -49,22 +49,22 @@ class Timings:
         self._readbacks.append(result.readback_ms)
 
     def means(self) -> dict[str, float]:
-        """Kernel time by stage."""
+        """Return the mean kernel times by stage, milliseconds."""
         return {name: _mean(list(values)[-_MEAN:]) for name, values in self.stages.items()}
 
     def of_stage(self, stage: str) -> dict[str, float]:
-        """Kernel time by kernel."""
+        """Return the mean times of a stage's kernels by their names, milliseconds."""
         return {kernel: _mean(values) for (owner, kernel), values in self.kernels.items() if owner == stage}
 
     def network(self) -> float:
         return _mean(self._networks)
 
     def copies(self) -> float:
-        """Transfers from the device to the network's runtime, and back."""
+        """Return the mean time of transfers from the device to the network's runtime and back, milliseconds."""
         return _mean(self._copies)
 
     def wall(self) -> float:
-        """From taking a request to its images."""
+        """Return the mean time from taking a request to its images, milliseconds."""
         return _mean(self._walls)
 
     def readback(self) -> float:

@@ -75,7 +75,8 @@ class Pointing:
         self._hovered: tuple[int, int] | None = None
 
     def hover(self, at: tuple[float, float] | None) -> None:
-        """The pointer is over this display position; values of its pixel are asked for."""
+        """Note that the pointer is over this display position, and request the values of its pixel; None: it is
+        elsewhere."""
         pixel = None if at is None or not self.enabled else (math.floor(at[0]), math.floor(at[1]))
         pixel = pixel if self._is_inside(pixel) else None
         if pixel != self._hovered:
@@ -86,7 +87,7 @@ class Pointing:
                 self._ask(wanted)
 
     def pick(self, pixel: tuple[int, int] | None) -> None:
-        """Tell the story of a pixel."""
+        """Request the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
         self.picked, self.story = None, None
         self.inspection = self.inspection if self._hovered else None
         if pixel is not None and self._is_inside(pixel):
@@ -106,7 +107,7 @@ class Pointing:
         self.story_due = False
 
     def take(self, inspection) -> None:
-        """An engine's Inspection of the present slot."""
+        """Take an engine's Inspection of the present slot."""
         if inspection.pixel == self.picked:
             self.story, self.story_due = inspection.story, False
             if self._hovered != self.picked:
@@ -149,7 +150,7 @@ class Screen:
         return not self._waiting
 
     def preview(self, preview: Preview) -> None:
-        """Something to look at before there are contents."""
+        """Show a preview on the canvas before there are contents."""
         if self.canvas is not None:
             self.canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
             self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
@@ -169,7 +170,7 @@ class Screen:
         self.proceed()
 
     def proceed(self) -> None:
-        """Once per frame of the interface."""
+        """Upload images that wait, as many as time permits. Call once per frame of the interface."""
         end = time.perf_counter() + _BUDGET
         while self._waiting:
             self._upload(next(iter(self._waiting)))

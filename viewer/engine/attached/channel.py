@@ -36,20 +36,21 @@ _OWN_FOLDER = "expected XDG_RUNTIME_DIR, or TMPDIR, to name a folder of your own
 
 
 def require_linux() -> None:
-    """GffeError on other systems."""
+    """Raise GffeError on other systems than Linux."""
     if sys.platform != "linux":
         raise GffeError(f"attach: this system is {sys.platform} (expected Linux, for memfd_create and SO_PEERCRED)")
 
 
 def require_name(name: str) -> str:
-    """The name of a program, as users type it."""
+    """Return `name` if it can be a program's, as users type it. Raises GffeError otherwise."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise GffeError(f"attach: name must be 1 to 64 letters, digits, '.', '_' or '-', got {shown(name)}")
     return name
 
 
 def socket_folder() -> Path:
-    """Where the sockets are: made if it is missing. GffeError unless it belongs to this user alone."""
+    """Return the folder of the sockets, which is made if it is missing. Raises GffeError unless it belongs to this user
+    alone."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     there = runtime if runtime and os.path.isdir(runtime) else None  # some containers name one that there is not
     folder = Path(there) / "gffe-cl" if there else Path(tempfile.gettempdir()) / f"gffe-cl-sockets-{os.getuid()}"
@@ -105,12 +106,12 @@ class Channel:
         raise OtherVersion(text.removeprefix(_PROTOCOL).strip() if text.startswith(_PROTOCOL) else "another version")
 
     def send(self, packet: bytes, fds: tuple[int, ...] = ()) -> None:
-        """Raise OSError if the other side has ended, or does not read."""
+        """Send a packet, with descriptors. Raises OSError if the other side has ended, or does not read."""
         socket.send_fds(self._socket, [packet], fds)
 
     def receive(self, seconds: float | None = None) -> bytes:
-        """The next packet. The kernel closes descriptors that come with it. EOFError if the other side has ended;
-        TimeoutError after `seconds`."""
+        """Return the next packet. The kernel closes descriptors that come with it. Raises EOFError if the other side
+        has ended, TimeoutError after `seconds`."""
         self._socket.settimeout(seconds)
         try:
             return _filled(self._socket.recv(_LARGEST))
@@ -120,8 +121,8 @@ class Channel:
             raise EOFError from error
 
     def receive_with_fds(self) -> tuple[bytes, list[int]]:
-        """The next packet, and the descriptors that came with it, which the caller closes. EOFError if the other side
-        has ended."""
+        """Return the next packet, and the descriptors that came with it, which the caller closes. Raises EOFError if
+        the other side has ended."""
         self._socket.settimeout(None)
         try:
             data, fds, _, _ = socket.recv_fds(self._socket, _LARGEST, _MOST_FDS, socket.MSG_CMSG_CLOEXEC)
@@ -130,7 +131,7 @@ class Channel:
         return _filled(data), fds
 
     def close(self) -> None:
-        """Wakes who waits in `receive`, here and on the other side."""
+        """Close the connection. That wakes threads that wait in `receive`, here and on the other side."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -149,8 +150,8 @@ def _filled(packet: bytes) -> bytes:
 
 
 class Listener:
-    """Waits for viewers at a socket of the name `name`, or of `stem` with a number if that is taken; GffeError for a
-    `name` that is."""
+    """Socket that waits for viewers, with the name `name`, or `stem` with a number if that is taken. Raises GffeError
+    for a `name` that is."""
 
     def __init__(self, name: str | None, stem: str):
         require_linux()
@@ -175,7 +176,8 @@ class Listener:
         self._path, self.name = found, found.stem
 
     def accept(self) -> Channel:
-        """The next viewer of this user; others are sent away. OSError once it is closed."""
+        """Return a channel to the next viewer of this user; others are sent away. Raises OSError once the listener is
+        closed."""
         while True:
             try:
                 connected, _ = self._socket.accept()
@@ -212,8 +214,8 @@ def _bound(binding: socket.socket, path: Path) -> bool:
 
 
 def connect(name: str) -> Channel:
-    """Connect to the program attached as `name`. Raises GffeError if there is none, if it does not answer, or if it is
-    another user's."""
+    """Connect to the program attached as `name`, and return the channel. Raises GffeError if there is none, if it does
+    not answer, or if it is another user's."""
     require_linux()
     require_name(name)
     folder = socket_folder()
@@ -273,7 +275,8 @@ def _path(folder: Path, name: str) -> Path:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """No other process removes sockets meanwhile, unless one was stopped while it did."""
+    """Lock the folder, so that no other process removes sockets meanwhile. Goes on without the lock after a second: its
+    owner may be stopped."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     end = time.monotonic() + _LOCK_SECONDS
     try:
@@ -304,7 +307,7 @@ def _remove_dead(folder: Path) -> None:
 
 
 def _is_program(path: Path) -> bool:
-    """Whether a living process has a socket of packets there."""
+    """Return whether a living process has a socket of packets at `path`."""
     with suppress(OSError):
         return stat.S_ISSOCK(path.lstat().st_mode) and _refusals(path) == {errno.EPROTOTYPE}
     return False

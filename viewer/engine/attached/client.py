@@ -110,7 +110,7 @@ class Attachment:
         return self._watcher.viewer is not None
 
     def close(self) -> None:
-        """Send the viewer away, and let no other one come. Again it does nothing."""
+        """Send the viewer away, and let no other one come. A second call does nothing."""
         pipeline = self._pipeline()
         if self._end.alive and pipeline is not None:
             pipeline.watcher = None
@@ -152,7 +152,7 @@ def _look(watcher: _Watcher, channel: Channel, pipeline: weakref.ref) -> None:
 
 
 def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer:
-    """The viewer, after the greeting. Raises an exception of any type unless it is one of this version."""
+    """Return the viewer, after the greeting. Raises an exception of any type unless it is one of this version."""
     channel.agree(_GREETING_SECONDS)
     greeting = decoded(channel.receive(_GREETING_SECONDS), Greeting)
     looked_into = pipeline()
@@ -214,7 +214,7 @@ class _Watcher:
         self._generates = 0  # rendered frames from which on none is thought to be generated any more
 
     def leave(self, viewer: _Viewer | None) -> None:
-        """This viewer does not look any more."""
+        """Send this viewer away, if there is one."""
         if viewer is not None:
             if self.viewer is viewer:
                 self.viewer = None

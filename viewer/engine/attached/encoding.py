@@ -84,7 +84,7 @@ class _Arrays:
         self._data, self._at = data, 0
 
     def take(self, described: Any) -> np.ndarray:
-        """The next array, a copy."""
+        """Return a copy of the next array, which has the described type and shape."""
         name, shape = _typed(tuple[str, tuple[int, ...]], described, self)
         dtype = np.dtype(name)
         if dtype.kind not in NUMERIC or min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > _MOST_BYTES:
@@ -100,7 +100,7 @@ class _Arrays:
 
 @cache
 def _hints(kind: type) -> dict[str, Any]:
-    """Types of a dataclass's fields, by name."""
+    """Return the types of a dataclass's fields, by name."""
     hints = get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(kind)}
 

@@ -83,7 +83,7 @@ class RunningProgram:
         self._send(Use(options))
 
     def see(self, layers: frozenset[str], generated: bool, check: Callable[[], None]) -> tuple[Seen, dict]:
-        """The next frame and its images, copied. Waits for it; `check` is called meanwhile and may raise. Raises
+        """Return the next frame and its images, copied. Waits for it; `check` is called meanwhile and may raise. Raises
         GffeError if the program has ended, and if it refused options."""
         if self._owed:  # the caller did not wait for it, and may have requested other layers
             self._wait("_seen", check)
@@ -94,13 +94,13 @@ class RunningProgram:
         return seen, {name: np.array(image) for name, image in images.items()}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None, check: Callable[[], None]) -> Inspection:
-        """Return the next frame's values at a pixel; as `see`."""
+        """Return the next frame's values at a pixel. Waits and raises as `see` does."""
         self._send(Ask(x, y, layers))
         return self._wait("_inspection", check)
 
     def recording(self) -> Sequence:
-        """The last rendered frames, copied, as a sequence; also of a program that has ended. GffeError if it has
-        recorded none."""
+        """Return the last rendered frames, copied, as a sequence; also of a program that has ended. Raises GffeError if
+        it has recorded none."""
         sequence = None
         if self._plan is not None and self._recorded is not None:
             sequence = recorded(self._plan, self._recorded, self.name)

@@ -58,8 +58,8 @@ class SharedBlock:
 
 
 def mapped(descriptor: int) -> mmap.mmap:
-    """The memory of another process's block, to read. The caller still has to close the descriptor. Raises OSError for
-    a file that is no such block: reading one that shrinks would end this process."""
+    """Return the memory of another process's block, to read. The caller still has to close the descriptor. Raises
+    OSError for a file that is no such block: reading one that shrinks would end this process."""
     if not fcntl.fcntl(descriptor, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
         raise OSError("not sealed")
     return mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
@@ -70,7 +70,7 @@ def mapped(descriptor: int) -> mmap.mmap:
 
 @dataclass(frozen=True)
 class Placed:
-    """Where an image lies in a block."""
+    """Place of an image in a block."""
 
     offset: int
     dtype: str
@@ -81,12 +81,13 @@ class Placed:
             raise GffeError(f"attach: image has the type {shown(self.dtype)} (expected numbers)")
 
     def array(self, memory: mmap.mmap) -> np.ndarray:
-        """The image there, not a copy. Raises ValueError or TypeError where it does not lie in the memory."""
+        """Return the image at this place of the memory, not a copy. Raises ValueError or TypeError where it does not
+        lie in the memory."""
         return np.ndarray(self.shape, self.dtype, memory, self.offset)
 
 
 def placed(images: Mapping[str, np.ndarray]) -> tuple[dict[str, Placed], int]:
-    """Places for images one after the other, and the bytes that they take."""
+    """Return places for images one after the other, and the bytes that they take."""
     places, offset = {}, 0
     for name, image in images.items():
         places[name] = Placed(offset, image.dtype.str, image.shape)
@@ -137,7 +138,7 @@ class RecordingPlan:
         return self.count * self.stride
 
     def head(self, memory: mmap.mmap, slot: int) -> np.ndarray:
-        """(3,) uint64: number of the last change begun, of the last change finished, and bytes of the frame's
+        """Return (3,) uint64: number of the last change begun, of the last change finished, and bytes of the frame's
         description. If the first two differ, the frame is being written."""
         return np.ndarray(3, np.uint64, memory, slot * self.stride)
 
@@ -145,7 +146,7 @@ class RecordingPlan:
         return np.ndarray(_ABOUT, np.uint8, memory, slot * self.stride + 64)
 
     def images(self, memory: mmap.mmap, slot: int) -> list[np.ndarray]:
-        """color (H, W, 4) float16, depth (H, W) and motion (H, W, 2) float32."""
+        """Return the recorded images color (H, W, 4) float16, depth (H, W) and motion (H, W, 2) float32, not copied."""
         width, height = self.size
         offset, found = slot * self.stride + _rounded(64 + _ABOUT), []
         for nbytes, dtype, channels in zip(_BYTES, ("f2", "f4", "f4"), ((4,), (), (2,)), strict=True):
@@ -202,7 +203,7 @@ class Recorder:
         self._say()
 
     def made(self, time: float, camera: Camera) -> None:
-        """A frame of this time was extrapolated from the last one."""
+        """Record the camera of a frame that was extrapolated from the last rendered one for this time."""
         if self._about is None:
             return
         done = not self._copies

@@ -50,7 +50,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class Use:
-    """Change the pipeline's options before the next rendered frame. Answered by `Refused` if that fails."""
+    """Request to change the pipeline's options before the next rendered frame. Answered by `Refused` if that fails."""
 
     options: Options
 
@@ -77,7 +77,7 @@ class Program:
 
 @dataclass(frozen=True)
 class Recording:
-    """Where the last rendered frames are kept: in the block whose descriptor comes with this."""
+    """Layout of the last rendered frames, which are kept in the block whose descriptor comes with this message."""
 
     plan: RecordingPlan
 
@@ -102,7 +102,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Refused:
-    """Options could not be used."""
+    """Answer to `Use` if the options could not be used: the reason, and the options that the pipeline still has."""
 
     why: str
     options: Options

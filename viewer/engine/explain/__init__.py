@@ -1,1 +1,1 @@
-"""Why a pixel looks as it does."""
+"""Explanation of a pixel: the stages that made it, and the trail of its fragment."""

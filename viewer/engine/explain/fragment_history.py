@@ -35,8 +35,8 @@ class Fragment:
 
     @classmethod
     def at(cls, pipeline: Pipeline, shot: Shot, source_px, landed=None) -> Fragment | None:
-        """The fragment at `source_px`. `landed`: (display pixel, whether it lands in it, whether it is dynamic): then
-        the one next to `source_px` that does. None out of the image."""
+        """Return the fragment at `source_px`; None out of the image. `landed`: (display pixel, whether it lands in it,
+        whether it is dynamic): then the fragment next to `source_px` that does."""
         layers = device_layers(pipeline, shot)
         at = layers[names.RENDERED_DEPTH].place((0, 0), source_px)
         if at is None:
@@ -69,8 +69,8 @@ class Fragment:
 
 
 def _of_mover(pipeline, layers, at, depth: float) -> tuple[float, bool]:
-    """How much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1, and whether the camera
-    carries that mover."""
+    """Return how much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1, and whether the
+    camera carries that mover."""
     if names.ACCELERATION not in layers:
         return 0.0, False
     cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION, names.VIEW_VELOCITY))
@@ -83,7 +83,8 @@ def _of_mover(pipeline, layers, at, depth: float) -> tuple[float, bool]:
 
 
 def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bool) -> tuple[int, int]:
-    """The winner of a display pixel: within a pixel of where its motion points to; `at` if none fits."""
+    """Return the source pixel, `at` or beside it, of the fragment that won display pixel `pixel`; `at` if none fits.
+    Without `inside`, it is the one that landed next to the pixel's center."""
     x0, y0, width, height = around(at, 1, layers[names.RENDERED_DEPTH].size)
     wanted = (names.TARGET_POSITION, names.DYNAMIC_MASK)
     block = read_blocks(pipeline, {name: (layers[name], x0, y0, width, height) for name in wanted})
@@ -165,18 +166,18 @@ def _known_places(shot: Shot, px_prev, met_depth: float, history) -> list[np.nda
 
 
 def _projected(view_pos, camera: Camera) -> tuple[float, float] | None:
-    """Display pixels of a position in view space; None behind the camera."""
+    """Return the display position, in pixels, of a position in view space; None behind the camera."""
     x, y, z = map(float, view_pos)
     return (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy) if z > 0 else None
 
 
 def least(values: np.ndarray, fits: np.ndarray) -> int | None:
-    """Index of the least of `values` (N,), infinite ones too, where `fits` (N,)."""
+    """Return the index of the least of `values` (N,), infinite ones too, where `fits` (N,); None if that is nowhere."""
     candidates = np.flatnonzero(fits)
     return int(candidates[np.argmin(values[candidates])]) if candidates.size else None
 
 
 def around(at, reach: int, size) -> tuple[int, int, int, int]:
-    """x, y, width, height of the block up to `reach` around `at`, within an image of `size`."""
+    """Return x, y, width, height of the block up to `reach` around `at`, within an image of `size`."""
     x, y = (max(c - reach, 0) for c in at)
     return x, y, min(at[0] + reach + 1, size[0]) - x, min(at[1] + reach + 1, size[1]) - y

@@ -30,7 +30,7 @@ class Passed:
     begins: bool
 
     def at(self, queue: cl.CommandQueue, x: int, y: int) -> tuple[float, np.ndarray]:
-        """Depth and motion of a pixel inside."""
+        """Return depth and motion of a pixel inside."""
         if isinstance(self.depth, np.ndarray) and isinstance(self.motion, np.ndarray):
             return float(self.depth[y, x]), self.motion[y, x].astype(np.float64)
         depth, motion, place = np.empty(1, np.float32), np.empty(2, np.float32), y * self.size[0] + x
@@ -41,15 +41,15 @@ class Passed:
 
 @dataclass(frozen=True)
 class WayPoint:
-    """Where a fragment was in rendered frame `k`: `px` of that frame's display."""
+    """Position of a fragment in rendered frame `k`: `px` of that frame's display."""
 
     k: int
     px: tuple[float, float]
 
 
 def way_of(queue: cl.CommandQueue, passed: Iterable[Passed], px: tuple[float, float]) -> tuple[WayPoint, ...]:
-    """From rendered position `px` of the first of `passed` (newest first) back, as far as it is known: not before a
-    reset, out of the image, over sky, or where something nearer hides it."""
+    """Return the trail of a surface from rendered position `px` of the first of `passed` (newest first) back, as far as
+    it is known: not before a reset, out of the image, over sky, or where something nearer hides it."""
     way, expected = [], None
     for frame in passed:
         met = _met(queue, frame, px, expected)

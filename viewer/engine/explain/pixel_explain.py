@@ -34,8 +34,8 @@ def pixel_story(
     pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None,
     passed: Iterable[Passed] = (),
 ) -> Story:  # fmt: skip
-    """The story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its `pixel_values`,
-    `passed` are the frames submitted last, newest first."""
+    """Return the story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its
+    `pixel_values`, `passed` are the frames submitted last, newest first."""
     story = _story(pipeline, shot, x, y, values)
     if story.fragment is None:
         return story
@@ -140,7 +140,7 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
 
 
 def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
-    """To the pixel of the rendered frame that is shown there, if it is within the display."""
+    """Return a link to the pixel of the rendered frame that is shown there; no link if the position is not known."""
     if not source_px:
         return ()
     at = moved(source_px, shot.moment.render_camera, shot.moment.display_camera)
@@ -200,7 +200,8 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
 
 
 def _remembered(pipeline, shot, pixel, source_px, level: int, depth: float) -> tuple[float, float] | None:
-    """Where the remembered fragment lies that is shown at `pixel`, at `depth` there: pixels of the rendered image."""
+    """Return the position in the rendered image, in pixels, of the remembered fragment that is shown at `pixel`, at
+    `depth` there; None if it is not found."""
     layers = [device_layers(pipeline, shot)[names.background(name, level)] for name in ("state", "depth", "px")]
     at = source_px and layers[0].place(pixel, source_px)
     if not at:

@@ -9,7 +9,7 @@ from .motion_trail import WayPoint
 
 @dataclass(frozen=True)
 class Link:
-    """Where a step of a story leads: to `layer`, if it is named, of this slot or of rendered frame `frame`; there to
+    """Link of a step of a story: to `layer`, if it is named, of this slot or of rendered frame `frame`; there to
     display pixel `pixel`, by default the same."""
 
     label: str
@@ -19,7 +19,7 @@ class Link:
 
 
 class Step(str):
-    """A sentence of a story, and where it leads."""
+    """Sentence of a story, with its links."""
 
     links: tuple[Link, ...]
 
@@ -31,7 +31,7 @@ class Step(str):
 
 @dataclass(frozen=True)
 class Story:
-    """How a display pixel came about.
+    """Explanation of how a display pixel came about.
 
     Attributes
     ----------

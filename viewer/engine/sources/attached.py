@@ -61,13 +61,14 @@ class RemoteSlots:
         self._inspected = False  # a pixel of a frame: mostly of generated ones
 
     def drop(self) -> None:
-        """Nothing is kept here."""
+        """Do nothing: no pipeline is held here."""
 
     def holds(self, request: Request) -> bool:
         return True
 
     def make(self, request: Request, to_inspect: bool = False) -> Result:
-        """The next frame of the program, with the request's options."""
+        """Return the program's next frame. Options that have changed since the last request are sent to the program
+        first; frames that it makes before it uses them are skipped."""
         chosen, program = request.setup.options, self._program
         if self._chosen not in (None, chosen) and chosen != resolved(program.options):
             program.use(chosen)
@@ -99,7 +100,7 @@ class RemoteSlots:
         )
 
     def must_move(self) -> dict[str, dict[str, float]]:
-        """Not known of another process's pipeline."""
+        """Return an empty dict: the traffic of another process's pipeline is not known."""
         return {}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
@@ -111,5 +112,5 @@ class RemoteSlots:
 
 
 def resolved(options: Options) -> Options:
-    """With shading correction on or off, not automatic, as the viewer asks for it."""
+    """Return the options with shading correction on or off, not automatic, as the viewer asks for it."""
     return replace(options, shading_correction=options.corrects_shading)

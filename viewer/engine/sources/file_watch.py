@@ -1,4 +1,4 @@
-"""Captures that are being written while they are looked at."""
+"""Watch over captures that are being written while they are looked at."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ class Growth:
         return sequence
 
     def _state(self) -> list[tuple[int, int] | None]:
-        """Times of change and sizes of the folder and of the files that describe it."""
+        """Return time of change (nanoseconds) and size (bytes) of the folder and of the files that describe it; None
+        for missing ones."""
         found = []
         for path in (self._folder, *(self._folder / name for name in _DESCRIPTIONS)):
             try:
@@ -45,7 +46,7 @@ class Growth:
 
 
 def continues(sequence: Sequence, longer: Sequence) -> bool:
-    """Whether `longer` is `sequence` with more rendered frames after those that it has."""
+    """Return whether `longer` is `sequence` with more rendered frames after those that it has."""
     count = len(sequence.rendered)
     same = (sequence.width, sequence.height, sequence.fps, sequence.exposure) == (
         longer.width, longer.height, longer.fps, longer.exposure,

@@ -73,7 +73,7 @@ class SceneSource(Live, FrameSource):
         return other
 
     def _empty_ring(self) -> None:
-        """No frames on the device."""
+        """Drop the frames on the device, and set how many of the present size may be kept."""
         self._ring: OrderedDict[tuple, _Made] = OrderedDict()
         self._ring_size = max(_LEAST_RING, self._most // (sum(BYTES_PER_PIXEL) * math.prod(self.render_size)))
         self.held = min(REMEMBERED, self._ring_size - 1)
@@ -102,7 +102,8 @@ class SceneSource(Live, FrameSource):
         return False
 
     def fly(self, k: int, alpha: float, camera: Camera) -> None:
-        """From now on `camera` (display pixels) sees the scene at `time(k, alpha)`. May be called from any thread.
+        """Fly the camera: from now on `camera` (display pixels) sees the scene at `time(k, alpha)`. May be called from
+        any thread.
 
         Calls follow each other as a flight does: it moves evenly from one pose to the next if that is at most eight
         rendered frames later, and replaces what was flown in between. A new pose of a rendered frame that has been
@@ -126,7 +127,7 @@ class SceneSource(Live, FrameSource):
         self._flown[at] = camera
 
     def forget_flight(self) -> None:
-        """Back to the scene's own path. May be called from any thread."""
+        """Put the camera back on the scene's own path. May be called from any thread."""
         with self._lock:
             self._flown.clear()
             self._flown_at.clear()
@@ -166,7 +167,8 @@ class SceneSource(Live, FrameSource):
         return self._truths[key]
 
     def _made(self, k: int, before: _Made | None) -> _Made:
-        """Frame `k` after `before`; without one, as it was made for the window in use, whatever was before it then."""
+        """Return frame `k` after `before`; without one, the frame as it was made for the window in use, whichever frame
+        was before it then."""
         flown = self._flown_camera(k)
         shown = flown or self.camera(k, 0.0)
         if flown:

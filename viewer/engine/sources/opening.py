@@ -21,7 +21,8 @@ from .source import FrameSource
 
 
 def open_viewer_device(wanted: str | None = None) -> Device:
-    """The device that `open_device` opens; of a CPU all compute units but one, which is left to the interface."""
+    """Return the device that `open_device` opens; of a CPU, where it can be divided, all compute units but one, which
+    is left to the interface."""
     device = open_device(wanted)
     cl_device = device.cl_device
     if device.info.kind != "cpu" or cl_device.max_compute_units < 2:
@@ -33,7 +34,7 @@ def open_viewer_device(wanted: str | None = None) -> Device:
 
 
 class ScenePlan(NamedTuple):
-    """How built-in scenes are rendered; `fps`: None for the scene's own."""
+    """Settings that built-in scenes are rendered with: size in pixels, seed, and `fps`, None for the scene's own."""
 
     width: int
     height: int
@@ -65,7 +66,7 @@ def make_source(
 
 
 def _suspicion(sequence: Sequence, target: str) -> str | None:
-    """A sentence, if the first frames do not fit."""
+    """Return a sentence if the first frames do not fit, else None."""
     from gffe_cl.captures.doctor import quick_warning
 
     suspicion = quick_warning(sequence, sequence.exposure)

@@ -44,7 +44,7 @@ class Previewer:
         threading.Thread(target=self._run, name="gffe-viewer-preview", daemon=True).start()
 
     def sequence(self) -> Sequence:
-        """The opened sequence, once it is. Raises GffeError if it cannot be opened."""
+        """Wait until the sequence is opened, and return it. Raises GffeError if it cannot be opened."""
         self._opened.wait()
         if self._problem is not None:
             raise self._problem
@@ -83,5 +83,5 @@ class Previewer:
 
 
 def preview_of(target: str) -> Previewer | None:
-    """None for built-in scenes, which a device renders."""
+    """Return the previewer of `target`; None for built-in scenes, which a device renders."""
     return None if is_scene(target) else Previewer(target)

@@ -46,12 +46,12 @@ class FrameSource(Source, Protocol):
 
     def configure(self, window: str | None, n: int, upscale: float = 0.0) -> bool:
         """Use rendering window `window` for `n` generated frames per rendered one, and render for upscaling by
-        `upscale` where frames are rendered meanwhile; whether rendered frames change by that. Raises GffeError for a
-        window that this source does not have."""
+        `upscale` where frames are rendered meanwhile. Returns whether rendered frames change by that. Raises GffeError
+        for a window that this source does not have."""
         ...
 
     def restart(self) -> None:
-        """The next frame asked for has none before it."""
+        """Start anew: the next frame asked for has none before it."""
 
     def outdated(self, k: int, alpha: float) -> bool:
         """Return whether frames delivered since `restart` must be delivered again before `time(k, alpha)` is
@@ -59,14 +59,15 @@ class FrameSource(Source, Protocol):
         return False
 
     def camera(self, k: int, alpha: float) -> Camera | None:
-        """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
+        """Return the display camera at `time(k, alpha)`; None unless it and those of the other new frames of the
+        interval are known."""
 
     def truth(self, k: int, alpha: float) -> np.ndarray | None:
         """Return (H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, None if there is
         none."""
 
     def grow(self) -> bool:
-        """Take over frames that were added at the end since it was opened; whether there are any."""
+        """Take over frames that were added at the end since it was opened. Returns whether there are any."""
         return False
 
     def look_closer(self) -> None:
