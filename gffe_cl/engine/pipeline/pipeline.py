@@ -27,17 +27,11 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import MOST_ALPHA, Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
-from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
     RenderedFrame,
-    checked_frame,
-    display_camera_of,
-    host_arrays,
     is_shown_whole,
-    require_motion,
-    require_one_pose,
 )
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.device_errors import telling_device_faults
@@ -49,7 +43,7 @@ from gffe_cl.engine.stages.acceleration import Acceleration
 from gffe_cl.engine.stages.background import Background
 from gffe_cl.engine.stages.backward_blocks import BackwardBlocks
 from gffe_cl.engine.stages.base import Board, Output, Stage, Step
-from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec, DeviceFrame, Owner, Sizes
 from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
@@ -57,6 +51,7 @@ from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.hidden_parts import HiddenParts
 from gffe_cl.engine.stages.history import HistoryTracking
 from gffe_cl.engine.stages.holes import FILLINGS, HoleFilling
+from gffe_cl.engine.stages.intake import PreparedFrame, prepare
 from gffe_cl.engine.stages.memory_budget import footprint, require_room
 from gffe_cl.engine.stages.network_input import NetworkInput
 from gffe_cl.engine.stages.prediction import PositionPrediction
@@ -290,7 +285,8 @@ class Pipeline:
         Raises GffeError for fields that do not match `RenderedFrame`, wrong shapes, missing motion, a time that
         does not increase, or events that cannot be waited for; the pipeline is then as it was before.
         """
-        frame, zero_copy = checked_frame(frame), require_bool(zero_copy, "submit: zero_copy")
+        prepared = prepare(frame, self.sizes, self.device, jittered=bool(self.options.upscale))
+        frame, zero_copy = prepared.frame, require_bool(zero_copy, "submit: zero_copy")
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
         if self._times and not frame.reset and frame.time <= self._times[0]:
             raise GffeError(
@@ -306,7 +302,7 @@ class Pipeline:
         if overlays and self.composition is None:
             self.composition = Composition(self.board)
         layers = self.composition.prepared(overlays) if self.composition else {}
-        self._shown = on_device = self._on_device(frame, zero_copy)
+        self._shown = on_device = self._on_device(prepared, zero_copy)
         if self.composition:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
@@ -408,47 +404,35 @@ class Pipeline:
     def _shown_whole(self, frame: DeviceFrame) -> bool:
         return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
 
-    def _on_device(self, frame: RenderedFrame, zero_copy: bool) -> DeviceFrame:
-        display_camera = self._display_camera(frame)
-        require_one_pose(frame.camera, display_camera)
-        arrays: dict[str, Any] = {"color": frame.color, "depth": frame.depth, "motion": frame.motion}
-        given: dict[str, Any] = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
-        if given["color"] and given["depth"] and require_motion(frame) is None:
-            given["motion"] = self._zero_motion()
-        if all(given.values()):
-            return DeviceFrame(**given, camera=frame.camera, display_camera=display_camera, time=frame.time)
-        if any(given.values()):
-            other = next(name for name, buffer in given.items() if not buffer)
-            raise GffeError(
-                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
-                f" got {other} as {shown(arrays[other])}"
-            )
-        width, height = self.sizes.source
-        host = host_arrays(frame, height, width)
+    def _on_device(self, prepared: PreparedFrame, zero_copy: bool) -> DeviceFrame:
+        frame, host = prepared.frame, prepared.arrays
+        seen = {"camera": frame.camera, "display_camera": prepared.display_camera, "time": frame.time}
+        if host is None:
+            buffers = prepared.buffers
+            return DeviceFrame(**({} if "motion" in buffers else {"motion": self._zero_motion()}) | buffers, **seen)
         if self._upload is None:
             self._upload = Upload(self.board)
-        self._count_conversions(arrays, host)
+        self._count_conversions(frame, host)
         shared = self._upload.shared(host) if zero_copy else {}
         self._reads_arrays |= bool(shared)
-        buffers = dict(shared) if len(shared) == len(RENDERED) else self._slot(frame, display_camera) | shared
-        taken = DeviceFrame(**buffers, camera=frame.camera, display_camera=display_camera, time=frame.time)
+        buffers = dict(shared) if len(shared) == len(RENDERED) else self._slot(seen) | shared
+        taken = DeviceFrame(**buffers, **seen)
         self._upload.take(host, taken, shared)
         return taken
 
-    def _slot(self, frame: RenderedFrame, display_camera: Camera) -> dict[str, cl.Buffer]:
+    def _slot(self, seen: Mapping[str, Any]) -> dict[str, cl.Buffer]:
         """Return the buffers for a frame of NumPy arrays, by name. Two sets of them are used in turn."""
         if len(self._slots) < 2:
-            cameras = (frame.camera, display_camera, frame.time)
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
-            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras, motion))
+            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *seen.values(), motion))
         else:
             self._slots.append(self._slots.pop(0))
         return {spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED}
 
-    def _count_conversions(self, given: Mapping[str, Any], host: HostArrays) -> None:
+    def _count_conversions(self, frame: RenderedFrame, host: HostArrays) -> None:
         """Count the bytes of arrays that the host converted to another type or layout."""
-        for name, array in given.items():
-            made = getattr(host, name)
+        for spec in RENDERED:
+            array, made = getattr(frame, spec.name), getattr(host, spec.name)
             if made is not None and not (isinstance(array, np.ndarray) and np.may_share_memory(array, made)):
                 self._copied_bytes += made.nbytes
 
@@ -458,12 +442,6 @@ class Pipeline:
             self._no_motion = zeros = self.device.buffer(RENDERED[2].nbytes(self.sizes))
             cl.enqueue_fill_buffer(self.device.queue, zeros, b"\0", 0, zeros.size)
         return zeros
-
-    def _display_camera(self, frame: RenderedFrame) -> Camera:
-        if self.options.upscale and frame.display_camera is None:
-            frame = replace(frame, camera=without_jitter(frame.camera, self.sizes.source))
-            return frame.camera.scaled(*(t / s for s, t in zip(self.sizes.source, self.sizes.target, strict=True)))
-        return display_camera_of(frame, self.sizes.source, self.sizes.target)
 
     # ---- extrapolated frames ---------------------------------------------------------------------------
 

@@ -1,0 +1,74 @@
+"""Intake of rendered frames: everything about a frame is checked here, before any work on it begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pyopencl as cl
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import shown
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.jitter import without_jitter
+from gffe_cl.engine.frame.rendered_frame import (
+    HostArrays,
+    RenderedFrame,
+    checked_frame,
+    display_camera_of,
+    host_arrays,
+    require_motion,
+    require_one_pose,
+)
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.stages.buffers import RENDERED, Sizes, given_buffer
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """A rendered frame without structural faults.
+
+    Attributes
+    ----------
+    frame : RenderedFrame
+        As given, with `time` and `reset` as Python values.
+    display_camera : Camera
+        In pixels of the display.
+    buffers : dict of str to cl.Buffer
+        Device buffers of color, depth and motion, the latter missing if a reset has none; empty for NumPy arrays.
+    arrays : HostArrays or None
+        NumPy arrays as `Upload` takes them; None for device buffers.
+    """
+
+    frame: RenderedFrame
+    display_camera: Camera
+    buffers: dict[str, cl.Buffer]
+    arrays: HostArrays | None
+
+
+def prepare(frame: RenderedFrame, sizes: Sizes, device: Device, jittered: bool = False) -> PreparedFrame:
+    """Return `frame` ready to be taken by a pipeline of `sizes` on `device`. If it is `jittered`, a display camera that
+    is not given is the rendered one without jitter.
+
+    Raises GffeError for a structural fault: invalid values, shapes or types, buffers that the device cannot use, motion
+    missing although the frame is no reset, or two cameras of different poses.
+    """
+    frame = checked_frame(frame)
+    plain = frame
+    if jittered and frame.display_camera is None:
+        plain = replace(frame, camera=without_jitter(frame.camera, sizes.source))
+    display_camera = display_camera_of(plain, sizes.source, sizes.target)
+    require_one_pose(frame.camera, display_camera)
+    given: dict[str, Any] = {spec.name: getattr(frame, spec.name) for spec in RENDERED}
+    buffers = {spec.name: given_buffer(given[spec.name], spec, sizes, device) for spec in RENDERED}
+    if not any(buffers.values()):
+        width, height = sizes.source
+        return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width))
+    if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
+        del buffers["motion"]
+    if other := next((name for name, buffer in buffers.items() if not buffer), None):
+        raise GffeError(
+            "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
+            f" got {other} as {shown(given[other])}"
+        )
+    return PreparedFrame(frame, display_camera, buffers, None)
