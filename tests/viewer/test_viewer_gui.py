@@ -35,7 +35,7 @@ def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> f
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=400,
+        timeout=900,
     )
     assert child.returncode == 0, f"{child.stdout[-3000:]}\n{child.stderr[-3000:]}"
     return time.time()

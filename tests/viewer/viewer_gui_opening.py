@@ -324,7 +324,7 @@ def flying(gui: Gui):
     gui.point(left + width / 2, top + height / 2)
     gui.ctx.key_down(KEY.w.value)
     gui.ctx.mouse_down(1)
-    windowed, end, turned = False, time.perf_counter() + 10, 0
+    windowed, end, turned = False, time.perf_counter() + 90, 0
     while turned < 30 or (not windowed and time.perf_counter() < end):
         turned += 1
         gui.point(left + width / 2 + 6 * (turned % 40), top + height / 2)
