@@ -49,7 +49,7 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
     if (!crack_closing) return;
 
     Flow flow;
-    flow_at(from, src, here, &flow);
+    flow_at(from, src, &flow);
     const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centers, and a little for rounding */
     const int x0 = max((int)ceil(here.x - half_size.x), 0),
               x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
@@ -151,9 +151,8 @@ WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const
 
 /* px by which the fragment at offset (dx, dy) from the winner deviates from the motion of the winner's surroundings. */
 INLINE float deviation(const float3 there, const int dx, const int dy, const float3 here, const Flow flow) {
-    if (!(there.z > 0.0f)) return INFINITY;
-    const float ex = there.x - here.x - flow.ddx.x * (float)dx - flow.ddy.x * (float)dy;
-    const float ey = there.y - here.y - flow.ddx.y * (float)dx - flow.ddy.y * (float)dy;
+    const float ex = there.x - here.x - flow.xx * (float)dx - flow.yx * (float)dy;
+    const float ey = there.y - here.y - flow.xy * (float)dx - flow.yy * (float)dy;
     return fmax(fabs(ex), fabs(ey));
 }
 
@@ -253,14 +252,14 @@ INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const int src_x = src % from.width, src_y = src / from.width;
     const float3 here = position_of(from.target_position, src, from.plane);
     Flow flow;
-    flow_at(from, src, here, &flow);
+    flow_at(from, src, &flow);
     const float2 center = pixel_center(dst_x, dst_y);
     const float2 offset = source_offset(flow, center.x - here.x, center.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
     const float2 d = without_rounding(clamp(exact, -1.0f, 1.0f));
     const int2 step = smooth ? (int2)(0, 0) : step_off_silhouette(from, src_x, src_y, here, flow);
     sample_at(from, src_x, src_y, d + convert_float2(step), here, flow, smooth, sample);
-    const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
+    const float z = here.z + flow.xz * d.x + flow.yz * d.y;
     const bool is_mixed = step.x != 0 || step.y != 0;
     to.depth[dst] = z > 0.0f ? z : here.z;
     to.motion[dst] = pixel_center(src_x, src_y) + d - center;
