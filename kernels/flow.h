@@ -91,7 +91,7 @@ INLINE void load_cross(__global const float *plane, const int source_width, cons
     }
 }
 
-/* In all lanes one fragment; neighbors that are not linked may lie outside of the image, and are not read. */
+/* One fragment in all lanes. It stands for neighbors that are not linked, which may lie outside of the image. */
 INLINE void load_cross_of_one(__global const float *p, const int source_width, const int bits, Cross *a) {
     a->here = (Floats)(*p);
     a->left = (Floats)(p[bits & LINK_LEFT ? -1 : 0]);
@@ -162,7 +162,7 @@ INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source
     f.yx = known_y ? f.yx : none;
     f.yy = known_y ? f.yy : scale_y;
     const Floats det = f.xx * f.yy - f.yx * f.xy;
-    /* else folded or edge-on: the neighbors do not determine the footprint */
+    /* Else folded or edge-on: the neighbors do not determine the footprint. */
     const Ints open = det > 0.02f * scale_x * scale_y;
     f.xx = open ? f.xx : scale_x;
     f.xy = open ? f.xy : none;
@@ -176,13 +176,13 @@ INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source
 
 /* ---- one by one ------------------------------------------------------------------------------------------------ */
 
-/* Flow of one fragment. */
+/* The first lane of a WideFlow. */
 typedef struct {
     float xx, xy, xz, yx, yy, yz, det;
 } Flow;
 
-/* The flow at fragment `src`, which may lie at the border: the same in all lanes. Returned by pointer: Oclgrind fails
-   on returned structs after inlining. */
+/* Flow at fragment `src`, which may lie at the border of the image. Returned by pointer: Oclgrind fails on returned
+   structs after inlining. */
 INLINE void flow_at(const Fragments f, const int src, Flow *flow) {
     const int bits = f.links[src];
     Positions at;

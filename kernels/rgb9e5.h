@@ -15,7 +15,7 @@ INLINE Ints pack_colors(const Floats r, const Floats g, const Floats b) {
            | exponent << 27;
 }
 
-/* One color, in all lanes. */
+/* One color, which takes all lanes. */
 INLINE uint pack_color(const float3 c) {
     return (uint)FIRST_LANE(pack_colors((Floats)(c.x), (Floats)(c.y), (Floats)(c.z)));
 }

@@ -376,8 +376,8 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
                            __global half *out_color) {
     const Ints tap = s.tap, alike = s.alike;
     const Floats u = s.u, v = s.v;
-    int lane_tap[LANES], lane_use[LANES], lane_exact[LANES], lane_alike[LANES], lane_src[LANES];
-    float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
+    int lane_tap[LANES], lane_use[LANES], lane_alike[LANES], lane_src[LANES];
+    float lane_u[LANES], lane_v[LANES];
     Floats wx[4], wy[4];
     store_ints(tap, 0, lane_tap);
     wide_cubic_weights(u, wx);
@@ -397,29 +397,15 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     if (left && right) return;
     const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
     store_ints(rest, 0, lane_use);
-    store_ints(exact, 0, lane_exact);
     store_ints(alike, 0, lane_alike);
     store_ints(s.src, 0, lane_src);
     store_floats(u, 0, lane_u);
     store_floats(v, 0, lane_v);
-    for (int k = 0; k < 4; ++k) {
-        store_floats(wx[k], 0, lanes_x[k]);
-        store_floats(wy[k], 0, lanes_y[k]);
-    }
     for (int k = 0; k < LANES; ++k) {
         if (!lane_use[k]) continue;
-        float3 rgb;
-        if (lane_exact[k]) {
-            rgb = load_color(shown.color, lane_tap[k]);
-        } else if (lane_alike[k] != ALL_ALIKE) {
-            rgb = of_those_alike(lane_alike[k], lane_tap[k], lane_u[k], lane_v[k], source_width, lane_src[k], shown);
-        } else {
-            const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
-            const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
-            rgb = decode_color(cubic(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, shown.codes),
-                               shown.code_offset);
-        }
-        store_color(rgb, out_color, dst + k);
+        const Sample one = {
+            .src = lane_src[k], .tap = lane_tap[k], .alike = lane_alike[k], .u = lane_u[k], .v = lane_v[k]};
+        store_color(resample(one, source_width, shown), out_color, dst + k);
     }
 }
 
