@@ -63,7 +63,7 @@ typedef struct {
         const F product = q * b;                                                                                       \
         const F error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;                           \
         const F remainder = (a - product) - error;                                                                     \
-        return (size > 1e-15f) & (size < 1e15f) & (size_b > 1e-15f) & (size_b < 1e15f) ? q + remainder / b : q;        \
+        return ((size > 1e-15f) & (size < 1e15f) & (size_b > 1e-15f) & (size_b < 1e15f)) ? q + remainder / b : q;      \
     }
 #endif
 
