@@ -25,7 +25,6 @@
 typedef struct {
     float x0, y0, x1, y1;
 } Box;
-#define NOWHERE {INFINITY, INFINITY, -INFINITY, -INFINITY}
 
 /* The blocks that LANES fragments reach together. */
 typedef struct {
@@ -48,36 +47,23 @@ INLINE Box box_of(const Boxes boxes) {
     return box;
 }
 
-/* Reach of one source block pixel by pixel. */
-INLINE Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
-    Box box = NOWHERE;
-    for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, f.height); ++src_y)
-        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); ++src_x) {
-            const int src = src_y * f.width + src_x;
-            const float3 here = position_of(f.target_position, src, f.plane);
-            if (!may_land(f, here)) continue;
-            Flow flow;
-            flow_at(f, src, here, &flow);
-            const float2 half_size = footprint(flow);
-            box.x0 = fmin(box.x0, here.x - half_size.x);
-            box.y0 = fmin(box.y0, here.y - half_size.y);
-            box.x1 = fmax(box.x1, here.x + half_size.x);
-            box.y1 = fmax(box.y1, here.y + half_size.y);
-        }
-    return box;
-}
-
-/* The reach of a block that lies one pixel within the image. */
-INLINE Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
+/* The reach of a source block; one that touches the border of the image is looked at pixel by pixel. */
+INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
+    const bool inner = x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= f.width && y0 + BLOCK_HEIGHT + 1 <= f.height;
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
-    for (int src_y = y0; src_y < y0 + BLOCK_HEIGHT; ++src_y)
-        for (int src_x = x0; src_x < x0 + BLOCK_WIDTH; src_x += LANES) {
+    for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, f.height); ++src_y)
+        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); src_x += inner ? LANES : 1) {
             const int src = src_y * f.width + src_x;
             Positions at;
             WideFlow flow;
-            load_positions_of_run(f, src, &at);
-            wide_flow(at, to_ints(load_bytes(0, f.links + src)), load_floats(0, f.depth + src), f.zoom, &flow);
+            if (inner)
+                load_positions_of_run(f, src, &at);
+            else
+                load_positions_of_one(f, src, f.links[src], &at);
+            const Ints bits = inner ? to_ints(load_bytes(0, f.links + src)) : (Ints)(f.links[src]);
+            const Floats z_source = inner ? load_floats(0, f.depth + src) : (Floats)(f.depth[src]);
+            wide_flow(at, bits, z_source, f.zoom, &flow);
             const Floats x = at.x.here, y = at.y.here;
             const Ints lands = (at.z.here > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)f.target_width + reach)
                                & (y < (float)f.target_height + reach);
@@ -173,9 +159,7 @@ WIDE __kernel void find_reach(__constant Frame *frame, __global const float *dep
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
     const bool is_smooth = is_one_surface(fragments, x0, y0) && is_linear(fragments, x0, y0, &box);
-    const bool within =
-        x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= source_width && y0 + BLOCK_HEIGHT + 1 <= source_height;
-    if (!is_smooth) box = within ? reach_of_lanes(fragments, x0, y0) : reach_of_pixels(fragments, x0, y0);
+    if (!is_smooth) box = reach_of(fragments, x0, y0);
     smooth[by * source_blocks + bx] = is_smooth;
     const int target_blocks = block_columns(target_width);
     int4 reached = (int4)(1, 1, 0, 0);

@@ -48,23 +48,26 @@ typedef struct {
 
 /* a / b, correctly rounded but for one case in millions, from a division that is good to a few ulp:
    the remainder a - q b is computed exactly (Dekker's product) and its quotient added.
-   Plain division where a magnitude would leave the range in which that is exact, and on devices that divide exactly. */
-INLINE float divide(const float a, const float b) {
-    const float q = a / b;
+   Plain division where a magnitude would leave the range in which that is exact, and on devices that divide exactly.
+   Defines `divide` for numbers F: float here, Floats in simd.h. */
 #ifdef EXACT_DIVISION
-    return q;
+#define DEFINE_DIVIDE(F, divide)                                                                                       \
+    INLINE F divide(const F a, const F b) { return a / b; }
 #else
-    const float size = fabs(q), size_b = fabs(b);
-    if (!(size > 1e-15f && size < 1e15f && size_b > 1e-15f && size_b < 1e15f)) return q;
-    const float q_c = q * 4097.0f, b_c = b * 4097.0f;
-    const float q_hi = q_c - (q_c - q), b_hi = b_c - (b_c - b);
-    const float q_lo = q - q_hi, b_lo = b - b_hi;
-    const float product = q * b;
-    const float error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;
-    const float remainder = (a - product) - error;
-    return q + remainder / b;
+#define DEFINE_DIVIDE(F, divide)                                                                                       \
+    INLINE F divide(const F a, const F b) {                                                                            \
+        const F q = a / b, size = fabs(q), size_b = fabs(b);                                                           \
+        const F q_c = q * 4097.0f, b_c = b * 4097.0f;                                                                  \
+        const F q_hi = q_c - (q_c - q), b_hi = b_c - (b_c - b);                                                        \
+        const F q_lo = q - q_hi, b_lo = b - b_hi;                                                                      \
+        const F product = q * b;                                                                                       \
+        const F error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;                           \
+        const F remainder = (a - product) - error;                                                                     \
+        return ((size > 1e-15f) & (size < 1e15f) & (size_b > 1e-15f) & (size_b < 1e15f)) ? q + remainder / b : q;      \
+    }
 #endif
-}
+
+DEFINE_DIVIDE(float, divide)
 
 INLINE float2 pixel_center(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }
 

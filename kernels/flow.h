@@ -19,68 +19,6 @@ typedef struct {
     float2 zoom;
 } Fragments;
 
-/* Target position as a linear function of the source position around one source pixel. */
-typedef struct {
-    float3 ddx, ddy; /* change of (px, py, z) per source pixel to the right, down */
-    float det; /* of the 2x2 part: target px^2 per source px^2 */
-} Flow;
-
-/* Change of position from `here` to the linked neighbors `ahead` and `behind`, `step` apart. */
-INLINE float3 slope(const Fragments f, const int src, const float3 here, const int step, const bool ahead,
-                    const bool behind, bool *linked) {
-    float3 sum = (float3)(0.0f);
-    float count = 0.0f;
-    if (ahead) {
-        const float3 there = position_of(f.target_position, src + step, f.plane);
-        if (there.z > 0.0f) {
-            sum += there - here;
-            count += 1.0f;
-        }
-    }
-    if (behind) {
-        const float3 there = position_of(f.target_position, src - step, f.plane);
-        if (there.z > 0.0f) {
-            sum += here - there;
-            count += 1.0f;
-        }
-    }
-    *linked = count > 0.0f;
-    if (isinf(here.z)) sum.z = 0.0f;
-    return count == 2.0f ? sum * 0.5f : sum;
-}
-
-/* The flow at a fragment, from its linked neighbors; along a direction without any, from depth alone. Returned by
-   pointer: Oclgrind fails on returned structs after inlining. */
-INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *flow) {
-    const int bits = f.links[src];
-    bool linked_x, linked_y;
-    flow->ddx = slope(f, src, here, 1, bits & LINK_RIGHT, bits & LINK_LEFT, &linked_x);
-    flow->ddy = slope(f, src, here, f.width, bits & LINK_DOWN, bits & LINK_UP, &linked_y);
-    const float nearer = isinf(here.z) ? 1.0f : divide(f.depth[src], here.z);
-    const float scale_x = f.zoom.x * nearer, scale_y = f.zoom.y * nearer;
-    const float most = STRETCH_MOST * fmax(scale_x, scale_y);
-    if (!linked_x || fabs(flow->ddx.x) > most || fabs(flow->ddx.y) > most) flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
-    if (!linked_y || fabs(flow->ddy.x) > most || fabs(flow->ddy.y) > most) flow->ddy = (float3)(0.0f, scale_y, 0.0f);
-    flow->det = flow->ddx.x * flow->ddy.y - flow->ddy.x * flow->ddx.y;
-    if (!(flow->det
-          > 0.02f * scale_x * scale_y)) { /* folded or edge-on: the neighbors do not determine the footprint */
-        flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
-        flow->ddy = (float3)(0.0f, scale_y, 0.0f);
-        flow->det = scale_x * scale_y;
-    }
-}
-
-/* Source px, times the determinant, that correspond to (x, y) target px. */
-INLINE float2 source_offset(const Flow flow, const float x, const float y) {
-    return (float2)(flow.ddy.y * x - flow.ddy.x * y, flow.ddx.x * y - flow.ddx.y * x);
-}
-
-/* px to each side of its position that a fragment covers. */
-INLINE float2 footprint(const Flow flow) {
-    return (float2)(fmin(FOOTPRINT_HALF * (fabs(flow.ddx.x) + fabs(flow.ddy.x)), (float)FOOTPRINT_REACH),
-                    fmin(FOOTPRINT_HALF * (fabs(flow.ddx.y) + fabs(flow.ddy.y)), (float)FOOTPRINT_REACH));
-}
-
 /* Whether anything of a fragment at `here` may land in the image. */
 INLINE bool may_land(const Fragments f, const float3 here) {
     const float reach = (float)FOOTPRINT_REACH;
@@ -153,6 +91,15 @@ INLINE void load_cross(__global const float *plane, const int source_width, cons
     }
 }
 
+/* One fragment in all lanes. It stands for neighbors that are not linked, which may lie outside of the image. */
+INLINE void load_cross_of_one(__global const float *p, const int source_width, const int bits, Cross *a) {
+    a->here = (Floats)(*p);
+    a->left = (Floats)(p[bits & LINK_LEFT ? -1 : 0]);
+    a->right = (Floats)(p[bits & LINK_RIGHT ? 1 : 0]);
+    a->up = (Floats)(p[bits & LINK_UP ? -source_width : 0]);
+    a->down = (Floats)(p[bits & LINK_DOWN ? source_width : 0]);
+}
+
 /* Predicted positions of LANES fragments and of their neighbors. */
 typedef struct {
     Cross x, y, z;
@@ -164,25 +111,33 @@ INLINE void load_positions_of_run(const Fragments f, const int src, Positions *p
     load_cross_of_run(f.target_position + 2 * f.plane + src, f.width, &p->z);
 }
 
+INLINE void load_positions_of_one(const Fragments f, const int src, const int bits, Positions *p) {
+    load_cross_of_one(f.target_position + src, f.width, bits, &p->x);
+    load_cross_of_one(f.target_position + f.plane + src, f.width, bits, &p->y);
+    load_cross_of_one(f.target_position + 2 * f.plane + src, f.width, bits, &p->z);
+}
+
 INLINE void load_positions(const Fragments f, const Places src, Positions *p) {
     load_cross(f.target_position, f.width, src, &p->x);
     load_cross(f.target_position + f.plane, f.width, src, &p->y);
     load_cross(f.target_position + 2 * f.plane, f.width, src, &p->z);
 }
 
-/* Flow of LANES fragments. */
+/* Target positions as linear functions of source positions around LANES fragments: change of (x, y, z) per source pixel
+   to the right and down, and the determinant of the 2x2 part, in target px^2 per source px^2. */
 typedef struct {
     Floats xx, xy, xz, yx, yy, yz, det;
 } WideFlow;
 
-/* `slope` of LANES fragments, one component of it. */
+/* Change of a coordinate from those of the neighbors `before` and `after` that are used. */
 INLINE Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before,
                          const Ints use_after) {
     const Floats sum = (use_after ? after - here : (Floats)(0.0f)) + (use_before ? here - before : (Floats)(0.0f));
     return (use_before & use_after) ? sum * 0.5f : sum;
 }
 
-/* `flow_at` of LANES fragments. `bits`: links. */
+/* The flow at LANES fragments, from their linked neighbors; along a direction without any, from depth alone. `bits`:
+   links. */
 INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source, const float2 zoom, WideFlow *flow) {
     const Cross x = at.x, y = at.y, z = at.z;
     const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f),
@@ -207,6 +162,7 @@ INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source
     f.yx = known_y ? f.yx : none;
     f.yy = known_y ? f.yy : scale_y;
     const Floats det = f.xx * f.yy - f.yx * f.xy;
+    /* Else folded or edge-on: the neighbors do not determine the footprint. */
     const Ints open = det > 0.02f * scale_x * scale_y;
     f.xx = open ? f.xx : scale_x;
     f.xy = open ? f.xy : none;
@@ -216,4 +172,35 @@ INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source
     f.yz = (open & known_y) ? f.yz : none;
     f.det = open ? det : scale_x * scale_y;
     *flow = f;
+}
+
+/* ---- one by one ------------------------------------------------------------------------------------------------ */
+
+/* The first lane of a WideFlow. */
+typedef struct {
+    float xx, xy, xz, yx, yy, yz, det;
+} Flow;
+
+/* Flow at fragment `src`, which may lie at the border of the image. Returned by pointer: Oclgrind fails on returned
+   structs after inlining. */
+INLINE void flow_at(const Fragments f, const int src, Flow *flow) {
+    const int bits = f.links[src];
+    Positions at;
+    WideFlow wide;
+    load_positions_of_one(f, src, bits, &at);
+    wide_flow(at, (Ints)(bits), (Floats)(f.depth[src]), f.zoom, &wide);
+    const Flow first = {FIRST_LANE(wide.xx), FIRST_LANE(wide.xy), FIRST_LANE(wide.xz), FIRST_LANE(wide.yx),
+                        FIRST_LANE(wide.yy), FIRST_LANE(wide.yz), FIRST_LANE(wide.det)};
+    *flow = first;
+}
+
+/* Source px, times the determinant, that correspond to (x, y) target px. */
+INLINE float2 source_offset(const Flow flow, const float x, const float y) {
+    return (float2)(flow.yy * x - flow.yx * y, flow.xx * y - flow.xy * x);
+}
+
+/* px to each side of its position that a fragment covers. */
+INLINE float2 footprint(const Flow flow) {
+    return (float2)(fmin(FOOTPRINT_HALF * (fabs(flow.xx) + fabs(flow.yx)), (float)FOOTPRINT_REACH),
+                    fmin(FOOTPRINT_HALF * (fabs(flow.xy) + fabs(flow.yy)), (float)FOOTPRINT_REACH));
 }

@@ -15,14 +15,9 @@ INLINE Ints pack_colors(const Floats r, const Floats g, const Floats b) {
            | exponent << 27;
 }
 
-/* One color. */
+/* One color, which takes all lanes. */
 INLINE uint pack_color(const float3 c) {
-    const float3 rgb = clamp(c, 0.0f, COLOR_MOST);
-    const float most = fmax(fmax(rgb.x, rgb.y), fmax(rgb.z, COLOR_FINEST));
-    const int exponent = ((as_int(most) + 0x4000) >> 23) - 111;
-    const float3 mantissas = rint(rgb * as_float((151 - exponent) << 23));
-    return convert_uint(mantissas.x) | convert_uint(mantissas.y) << 9 | convert_uint(mantissas.z) << 18
-           | (uint)exponent << 27;
+    return (uint)FIRST_LANE(pack_colors((Floats)(c.x), (Floats)(c.y), (Floats)(c.z)));
 }
 
 INLINE float3 unpack_color(const uint bits) {

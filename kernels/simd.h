@@ -7,7 +7,7 @@
    - The last work-item of a row may have fewer pixels: load_some_... and store_some_... take their `count`. Loads
      repeat the last pixel, stores skip the rest.
    - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes
-     through the function of one pixel, lane by lane.
+     through the function of one pixel, lane by lane, or takes all lanes, as in `flow_at`.
    - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
 
 #if LANES == 8
@@ -201,23 +201,7 @@ typedef struct {
     Floats x, y, z;
 } Wide3;
 
-/* divide of common.h. */
-INLINE Floats wide_divide(const Floats a, const Floats b) {
-    const Floats q = a / b;
-#ifdef EXACT_DIVISION
-    return q;
-#else
-    const Floats size = fabs(q), size_b = fabs(b);
-    const Floats q_c = q * 4097.0f, b_c = b * 4097.0f;
-    const Floats q_hi = q_c - (q_c - q), b_hi = b_c - (b_c - b);
-    const Floats q_lo = q - q_hi, b_lo = b - b_hi;
-    const Floats product = q * b;
-    const Floats error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;
-    const Floats remainder = (a - product) - error;
-    const Ints safe = (size > 1e-15f) & (size < 1e15f) & (size_b > 1e-15f) & (size_b < 1e15f);
-    return safe ? q + remainder / b : q;
-#endif
-}
+DEFINE_DIVIDE(Floats, wide_divide)
 
 /* unproject of common.h. */
 INLINE Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z, const Pinhole inverse) {

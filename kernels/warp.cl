@@ -49,7 +49,7 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
     if (!crack_closing) return;
 
     Flow flow;
-    flow_at(from, src, here, &flow);
+    flow_at(from, src, &flow);
     const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centers, and a little for rounding */
     const int x0 = max((int)ceil(here.x - half_size.x), 0),
               x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
@@ -151,9 +151,8 @@ WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const
 
 /* px by which the fragment at offset (dx, dy) from the winner deviates from the motion of the winner's surroundings. */
 INLINE float deviation(const float3 there, const int dx, const int dy, const float3 here, const Flow flow) {
-    if (!(there.z > 0.0f)) return INFINITY;
-    const float ex = there.x - here.x - flow.ddx.x * (float)dx - flow.ddy.x * (float)dy;
-    const float ey = there.y - here.y - flow.ddx.y * (float)dx - flow.ddy.y * (float)dy;
+    const float ex = there.x - here.x - flow.xx * (float)dx - flow.yx * (float)dy;
+    const float ey = there.y - here.y - flow.xy * (float)dx - flow.yy * (float)dy;
     return fmax(fabs(ex), fabs(ey));
 }
 
@@ -253,14 +252,14 @@ INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const int src_x = src % from.width, src_y = src / from.width;
     const float3 here = position_of(from.target_position, src, from.plane);
     Flow flow;
-    flow_at(from, src, here, &flow);
+    flow_at(from, src, &flow);
     const float2 center = pixel_center(dst_x, dst_y);
     const float2 offset = source_offset(flow, center.x - here.x, center.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
     const float2 d = without_rounding(clamp(exact, -1.0f, 1.0f));
     const int2 step = smooth ? (int2)(0, 0) : step_off_silhouette(from, src_x, src_y, here, flow);
     sample_at(from, src_x, src_y, d + convert_float2(step), here, flow, smooth, sample);
-    const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
+    const float z = here.z + flow.xz * d.x + flow.yz * d.y;
     const bool is_mixed = step.x != 0 || step.y != 0;
     to.depth[dst] = z > 0.0f ? z : here.z;
     to.motion[dst] = pixel_center(src_x, src_y) + d - center;
@@ -377,8 +376,8 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
                            __global half *out_color) {
     const Ints tap = s.tap, alike = s.alike;
     const Floats u = s.u, v = s.v;
-    int lane_tap[LANES], lane_use[LANES], lane_exact[LANES], lane_alike[LANES], lane_src[LANES];
-    float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
+    int lane_tap[LANES], lane_use[LANES], lane_alike[LANES], lane_src[LANES];
+    float lane_u[LANES], lane_v[LANES];
     Floats wx[4], wy[4];
     store_ints(tap, 0, lane_tap);
     wide_cubic_weights(u, wx);
@@ -398,29 +397,15 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     if (left && right) return;
     const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
     store_ints(rest, 0, lane_use);
-    store_ints(exact, 0, lane_exact);
     store_ints(alike, 0, lane_alike);
     store_ints(s.src, 0, lane_src);
     store_floats(u, 0, lane_u);
     store_floats(v, 0, lane_v);
-    for (int k = 0; k < 4; ++k) {
-        store_floats(wx[k], 0, lanes_x[k]);
-        store_floats(wy[k], 0, lanes_y[k]);
-    }
     for (int k = 0; k < LANES; ++k) {
         if (!lane_use[k]) continue;
-        float3 rgb;
-        if (lane_exact[k]) {
-            rgb = load_color(shown.color, lane_tap[k]);
-        } else if (lane_alike[k] != ALL_ALIKE) {
-            rgb = of_those_alike(lane_alike[k], lane_tap[k], lane_u[k], lane_v[k], source_width, lane_src[k], shown);
-        } else {
-            const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
-            const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
-            rgb = decode_color(cubic(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, shown.codes),
-                               shown.code_offset);
-        }
-        store_color(rgb, out_color, dst + k);
+        const Sample one = {
+            .src = lane_src[k], .tap = lane_tap[k], .alike = lane_alike[k], .u = lane_u[k], .v = lane_v[k]};
+        store_color(resample(one, source_width, shown), out_color, dst + k);
     }
 }
 
