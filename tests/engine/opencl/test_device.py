@@ -416,7 +416,7 @@ def test_a_cache_that_the_user_named_and_that_cannot_be_written(tmp_path, monkey
     assert os.environ["POCL_CACHE_DIR"] == str(tmp_path / "mine")
 
 
-_HUGE = """
+_HUGE = r"""
 import re, sys
 from pathlib import Path
 import pyopencl as cl
