@@ -424,7 +424,7 @@ class Pipeline:
         """Return the buffers for a frame of NumPy arrays, by name. Two sets of them are used in turn."""
         if len(self._slots) < 2:
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
-            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *seen.values(), motion))
+            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, **seen, motion=motion))
         else:
             self._slots.append(self._slots.pop(0))
         return {spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED}

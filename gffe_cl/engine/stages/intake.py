@@ -60,7 +60,7 @@ def prepare(frame: RenderedFrame, sizes: Sizes, device: Device, jittered: bool =
     display_camera = display_camera_of(plain, sizes.source, sizes.target)
     require_one_pose(frame.camera, display_camera)
     given: dict[str, Any] = {spec.name: getattr(frame, spec.name) for spec in RENDERED}
-    buffers = {spec.name: given_buffer(given[spec.name], spec, sizes, device) for spec in RENDERED}
+    buffers: dict[str, Any] = {s.name: given_buffer(given[s.name], s, sizes, device) for s in RENDERED}
     if not any(buffers.values()):
         width, height = sizes.source
         return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width))
