@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import Settings
 
-PATIENCE = 60.0
+PATIENCE = 150.0
 
 
 class Canvas:

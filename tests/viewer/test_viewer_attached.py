@@ -30,7 +30,7 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import Settings
 
 W, H = 160, 96
-PATIENCE = 60.0
+PATIENCE = 150.0
 PROGRAM = Path(__file__).with_name("attached_program.py")
 
 

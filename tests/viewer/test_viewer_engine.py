@@ -41,7 +41,7 @@ from gffe_cl.viewer.engine.sources.source import FrameSource
 
 W, H, COUNT, FPS = 96, 64, 14, 30.0
 ALL = Options(shading_inputs=True)
-PATIENCE = 60.0
+PATIENCE = 150.0
 
 
 @dataclass

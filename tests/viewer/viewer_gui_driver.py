@@ -21,7 +21,7 @@ from gffe_cl.viewer.state.parameters import ALWAYS
 
 KEY = imgui.Key
 CTRL, SHIFT = KEY.mod_ctrl.value, KEY.mod_shift.value
-PATIENCE = 30.0  # seconds
+PATIENCE = 120.0  # seconds
 
 
 def collector():
