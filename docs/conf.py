@@ -45,12 +45,12 @@ nitpick_ignore_regex = [(r"py:.*", r"(?!gffe_cl\.).*")]
 nitpick_ignore = [
     ("py:class", f"gffe_cl.{name}")
     for name in (
-        "frame.rendered_frame.HostArrays",
-        "opencl.device.Opened",
-        "sequence.description.Description",
-        "sequence.pixel_source.Pixels",
-        "stages.buffers.BufferSpec",
-        "stages.buffers.Owner",
+        "engine.frame.rendered_frame.HostArrays",
+        "engine.opencl.device.Opened",
+        "captures.sequence.description.Description",
+        "captures.sequence.pixel_source.Pixels",
+        "engine.stages.buffers.BufferSpec",
+        "engine.stages.buffers.Owner",
     )
 ]
 
@@ -60,6 +60,7 @@ _PAGES_ELSEWHERE = {
     "../README.md#help": "help.md",
     "../gffe_cl/engine/inference/weights/MODEL_CARD.md": "model_card.md",
     "../gffe_cl/engine/export/c/README.md": "c_interface.md",
+    "../CONTRIBUTING.md": "contributing.md",
 }
 _COMMAND_LINE = (sys.executable, "-m", "typer", "gffe_cl.cli.commands", "utils", "docs", "--name", "gffe")
 

@@ -173,8 +173,8 @@ class Camera:
         """Return the camera of Vulkan's matrices, whose normalized device coordinates go down. Parameters are those of
         `from_opengl`.
 
-        cy = (1 + P₁₂/P₃₂) H/2; the other formulas are those of `from_opengl`. OpenGL-like views with `projection[1][1]
-        *= -1` are right, too.
+        cy = (1 + P₁₂/P₃₂) H/2; the other formulas are those of `from_opengl`. OpenGL-like views with
+        ``projection[1][1] *= -1`` are right, too.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=False))
 

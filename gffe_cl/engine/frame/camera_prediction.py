@@ -31,10 +31,10 @@ def predict_camera_at(
 
     All orders add a change of velocity to the linear prediction (`predict_camera`), of position and of rotation each:
 
-    - Order 1 adds none. - Order 2 adds the change of velocity between the last three poses, scaled by the share of the
-    change before that continued: fully where all of it did, not at all where it reversed or began from rest. After a
-    jump, a step over four
-      times the one before, it adds none.
+    - Order 1 adds none.
+    - Order 2 adds the change of velocity between the last three poses, scaled by the share of the change before that
+      continued: fully where all of it did, not at all where it reversed or began from rest. After a jump, a step over
+      four times the one before, it adds none.
     - None, automatic, corrects order 2 by an autoregressive model. Ridge regression with exponential forgetting
       predicts the next change of velocity from the velocity, its change, and the change's change. It is refitted at
       each known pose from the poses before. The correction is scaled, 0 to 1, to minimize the errors actually made

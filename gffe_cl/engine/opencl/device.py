@@ -128,7 +128,7 @@ class Device:
     allocated : int
         Bytes of the buffers made by `buffer` so far.
     opened : Opened
-        State that it shares with other `Device`s of one OpenCL device.
+        State that all objects of one OpenCL device share.
 
     Notes
     -----
