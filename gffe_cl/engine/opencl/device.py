@@ -347,7 +347,7 @@ def open_device(wanted: str | None = None) -> Device:
     try:
         return open_info(_choose(infos, wanted))
     except GffeError:
-        if not known or any(opened.process not in (None, os.getpid()) for opened in _opened.values()):
+        if not known or any(opened.process not in (None, _process) for opened in _opened.values()):
             raise
     return open_info(_choose(list_devices(refresh=True), wanted))
 

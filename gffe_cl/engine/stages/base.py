@@ -340,8 +340,7 @@ class Stage(Owner):
 
     def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any], slot: str | None) -> _Prepared:
         """Return a launch with the arguments set that do not change from one launch with the numbers in `given` and the
-        frame block `slot` to the
-        next."""
+        frame block `slot` to the next."""
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
