@@ -44,7 +44,6 @@ class LentMemory:
         self.borrowing: list[tuple[Worker, BufferSpec]] = []  # transient and fleeting buffers of all stages so far
         self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
         self._sizes, self._stages = sizes, stages
-        self._parts: dict[tuple[str, str, int], tuple[cl.Buffer, cl.Buffer]] = {}  # lent memory, and a part of it
         self._placed: dict[int, list[tuple[dict, str, cl.Buffer]]] = {}  # by turn: who has which part
 
     def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
@@ -61,11 +60,7 @@ class LentMemory:
         for stage, spec in self.borrowing:
             if place := self.places[stage.name, spec.name]:
                 (owner, name), start = place
-                memory = owner.own(name)
-                key = stage.name, spec.name, id(memory)
-                if key not in self._parts:
-                    self._parts[key] = memory, memory.get_sub_region(start, spec.nbytes(self._sizes))
-                stage.buffer[spec.name] = self._parts[key][1]
+                stage.buffer[spec.name] = owner.own(name).get_sub_region(start, spec.nbytes(self._sizes))
             elif spec.name not in stage.buffer:
                 stage.buffer |= stage.allocate([spec])
         lent = [(stage, spec.name) for stage, spec in self.borrowing if self.places[stage.name, spec.name]]
@@ -102,7 +97,7 @@ class LentMemory:
 
     def let_go(self) -> None:
         """Drop the references to the stages."""
-        for known in (self.borrowing, self.lent, self._parts, self._placed, self.__dict__.get("places", {})):
+        for known in (self.borrowing, self.lent, self._placed, self.__dict__.get("places", {})):
             known.clear()
 
 
