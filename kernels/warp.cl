@@ -410,10 +410,10 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
 }
 
 /* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`; `smooth`: in blocks
-   without silhouettes. */
+   where nothing moves apart, `strict`: in such of one surface. */
 typedef struct {
     Ints x, y, use;
-    bool smooth;
+    bool smooth, strict;
 } WideWinners;
 
 /* resolve_pixel of LANES pixels. Gives the lanes that are done: those in use that stay where they are at
@@ -434,13 +434,13 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     /* Their flow; those beside a silhouette that may step off it are left to `resolve_pixel`. */
     WideFlow f;
     Ints done = won.use;
-    if (won.smooth) {
+    if (won.strict) {
         smooth_flow(at, &f);
     } else {
         Cross depth;
         load_cross(from.depth, from.width, places, &depth);
         wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
-        done &= stays(at, depth, f);
+        if (!won.smooth) done &= stays(at, depth, f);
     }
 
     /* The place within each fragment that lands on the pixel's center. */
@@ -476,6 +476,15 @@ INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_
     return source.s0 + source.s2 * from_x + source.s3 * from_y;
 }
 
+/* The fragments at those places. */
+INLINE void winners_of_block(const float8 source, const int dst_x, const int dst_y, const int width, const int height,
+                             Ints *x, Ints *y) {
+    Floats px_y;
+    const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
+    *x = clamp(to_ints(floor(px_x)), (Ints)(2), (Ints)(width - 3));
+    *y = clamp(to_ints(floor(px_y)), (Ints)(2), (Ints)(height - 3));
+}
+
 /* LANES pixels, but for their color, of a block in which that is exact. */
 INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source,
                            const int dst_x, const int dst_y, Samples *samples) {
@@ -494,9 +503,14 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
 
     Cross z;
     load_cross(from.target_position + 2 * from.plane, from.width, places, &z);
-    const Ints sky = isinf(z.here);
-    const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f,
-                 down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
+    Ints level_x = isinf(z.here), level_y = level_x;
+    if (source.s7 == FLOW_RIGID) {
+        const Ints bits = to_ints(bytes_at(from.links, places));
+        level_x |= (bits & (LINK_LEFT | LINK_RIGHT)) != (LINK_LEFT | LINK_RIGHT);
+        level_y |= (bits & (LINK_UP | LINK_DOWN)) != (LINK_UP | LINK_DOWN);
+    }
+    const Floats across = level_x ? (Floats)(0.0f) : (z.right - z.left) * 0.5f,
+                 down = level_y ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
     store_floats(out_z > 0.0f ? out_z : z.here, 0, to.depth + dst);
     store_xy(src_center_x + dx - row_centers(dst_x), src_center_y + dy - ((float)dst_y + 0.5f), to.motion + dst);
@@ -540,7 +554,7 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     const int block = block_of(dst_x, dst_y, target_width);
     const bool backward = block_class[block] == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
-    const bool affine = backward && source.s7 != 0.0f;
+    const bool affine = backward && (source.s7 == FLOW_AFFINE || source.s7 == FLOW_RIGID);
 #if LANES == 1
     Sample sample;
     if (affine) {
@@ -548,14 +562,14 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     } else {
         uint src;
         if (backward) {
-            float px_y;
-            const float px_x = px_from_block(source, dst_x, dst_y, &px_y);
-            src = (uint)((int)floor(px_y) * width + (int)floor(px_x));
+            int src_x, src_y;
+            winners_of_block(source, dst_x, dst_y, width, height, &src_x, &src_y);
+            src = (uint)(src_y * width + src_x);
         } else {
             src = winner_of(keys, winners, dst_y * target_width + dst_x);
         }
         const bool smooth =
-            backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)]);
+            backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)] == STRICT);
         if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
     }
     store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
@@ -568,18 +582,17 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     }
     Ints done = (Ints)(0);
     if (backward || dst_x + LANES <= target_width) {
-        WideWinners won = {(Ints)(0), (Ints)(0), ALL_LANES, backward};
+        WideWinners won = {.use = ALL_LANES, .smooth = backward, .strict = backward && source.s7 == FLOW_SMOOTH};
         if (backward) {
-            Floats px_y;
-            won.x = to_ints(floor(px_from_block(source, dst_x, dst_y, &px_y)));
-            won.y = to_ints(floor(px_y));
+            winners_of_block(source, dst_x, dst_y, width, height, &won.x, &won.y);
         } else {
             const Uints src = load_winners(keys, winners, dst_y * target_width + dst_x);
             wide_column_and_row(to_ints(src), width, &won.x, &won.y);
             won.use = (src != NOBODY) & (won.x >= 2) & (won.y >= 2) & (won.x < width - 2) & (won.y < height - 2);
-            won.smooth = ALL(won.use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
-                         && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)]
-                         && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)];
+            won.strict = ALL(won.use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
+                         && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)] == STRICT
+                         && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)] == STRICT;
+            won.smooth = won.strict;
         }
         if (won.smooth) {
             resolve_lanes(from, shown, to, won, dst_x, dst_y);
