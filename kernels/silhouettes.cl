@@ -162,11 +162,13 @@ INLINE void mark_around(const float2 px, const int width, const int height, __gl
     }
 }
 
-/* Finds which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's
-   `share` of the pixel. Marks the target blocks where they go; they come unmarked. */
+/* Finds which layer each pixel belongs to, outside of smooth blocks, in which nothing moves apart; where it does, the
+   color of the far layer, `behind`, and the near one's `share` of the pixel. Marks the target blocks where they go;
+   they come unmarked. */
 WIDE __kernel void find_layers(__constant Frame *frame, __global const float *depth, __global const uchar *links,
-                               __global const float *target_position, __global const half *codes, __global uchar *layer,
-                               __global uint *behind, __global uchar *share, __global uchar *marked) {
+                               __global const uchar *smooth, __global const float *target_position,
+                               __global const half *codes, __global uchar *layer, __global uint *behind,
+                               __global uchar *share, __global uchar *marked) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
@@ -183,6 +185,8 @@ WIDE __kernel void find_layers(__constant Frame *frame, __global const float *de
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     Floats shares = 0.0f;
     Floats colors[3] = {0.0f, 0.0f, 0.0f};
+    if (ANY(part) && frame->blocks && frame->crack_closing && smooth[block_of(src_x, src_y, source_width)])
+        part = (Ints)(0);
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
