@@ -185,8 +185,7 @@ WIDE __kernel void find_layers(__constant Frame *frame, __global const float *de
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     Floats shares = 0.0f;
     Floats colors[3] = {0.0f, 0.0f, 0.0f};
-    if (ANY(part) && frame->blocks && frame->crack_closing && smooth[block_of(src_x, src_y, source_width)])
-        part = (Ints)(0);
+    if (ANY(part) && smooth[block_of(src_x, src_y, source_width)]) part = (Ints)(0);
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;

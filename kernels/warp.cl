@@ -409,11 +409,11 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     }
 }
 
-/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`; `smooth`: in blocks
-   where nothing moves apart, `strict`: in such of one surface. */
+/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`. `smooth`: those in blocks
+   where nothing moves apart, `strict`: all are in such of one surface. */
 typedef struct {
-    Ints x, y, use;
-    bool smooth, strict;
+    Ints x, y, use, smooth;
+    bool strict;
 } WideWinners;
 
 /* resolve_pixel of LANES pixels. Gives the lanes that are done: those in use that stay where they are at
@@ -434,13 +434,14 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     /* Their flow; those beside a silhouette that may step off it are left to `resolve_pixel`. */
     WideFlow f;
     Ints done = won.use;
+    const bool all_smooth = ALL(won.smooth | !won.use);
     if (won.strict) {
         smooth_flow(at, &f);
     } else {
         Cross depth;
         load_cross(from.depth, from.width, places, &depth);
         wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
-        if (!won.smooth) done &= stays(at, depth, f);
+        if (!all_smooth) done &= won.smooth | stays(at, depth, f);
     }
 
     /* The place within each fragment that lands on the pixel's center. */
@@ -453,7 +454,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     /* The taps around that place. */
     Samples samples;
     samples_at(src, dx, dy, from.width, &samples);
-    if (!won.smooth) samples.alike = taps_alike(from, at, src, floor(dx), floor(dy), f);
+    if (!all_smooth) samples.alike = won.smooth ? samples.alike : taps_alike(from, at, src, floor(dx), floor(dy), f);
 
     /* The pixel: depth, motion, labels, color. */
     const Floats out_z = z + f.xz * dx + f.yz * dy;
@@ -520,6 +521,11 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     samples_at(src, dx, dy, from.width, samples);
 }
 
+/* Whether fragment `src` lies in a block where nothing moves apart. */
+INLINE bool is_smooth(const uint src, const int width, __global const uchar *source_smooth) {
+    return src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)];
+}
+
 /* LANES pixels per work-item. */
 WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __global const uchar *block_class,
                            __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
@@ -568,8 +574,7 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
         } else {
             src = winner_of(keys, winners, dst_y * target_width + dst_x);
         }
-        const bool smooth =
-            backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)] == STRICT);
+        const bool smooth = backward || is_smooth(src, width, source_smooth);
         if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
     }
     store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
@@ -582,24 +587,20 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     }
     Ints done = (Ints)(0);
     if (backward || dst_x + LANES <= target_width) {
-        WideWinners won = {.use = ALL_LANES, .smooth = backward, .strict = backward && source.s7 == FLOW_SMOOTH};
+        WideWinners won = {.use = ALL_LANES, .smooth = ALL_LANES, .strict = backward && source.s7 == FLOW_SMOOTH};
         if (backward) {
             winners_of_block(source, dst_x, dst_y, width, height, &won.x, &won.y);
         } else {
             const Uints src = load_winners(keys, winners, dst_y * target_width + dst_x);
             wide_column_and_row(to_ints(src), width, &won.x, &won.y);
             won.use = (src != NOBODY) & (won.x >= 2) & (won.y >= 2) & (won.x < width - 2) & (won.y < height - 2);
-            won.strict = ALL(won.use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
-                         && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)] == STRICT
-                         && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)] == STRICT;
-            won.smooth = won.strict;
+            won.x = won.use ? won.x : (Ints)(2);
+            won.y = won.use ? won.y : (Ints)(2);
+            const Ints blocks = won.y / BLOCK_HEIGHT * block_columns(width) + won.x / BLOCK_WIDTH;
+            const Ints smooth = to_ints(gather_bytes(source_smooth, blocks));
+            won.smooth = smooth != 0;
+            won.strict = ALL(won.use & (smooth == STRICT));
         }
-        if (won.smooth) {
-            resolve_lanes(from, shown, to, won, dst_x, dst_y);
-            return;
-        }
-        won.x = won.use ? won.x : (Ints)(2);
-        won.y = won.use ? won.y : (Ints)(2);
         if (ANY(won.use)) done = resolve_lanes(from, shown, to, won, dst_x, dst_y);
     }
     if (ALL(done)) return;
@@ -609,8 +610,9 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
         if (lane_done[k]) continue;
         const int dst = dst_y * target_width + dst_x + k;
         Sample sample;
-        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, winner_of(keys, winners, dst), false,
-                          unfilled_label, &sample))
+        const uint src = winner_of(keys, winners, dst);
+        const bool smooth = is_smooth(src, width, source_smooth);
+        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, src, smooth, unfilled_label, &sample))
             store_color(resample(sample, width, shown), out_color, dst);
     }
 #endif

@@ -38,7 +38,6 @@ def test_kernels_equal_their_twins(case):
         return
     positions, links = case.read("prediction", "target_position"), case.read("connectivity", "links")
     color, smooth = case.now.color, case.read("backward_blocks", "smooth")
-    smooth = smooth * (case.options.blocks and case.options.crack_closing)
     layer, behind = twins_silhouettes.find_layers(color, case.now.depth, links, smooth, positions, case.zoom)
     share = case.read("silhouettes", "share").astype(np.float32) / np.float32(255)
     kept = case.read("silhouettes", "behind")[..., :3].astype(np.float32)
