@@ -158,10 +158,10 @@ INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
     return strict ? STRICT : rigid ? RIGID : LOOSE;
 }
 
-/* One work-item per source block. smooth: STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach: the target
-   blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for each target
-   block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y + 1; of
-   blocks that are not smooth, everything. */
+/* One work-item per source block. smooth: STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach: the
+   target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for each
+   target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y + 1;
+   of blocks that are not smooth, everything. */
 WIDE __kernel void find_reach(__constant Frame *frame, __global const float *depth, __global const uchar *links,
                               __global const float *target_position, __global uchar *smooth, __global short4 *reach,
                               __global int *reached_by) {

@@ -14,7 +14,7 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.options import Options
+from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.lab.table import baselines, libraries
 from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject
 from gffe_cl.lab.table.network import OnnxModel, OnnxRunner
@@ -160,6 +160,7 @@ _PAPERS_WAY = {
 
 _ALL = (
     _gffe(FULL, "GFFE", "gffe"),
+    *(_gffe(name, f"preset {name}", "preset", **PRESETS[name].values) for name in ("quality", "performance")),
     _gffe("no-motion", "no motion estimation", "ablation", motion=False),
     _gffe("order-2", "prediction of order 2", "ablation", history=3, order=2),
     _gffe("order-5", "prediction of order 5", "ablation", history=6, order=5),
