@@ -162,9 +162,9 @@ INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
    target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for each
    target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y + 1;
    of blocks that are not smooth, everything. */
-WIDE __kernel void find_reach(__constant Frame *frame, __global const float *depth, __global const uchar *links,
-                              __global const float *target_position, __global uchar *smooth, __global short4 *reach,
-                              __global int *reached_by) {
+WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const float *depth,
+                              __global const uchar *links, __global const float *target_position,
+                              __global uchar *smooth, __global short4 *reach, __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments fragments = {.depth = depth,
@@ -246,7 +246,7 @@ INLINE bool is_affine(const float2 center, const float8 source, const int source
 /* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the
    block's reach for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens`
    any. */
-SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const float *target_position,
+SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global const float *target_position,
                                      __global const uchar *smooth, __global int *reached_by,
                                      __global uchar *block_class, __global float8 *block_source, __global uchar *marked,
                                      __global Key *keys, __global uint *winners) {

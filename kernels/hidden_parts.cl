@@ -32,7 +32,8 @@ typedef struct {
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
 /* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
+INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *restrict frame,
+                          const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
@@ -52,7 +53,8 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
    0: none. */
-INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
+INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *restrict frame,
+                          const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
     const int t =
@@ -96,7 +98,7 @@ INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     DirectionInts t;
     DirectionFloats z;
@@ -143,7 +145,7 @@ INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y
 }
 
 /* RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const float *source_depth,
+SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global const float *source_depth,
                                      __global const uchar *block_class, __global const uchar *disoccluded,
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by) {

@@ -21,12 +21,12 @@ typedef struct {
 } Tracked;
 
 /* Displacement of a fragment by acceleration after alpha intervals. */
-INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
+INLINE float3 bent(const int cell, __constant Frame *restrict frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *frame, const Tracked f) {
+INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *restrict frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
@@ -66,7 +66,7 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
 }
 
 /* target_position: planes of x, y and depth. */
-WIDE __kernel void predict_positions(__constant Frame *frame, __global const float *depth,
+WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
                                      __global const float4 *velocity, __global const uint2 *bend,

@@ -83,7 +83,7 @@ INLINE void load_given(__global const float *given, const bool halves, const int
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(__constant Frame *frame, __global const float *given, const bool halves, const int channels,
+INLINE void take(__constant Frame *restrict frame, __global const float *given, const bool halves, const int channels,
                  __global half *color, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
@@ -110,22 +110,22 @@ INLINE void take(__constant Frame *frame, __global const float *given, const boo
     store_counts(width, height, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(__constant Frame *frame, __global const float *given, const int start,
+WIDE __kernel void take_floats(__constant Frame *restrict frame, __global const float *given, const int start,
                                const int channels, __global half *color, __global uchar *bad_pixels) {
     take(frame, given + start, false, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(__constant Frame *frame, __global const half *given, const int start, const int channels,
-                               __global half *color, __global uchar *bad_pixels) {
+WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start,
+                               const int channels, __global half *color, __global uchar *bad_pixels) {
     take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
 }
 
 /* Bad are depth that is NaN, not positive or denormal, and motion that is NaN or infinite. Finite depth beyond
    DEPTH_MOST becomes sky, and motion as long as the diagonal, which leads out of the image from everywhere, NaN.
    Input and output may be the same buffer. */
-WIDE __kernel void take_geometry(__constant Frame *frame, __global const float *given_depth, const int depth_start,
-                                 __global const float *given_motion, const int motion_start, __global float *depth,
-                                 __global float2 *motion, __global uchar *bad_pixels) {
+WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth,
+                                 const int depth_start, __global const float *given_motion, const int motion_start,
+                                 __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     const float diagonal_squared = (float)width * (float)width + (float)height * (float)height;

@@ -117,7 +117,7 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
 }
 
 /* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. */
-WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const float *depth,
+WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const uchar *links, __global const float *target_position,
                          __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
                          __global uint *winners) {
@@ -527,10 +527,11 @@ INLINE bool is_smooth(const uint src, const int width, __global const uchar *sou
 }
 
 /* LANES pixels per work-item. */
-WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __global const uchar *block_class,
-                           __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
-                           __global uint *winners, __global const half *color, __global const half *codes,
-                           __global const float *depth, __global const uchar *dynamic_mask, __global const uchar *links,
+WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
+                           __global const uchar *block_class, __global const float8 *block_source,
+                           __global const uchar *source_smooth, __global Key *keys, __global uint *winners,
+                           __global const half *color, __global const half *codes, __global const float *depth,
+                           __global const uchar *dynamic_mask, __global const uchar *links,
                            __global const float *target_position, __global half *out_color, __global float *out_depth,
                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
                            __global uchar *filled_by, __global uchar *mixed) {
