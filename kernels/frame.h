@@ -38,6 +38,7 @@ typedef struct {
     int has_overlays; /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion; /* whether motion is estimated */
+    int entering; /* whether movers that enter through the border go on as they came */
     int camera_fixed; /* whether fragments fixed to the camera are distinguished from movers */
     int positions; /* of history, that are kept */
     int levels; /* of the background */

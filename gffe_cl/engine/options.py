@@ -191,6 +191,14 @@ class Options:
         flag="--no-camera-fixed",
         needs="motion",
     )
+    entering: bool = _option(
+        True,
+        "entering movers",
+        "Movers that enter through the border of the image: they go on as they came, and are continued to the border;"
+        " off: as in the paper, they stay where they are until their place in the frame before is known.",
+        flag="--no-entering",
+        needs="motion",
+    )
     acceleration: bool = _option(
         True,
         "acceleration",
