@@ -12,7 +12,7 @@
    winners            what the splat leaves: the least depth that reached each pixel, and its word
    out_color          linear: the new frame */
 
-#include "../sampling.h"
+#include "../common.h"
 #include "../simd_texels.h"
 #include "../nearest.h"
 
@@ -108,7 +108,7 @@ INLINE float2 filling_vector(__global const Key *keys, __global const uint *winn
     uint least = NOBODY, word = NOBODY;
     for (int reach = 1; reach <= FILL_REACH && word == NOBODY; ++reach)
         for (int dy = -reach; dy <= reach; ++dy)
-            for (int dx = -reach; dx <= reach; dx += abs(dy) == reach ? 1 : 2 * reach) { /* a ring */
+            for (int dx = -reach; dx <= reach; dx += dy == -reach || dy == reach ? 1 : 2 * reach) { /* a ring */
                 if (!inside(x + dx, y + dy, width, height)) continue;
                 const int i = (y + dy) * width + x + dx;
                 const uint depth_bits = depth_bits_of(keys, i), beside = winner_of(keys, winners, i);
@@ -166,21 +166,25 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
         move_x = load_floats(0, lane_x);
         move_y = load_floats(0, lane_y);
     }
-    Sample s;
-    find_sample(row_indices(x) - move_x, (float)y - move_y, width, height, &s);
-    const bool in_row = ALL((s.tap == FIRST_LANE(s.tap) + LANE_NUMBERS) & (s.right == 1) & (s.down == width));
-    int taps[4][LANES];
-    store_ints(s.tap, 0, taps[0]);
-    store_ints(s.tap + s.right, 0, taps[1]);
-    store_ints(s.tap + s.down, 0, taps[2]);
-    store_ints(s.tap + s.down + s.right, 0, taps[3]);
+    const Floats px_x =
+        wide_greater(wide_lesser(to_floats(x + LANE_NUMBERS) - move_x, (Floats)((float)(width - 1))), (Floats)(0.0f));
+    const Floats px_y = wide_greater(wide_lesser((float)y - move_y, (Floats)((float)(height - 1))), (Floats)(0.0f));
+    const Ints left = to_ints(px_x), right = min(left + 1, (Ints)(width - 1));
+    const Ints row = to_ints(px_y), top = row * width, bottom = min(row + 1, (Ints)(height - 1)) * width;
+    const bool in_row = ALL((row == FIRST_LANE(row)) & (left == FIRST_LANE(left) + LANE_NUMBERS) & (right > left));
+    int taps[4 * LANES];
+    store_ints(top + left, 0, taps);
+    store_ints(top + right, 1, taps);
+    store_ints(bottom + left, 2, taps);
+    store_ints(bottom + right, 3, taps);
+    const Floats across = px_x - to_floats(left), down = px_y - to_floats(row);
     Strip made;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) {
-        const Texels u = OF_TEXELS(s.u, part), v = OF_TEXELS(s.v, part);
+        const Texels u = OF_TEXELS(across, part), v = OF_TEXELS(down, part);
         Texels c[4];
 #pragma unroll
-        for (int k = 0; k < 4; ++k) c[k] = texels_at(color, taps[k] + part * TEXELS, in_row);
+        for (int k = 0; k < 4; ++k) c[k] = texels_at(color, taps + k * LANES + part * TEXELS, in_row);
         made.part[part] =
             finite_texels((1.0f - v) * ((1.0f - u) * c[0] + u * c[1]) + v * ((1.0f - u) * c[2] + u * c[3]));
     }

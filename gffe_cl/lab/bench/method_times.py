@@ -2,8 +2,8 @@
 
 Every method is timed as it would run live, from the buffers of a rendered frame to the color of the new one. Pipelines
 and `dilate-splat` take and leave buffers of their device: no copy to or from the host is inside, but for those around
-the shading correction network. Methods of OpenCV and PyTorch take and leave float32 arrays in host memory: the conversion of 16-bit
-colors is not inside, that to the 8-bit gray of optical flow is.
+the shading correction network. Methods of OpenCV and PyTorch take and leave float32 arrays in host memory: the
+conversion of 16-bit colors is not inside, that to the 8-bit gray of optical flow is.
 """
 
 from __future__ import annotations
@@ -109,7 +109,8 @@ class Contestant:
 
 def measure_methods(subject: Subject, devices: list[Device], options: Options, repeats: int, step: OpenStep) -> dict:
     """Return the figures for one subject, as JSON: see `_report`. Pipelines, with and without the network, and
-    `DILATE_SPLAT` run on all `devices`; ratios are to the first method on the first one. `options`: of the pipelines. `repeats`: timed turns."""
+    `DILATE_SPLAT` run on all `devices`; ratios are to the first method on the first one. `options`: of the pipelines.
+    `repeats`: timed turns."""
     if options.upscale:
         raise GffeError("--methods takes frames of the display's size, not --upscale's")
     advance = step(f"{subject.name}: frames and ground truth", NO_HISTORY + min(subject.moments, MOMENTS))
