@@ -17,8 +17,10 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.lab.table import baselines, libraries
 from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject
+from gffe_cl.lab.table.dilate_splat import DilateSplat
 from gffe_cl.lab.table.network import OnnxModel, OnnxRunner
 from gffe_cl.lab.table.pipelines import (
+    DeviceRunner,
     PipelineRunner,
     RenderedUpscaled,
     Resampled,
@@ -28,6 +30,7 @@ from gffe_cl.lab.table.pipelines import (
 )
 
 FULL = "gffe"
+DILATE_SPLAT = "dilate-splat"
 LIBRARY = "library"
 GIVEN = "given"  # rendered frames as the sequence has them
 
@@ -62,7 +65,8 @@ class Method:
     package : module that must be importable, and the extra that brings it
     model : of the ONNX contract
     pipelines : how our pipeline is used, if it is one
-    make : footage → Runner, where it is no pipeline
+    make : footage → Runner, where it works on the host
+    on_device : footage, device → DeviceRunner, where it has kernels of its own
     """
 
     name: str
@@ -76,6 +80,7 @@ class Method:
     model: Path | None = None
     pipelines: type[PipelineRunner] = PipelineRunner
     make: Callable[[Footage], Runner] | None = None
+    on_device: Callable[[Footage, Device], DeviceRunner] | None = None
 
     def missing(self, footage: Subject | Footage) -> str | None:
         """Return why the method cannot be run on `footage`; None if it can."""
@@ -106,10 +111,12 @@ class Method:
 
     def runner(self, footage: Footage, device: Device) -> Runner:
         """Return a runner at the start of a sequence. Raises GffeError."""
-        if self.options is None:
-            assert self.make is not None
-            return self.make(footage)
-        return self.pipelines(self.options, self.window, self.camera, footage, device)
+        if self.options is not None:
+            return self.pipelines(self.options, self.window, self.camera, footage, device)
+        if self.on_device is not None:
+            return self.on_device(footage, device)
+        assert self.make is not None
+        return self.make(footage)
 
 
 def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool = True, **options) -> Method:
@@ -232,6 +239,9 @@ _ALL = (
         "motion vectors in image space, quadratic",
         "baseline",
         make=lambda footage: baselines.MotionVectors(2),
+    ),
+    Method(
+        DILATE_SPLAT, "motion vectors, dilated and splatted, bilinear, in OpenCL", "baseline", on_device=DilateSplat
     ),
     Method(
         "guided",

@@ -11,7 +11,7 @@ from shutil import copytree
 import numpy as np
 from network_stages import made_stages
 from synthetic import camera
-from twin_cases import run
+from twin_cases import frames, run
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
 from gffe_cl.engine.opencl.device import open_device
@@ -90,6 +90,19 @@ def upload(device):
             assert stage.take_bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
 
 
+def dilate_splat(device):
+    """In all forms, on images of odd sizes."""
+    from gffe_cl.lab.table.datasets import Footage, Moment, Shot
+    from gffe_cl.lab.table.dilate_splat import DilateSplat
+
+    for lanes, int64, size in product((1, 8), (True, False), ((37, 11), (3, 2))):
+        device.__dict__["lanes"] = lanes
+        *_, frame = frames(*size)
+        runner = DilateSplat(Footage("odd", *size, 30.0, 1.0), device, int64)
+        runner.submit(Shot(frame, frame.color, ()))
+        runner.color_of(runner.extrapolated(Moment(0.5, 0.5, None, frame.color)))
+
+
 def scene(device):
     from gffe_cl.captures.scenes import SCENES, SceneRenderer, load_scene
 
@@ -106,8 +119,9 @@ if __name__ == "__main__":
     case = sys.argv[1]
     with tempfile.TemporaryDirectory() as folder:
         without_looks(folder)
-        if case in ("scene", "shading", "upload"):
-            {"scene": scene, "shading": shading, "upload": upload}[case](opened)
+        others = {"scene": scene, "shading": shading, "upload": upload, "dilate-splat": dilate_splat}
+        if case in others:
+            others[case](opened)
         else:
             stages(opened, case == "int64")
     print("finished", case)
