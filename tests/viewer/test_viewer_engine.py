@@ -269,6 +269,12 @@ def test_rendered_slots_and_the_frames_own_layers(device):
             assert (result.images[name][..., :3] == frame.color).all()
         assert (result.images["rendered.depth"] == frame.depth).all()
         assert (result.images["rendered.motion"] == frame.motion).all()
+        generated = {spec.name for spec in result.specs.values() if spec.of_generated}
+        stepped_here = [ask(engine, slot, setup, "all").images.keys() for slot in (7, 8)]
+        assert generated - {"focus_truth"} <= stepped_here[0], "all of them at a generated slot"
+        assert not generated & stepped_here[1], "and at a rendered one not those that are left of the one before"
+        engine.inspect(3, 4)
+        assert not generated & wait_for(engine.poll_inspection).values.keys()
         result = ask(engine, 9, setup, ("truth",))
         np.testing.assert_array_equal(result.images["truth"][..., :3], Clip().truth(4, 0.5).astype(np.float16))
         again = ask(engine, 9, setup, ("truth", "final"))

@@ -234,14 +234,35 @@ def test_the_survey_finds_the_worst_frames():
     survey.quantity = "flicker"
     xs, ys = survey.curve(survey.a)
     assert survey.next() == int(xs[ys.argmax()]), "more flicker is worse; another quantity starts anew"
-    assert survey.mean(survey.a, "psnr") == pytest.approx(np.mean(list(a.values())))
+    means, count = survey.means("psnr")
+    assert count == 7 and means["A"] == pytest.approx(np.mean(list(a.values())))
+    survey.close()
+
+
+def test_means_of_both_are_over_the_slots_that_both_have():
+    _, survey = surveyed()
+    known = survey.figures(survey.b)
+    for slot in (1, 3, 7):
+        del known[slot]
+    common = [9, 11, 13, 15]
+    means, count = survey.means("psnr")
+    assert count == len(common)
+    for name, side in (("A", survey.a), ("B", survey.b)):
+        values = [survey.figures(side)[slot].values["psnr"] for slot in common]
+        assert means[name] == pytest.approx(np.mean(values))
+    parts, count = survey.parts()
+    assert count == len(common)
+    shares = [survey.figures(survey.a)[slot].parts["dynamic"].pixels for slot in common]
+    assert parts["A"]["dynamic"].pixels == pytest.approx(np.mean(shares))
+    known.clear()
+    assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
     survey.close()
 
 
 def test_the_survey_sums_up_its_regions():
     _, survey = surveyed()
     figures = [figures for figures in survey.figures(survey.a).values() if figures.parts]
-    parts = survey.parts(survey.a)
+    parts = survey.parts()[0]["A"]
     for name in REGIONS:
         assert parts[name].pixels == pytest.approx(np.mean([of.parts[name].pixels for of in figures]))
     assert sum(part.error for part in parts.values()) == pytest.approx(1)

@@ -61,6 +61,46 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
 
 
+def test_a_layer_is_never_compared_with_itself(session):
+    model, comparison = session.model, session.model.comparison
+    comparison.toggle_truth()
+    comparison.toggle("error")
+    assert (model.view.a, model.view.b) == ("truth", "final") and not comparison.nothing
+    comparison.with_layer("truth")
+    assert comparison.nothing and comparison.shown().compare == "off", "no black map as of a perfect result"
+    assert "same layer" in comparison.scale_text()
+    comparison.set("flip error")
+    assert model.view.b == "final" and not comparison.nothing
+
+
+def test_settings_compared_with_themselves_are_named(session):
+    model, comparison = session.model, session.model.comparison
+    model.keep_as_b()
+    comparison.set("difference")
+    session.settle()
+    assert "same settings" in comparison.scale_text() and comparison.shown().compare == "off"
+    model.parameters.switch("motion", False)
+    session.settle()
+    assert comparison.scale_text() == "|A − B| × 4" and comparison.shown().compare == "difference"
+
+
+def test_cuts_found_in_computing_ahead_are_marked(session, monkeypatch):
+    submit = Seeker._submit
+
+    def cutting(self, m, last):
+        submit(self, m, last)
+        self.cuts |= {m} & {2}
+
+    monkeypatch.setattr(Seeker, "_submit", cutting)
+    model = session.model
+    assert model.slot == 0 and not model.contents.resets
+    model.set("levels", 2)  # so that everything is computed anew
+    session.settle()
+    session.until(lambda: 5 in model.filling.cached)
+    session.frame()
+    assert model.slot == 0 and model.contents.resets == {2: "a cut was found here"}
+
+
 def test_layers_of_another_slot_are_not_on_the_canvas(session):
     model = session.model
     for slot, layer in ((1, "frame.depth"), (3, "final")):

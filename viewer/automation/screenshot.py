@@ -34,6 +34,8 @@ class Look:
         model.show_layer(found_layer(model, self.layer))
         if self.other:
             model.view.b = found_layer(model, self.other)
+            if model.view.b == model.view.a:
+                raise GffeError(f"--with {self.other}: the layer is compared with itself (expected another one)")
         if self.compare != "off":
             reason = model.comparison.why_not(self.compare)
             if reason:

@@ -71,8 +71,8 @@ class Result:
         What was asked for, and what it shows.
     images : dict
         The layers asked for that exist: (planes?, H, W, channels?), the receiver's own; colors (H, W, 4) float16.
-        At a rendered slot the stages' layers after `submit` still hold the extrapolated frame before it, if they are
-        there, and "truth" is the rendered frame's display part.
+        A rendered slot has none of the layers of generated frames, and its "truth" is the rendered frame's display
+        part.
     specs : dict
         All layers that can be asked for.
     kernels : dict

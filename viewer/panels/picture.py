@@ -342,8 +342,6 @@ def _layer_text(model: Model, name: str) -> str:
     result = model.contents.second if names.is_second(name) else model.contents.result
     if result and names.plain(name) in result.request.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
-    elif result and not result.moment.alpha and spec.of_generated:
-        text += "   (of the generated frame before)"
     return text
 
 

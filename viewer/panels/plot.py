@@ -129,14 +129,17 @@ def _controls(app: Interface) -> None:
         ):
             row(em(2.2))
             widgets.action_button(app.actions, name, icon)
-        for label, side in (("A", survey.a), ("B", survey.b)):
-            mean = survey.mean(side, survey.quantity)
-            if mean is not None:
-                text = QUANTITIES[survey.quantity].text(mean)
-                row(imgui.calc_text_size(f"{label} {text}").x)
-                imgui.text_colored(COLORS[label], label)
-                imgui.same_line(0, em(0.3))
-                imgui.text(text)
+        means, count = survey.means(survey.quantity)
+        for label, mean in means.items():
+            text = QUANTITIES[survey.quantity].text(mean)
+            row(imgui.calc_text_size(f"{label} {text}").x)
+            imgui.text_colored(COLORS[label], label)
+            imgui.same_line(0, em(0.3))
+            imgui.text(text)
+        if means:
+            text = f"mean of {count} frame{'s' * (count != 1)}" + " of both" * (len(means) > 1)
+            row(imgui.calc_text_size(text).x)
+            imgui.text_disabled(text)
         text = _progress(model)
         if text:
             row(min(imgui.calc_text_size(text).x, em(8)))

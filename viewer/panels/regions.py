@@ -33,10 +33,10 @@ def draw(app: Interface) -> None:
         widgets.hint(f"This frame: {reason}")
     elif regions.map is not None:
         _table(regions, "frame", "this frame" + ("" if regions.ready else " …"), regions.map.a, regions.map.b)
-    whole = model.survey.parts(model.survey.a)
-    if whole:
-        count = len(model.survey.with_parts(model.survey.a))
-        _table(regions, "all", f"all {count} frames", whole, model.survey.parts(model.survey.b) or None)
+    whole, count = model.survey.parts()
+    if "A" in whole:
+        of = f"{count} frame{'s' * (count != 1)}" + " of both" * ("B" in whole)
+        _table(regions, "all", of, whole["A"], whole.get("B"))
 
 
 def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:

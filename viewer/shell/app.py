@@ -224,7 +224,9 @@ class App(Interface):
     # ---- windows that come and go ------------------------------------------------------------------------
 
     def _windows(self) -> None:
-        keys.dispatch(self.actions, keys.FLIGHT_KEYS if self.model.flying else frozenset(), self.stack.covers)
+        taken = keys.FLIGHT_KEYS if self.model.flying else frozenset()
+        if refused := keys.dispatch(self.actions, taken, self.stack.covers):
+            self.model.say(refused)
         for path in self._dropped:
             self.model.open(path)
         self._dropped.clear()

@@ -59,6 +59,8 @@ def entries_of(view: View, contents: Contents, looks: Looks, comparison: Compari
     """Return legends of the displayed layers; none for colors alone."""
     if comparison.flipped:
         return [*_layer(view.b, contents, looks, "B  "), *_overlay(view)]
+    if comparison.nothing:
+        return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
     if view.compare in ("error", "flip error"):
         display = comparison.error_display
         return [Entry(comparison.scale_text(), legend(flip_map.SPEC, display), display.color_map), *_overlay(view)]

@@ -31,11 +31,13 @@ class Loop:
         if model.source is not None:
             self._follow_source()
         model.recipe = model.engine.recipe(model.setup)
+        model.contents.cuts = model.engine.cuts.get(model.recipe, frozenset())
         self._take_answers()
         if model.source is None:
             return
         model.second.compare_with(None if model.overview or model.follows else model.comparison.second)
         kept = model.second.kept
+        model.comparison.same_settings = kept is not None and model.engine.recipe(kept.setup(model.n)) == model.recipe
         model.filling.others = frozenset() if kept is None else frozenset({model.engine.recipe(kept.setup(model.n))})
         result, ready = model.contents.result, None
         if result is not None and result.request.setup == model.setup:

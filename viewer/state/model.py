@@ -308,7 +308,9 @@ class Model:
         self.measuring = on
 
     def overview_tiles(self) -> list[tuple[str, Display]]:
-        shown = [spec.name for spec in self.contents.layers if self.contents.image(spec.name) is not None]
+        """Return all layers that generated frames have, with their displays: tiles stay in place from frame to frame."""
+        image = self.contents.image
+        shown = [spec.name for spec in self.contents.layers if spec.of_generated or image(spec.name) is not None]
         return [(name, self.looks.of(name)) for name in shown]
 
     # ---- the camera ----------------------------------------------------------------------------------------
