@@ -15,6 +15,7 @@ from scn_models import constant_model
 from viewer_session import PATIENCE, Canvas, Session
 
 from gffe_cl import OPTIONS, Options
+from gffe_cl.captures.doctor.findings import FAULT, NOTE, Finding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import Option
@@ -22,6 +23,7 @@ from gffe_cl.lab.fault_injection import broken
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.panels.doctor import offers_repair
 from gffe_cl.viewer.panels.palette import stepped
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
@@ -409,3 +411,10 @@ def test_the_doctor_marks_frames_in_the_wrong_place():
     assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
     assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
     assert told[1].marks
+
+
+def test_only_faults_are_offered_for_repair():
+    note = Finding(NOTE, "color", "display values", "looks like display values", "colors are made linear")
+    fault = Finding(FAULT, "motion", "y flipped", "y points up", "y is turned round")
+    assert not offers_repair([note]) and offers_repair([note, fault])
+    assert not offers_repair([Finding(FAULT, "camera", "fov", "the field of view is wrong")])

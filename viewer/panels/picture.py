@@ -316,6 +316,8 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     if model.follows and model.contents.result is not None:
         kind = frame_text(model.contents.result.moment)
     kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    if found := model.invalid.text():
+        kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):

@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 
-from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..picture.colors import Rgb, wheel_color
 from ..picture.legends import Legend
 
+RED = ImVec4(0.97, 0.5, 0.45, 1.0)
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
 
@@ -138,7 +139,12 @@ def choice(
 
 def hint(text: str) -> None:
     """Draw text that is less important than the rest, in as many lines as it takes."""
-    imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
+    colored(imgui.get_style_color_vec4(imgui.Col_.text_disabled), text)
+
+
+def colored(color, text: str) -> None:
+    """Draw text in a color, in as many lines as it takes."""
+    imgui.push_style_color(imgui.Col_.text, color)
     imgui.text_wrapped(text)
     imgui.pop_style_color()
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.stages.buffers import Sizes, lies_on_source, texel_of
+from ..engine import names
 from ..engine.layers import NATIVE, LayerSpec
 from .colors import COLOR_MAPS, Rgb
 
@@ -94,6 +95,7 @@ class FrameInfo:
     target_size : of the extrapolated frame; None: as the display
     exposure : of the sequence
     source, previous : render cameras of the rendered frame shown and of the one before it, where known
+    generated : the slot is a generated frame, whose ground truth is another picture than what is shown
     source_area, target_area : the part (x0, y0, x1, y1) of the rendered and of the extrapolated image that covers the
         display, in fractions of their sides (see `area_of`)
     """
@@ -106,6 +108,11 @@ class FrameInfo:
     previous: Camera | None = None
     source_area: Area = (0.0, 0.0, 1.0, 1.0)
     target_area: Area = (0.0, 0.0, 1.0, 1.0)
+    generated: bool = False
+
+    def is_true(self, spec: LayerSpec) -> bool:
+        """Return whether a layer shows ground truth, on which invalid pixels of the input have no effect."""
+        return self.generated and spec.name in (names.TRUTH, names.FOCUS_TRUTH)
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         area = self.source_area if lies_on_source(spec.grid) else self.target_area

@@ -118,6 +118,10 @@ def register(app: App) -> None:
     add("disocclusions", "Disocclusions", "View", "X",
         lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
         tooltip="Over the picture: pixels of generated frames that were out of screen or hidden")  # fmt: skip
+    add("mark_invalid", "Mark invalid pixels", "View", "",
+        lambda: setattr(model.view, "mark_invalid", not model.view.mark_invalid),
+        checked=lambda: model.view.mark_invalid,
+        tooltip="A pattern over NaN, infinity, and pixels that the input has invalid")  # fmt: skip
     add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
@@ -211,6 +215,9 @@ def _finding(app: App, add, opened) -> None:
         add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
             lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
             tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
+    add("next_invalid", "Next invalid pixel", "Find", "Shift+N", model.go_to_invalid,
+        lambda: opened() or (None if model.invalid.count else "no NaN, infinity or invalid input in this picture"),
+        tooltip="NaN, infinity, and pixels that the input has invalid; row by row")  # fmt: skip
     add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,
         lambda: opened() or (None if model.walk.can_go_back else "no link was followed"))  # fmt: skip
     add("forget_rectangle", "Forget the rectangle", "Find", "", model.selection.forget,

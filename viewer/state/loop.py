@@ -44,6 +44,7 @@ class Loop:
             ready = result.request.slot
         self._ask(model.playback.tick(now, ready).request)
         model.disocclusions.update(canvas)
+        model.invalid.update(canvas, model.playback.playing)
         faults = model.comparison.update(canvas), model.regions.update(canvas), model.selection.update()
         for fault in filter(None, faults):
             model.say(fault, error=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -11,10 +12,12 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from ..engine import names
+from ..engine.buffers import moved
 from ..engine.attached.program import FRAMES, RunningProgram
 from ..engine.cache import CACHE_MIB, FrameCache
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
+from ..engine.explain.pixel_explain_types import Link
 from ..engine.messages import Metrics, Setup
 from ..engine.sources.attached import AttachedSource, FrozenSource
 from ..engine.sources.opening import ScenePlan, make_source
@@ -25,6 +28,7 @@ from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.legend_strip import Entry
+from ..picture.invalid import InvalidPixels
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
@@ -77,6 +81,7 @@ class Model:
         self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._loop.take)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
+        self.invalid = InvalidPixels(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
@@ -200,6 +205,18 @@ class Model:
         if slot is not None:
             self.playback.seek(slot)
         self.say(text)
+
+    def go_to_input(self, k: int, px: tuple[int, int]) -> None:
+        """Look at pixel `px` of the rendered image of frame `k` of a sequence."""
+        entry = self.source.sequence.rendered[k]
+        x, y = moved((px[0] + 0.5, px[1] + 0.5), entry.render_camera, entry.display_camera)
+        self.walk.follow(Link("", frame=k, pixel=(math.floor(x), math.floor(y))))
+
+    def go_to_invalid(self) -> None:
+        """Look at the next invalid pixel of the picture, after the picked one."""
+        pixel = self.invalid.next(self.pointing.picked)
+        if pixel is not None:
+            self.walk.go_to_pixel(pixel)
 
     @property
     def from_cache(self) -> bool:
@@ -427,6 +444,7 @@ class Model:
             self.export.close()
         self.comparison.close()
         self.regions.close()
+        self.invalid.close()
         self.survey.close()
         self.selection.close()
         self.engine.close()
