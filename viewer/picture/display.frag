@@ -49,13 +49,13 @@ struct Layer {
     float motion_scale;   /* negative: reversed */
     vec3 tint;
     int label_flip;       /* 15: the usual label is 15, not 0 */
-    int mask;             /* of invalid pixels: 1 of the rendered image, 2 of the shown one, 0 none */
+    vec4 mask_area;       /* as `area`, of the mask of invalid pixels */
 };
 
 uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
-uniform sampler2DArray invalid_rendered, invalid_shown;
-uniform float mark_level;       /* of their mipmaps */
+uniform sampler2DArray mask_a, mask_b;  /* invalid pixels of the input */
+uniform int mark_level;         /* of their mipmaps, which make single pixels as large as can be seen */
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_center;
@@ -311,17 +311,10 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
     return mix(dimmed, hue_of(residual), share_of(residual, residual_scale));
 }
 
-/* Whether a mask is set there; its mipmaps make single pixels as large as can be seen. */
-bool in_mask(sampler2DArray mask, const vec2 uv) {
-    if (!inside(uv)) return false;
-    if (mark_level > 0.0) return textureLod(mask, vec3(uv, 0.0), mark_level).r > 0.0;
-    return texelFetch(mask, ivec3(texel_at(uv, textureSize(mask, 0).xy), 0), 0).r > 0.0;
-}
-
 /* Whether layer i shows an invalid pixel of the input. */
-bool marked(const int i, const vec2 uv) {
-    if (layer[i].mask == 1) return in_mask(invalid_rendered, mix(rendered_area.xy, rendered_area.zw, uv));
-    return layer[i].mask == 2 && in_mask(invalid_shown, uv);
+bool marked(sampler2DArray mask, const int i, const vec2 uv) {
+    vec2 at = mix(layer[i].mask_area.xy, layer[i].mask_area.zw, uv);
+    return inside(at) && texelFetch(mask, ivec3(texel_at(at, textureSize(mask, mark_level).xy), 0), mark_level).r > 0.0;
 }
 
 vec3 with_grid(const vec3 c, const vec2 uv) {
@@ -342,7 +335,7 @@ void main() {
         else if (COMPARE == ERROR) c = show_error(uv);
         else c = show(0, uv);
         c = overlaid(c, uv);
-        if (MARKED == 1 && (marked(0, uv) || (COMPARE != 0 && marked(1, uv)))) c = checker();
+        if (MARKED == 1 && (marked(mask_a, 0, uv) || (COMPARE != 0 && marked(mask_b, 1, uv)))) c = checker();
         c = with_grid(c, uv);
     }
     pixel = vec4(c, 1.0);
