@@ -19,7 +19,7 @@ from gffe_cl.lab.table.labels import find_labels
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
 from gffe_cl.viewer.engine.invalid import seen_at, seen_through
-from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec
 from gffe_cl.viewer.engine.messages import Recipe, Request, Setup
 from gffe_cl.viewer.engine.slot_metrics import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
@@ -30,6 +30,7 @@ from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.legends import legend
 from gffe_cl.viewer.picture.selection import statistics
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.picture.worst_pixels import worst_pixels
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Survey
 
@@ -282,6 +283,25 @@ def test_means_of_both_are_over_the_slots_that_both_have():
     known.clear()
     assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
     survey.close()
+
+
+def test_worst_pixels_are_apart_and_in_order():
+    rng = np.random.default_rng(5)
+    true = rng.uniform(0.2, 0.6, (40, 60, 4)).astype(np.float16)
+    shown = true.copy()
+    for (x, y), error in (((50, 30), 0.4), ((52, 31), 0.3), ((5, 6), 0.2), ((30, 10), 0.1)):
+        shown[y, x, :3] += np.float16(error)
+    found = worst_pixels(FRAME_LAYERS["final"], shown, true, (60, 40), 1.0)
+    assert [worst.pixel for worst in found] == [(50, 30), (5, 6), (30, 10)], "(52, 31) belongs to the first"
+    assert [worst.rank for worst in found] == [1, 2, 3]
+    expected = np.abs(to_display(shown[..., :3], 1.0) - to_display(true[..., :3], 1.0)).mean(-1)[30, 50]
+    assert found[0].error == pytest.approx(expected)
+    depth = np.full((20, 30), 3.0, np.float32)
+    other = depth.copy()
+    depth[0, 0] = other[0, 0] = np.inf
+    other[7, 9], other[15, 20] = 3.5, np.nan
+    found = worst_pixels(FRAME_LAYERS["rendered.depth"], depth, other, (60, 40), 1.0)
+    assert [worst.pixel for worst in found] == [(41, 31), (19, 15)], "display pixels; NaN is the worst, sky is equal"
 
 
 def test_the_survey_sums_up_its_regions():

@@ -20,6 +20,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import Option
 from gffe_cl.lab.fault_injection import broken
+from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeker import Seeker
@@ -411,6 +412,33 @@ def test_the_doctor_marks_frames_in_the_wrong_place():
     assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
     assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
     assert told[1].marks
+
+
+def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
+    model = session.model
+    assert "rendered frame" in model.worst.why_not()
+    model.playback.seek(1)
+    model.show_layer("frame.motion")
+    session.settle()
+    picked = []
+    for _ in range(2):
+        model.worst.due = True
+        session.settle()
+        picked.append(model.pointing.picked)
+        assert f"number {len(picked)} of the slot" in model.messages[-1].text
+    assert len(set(picked)) == len(picked)
+    model.show_layer("final")
+    model.comparison.with_layer("truth")
+    model.comparison.set("error")
+    session.settle()
+    images = (to_display(model.contents.image(name)[..., :3], 1.0) for name in ("final", "truth"))
+    error = np.abs(np.subtract(*images)).mean(-1)
+    assert error[picked[0][1], picked[0][0]] == error.max()
+    model.keep_as_b()
+    session.settle()
+    model.worst.due = True
+    session.settle()
+    assert model.messages[-1].text == "A and B are equal here"
 
 
 def test_only_faults_are_offered_for_repair():

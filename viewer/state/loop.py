@@ -48,6 +48,7 @@ class Loop:
         faults = model.comparison.update(canvas), model.regions.update(canvas), model.selection.update()
         for fault in filter(None, faults):
             model.say(fault, error=True)
+        self._find_worst()
         model.asking.fill(now, model.recipe, not (model.flying or model.overview or model.export or model.follows))
         kept = model.kept.b if model.comparison.by_settings else None
         idle = not (model.flying or model.export or model.playback.playing or model.second.waits or model.follows)
@@ -58,6 +59,16 @@ class Loop:
         self._was_playing = model.playback.playing
         if model.export is not None:
             model.advance_export(canvas)
+
+    def _find_worst(self) -> None:
+        """Look at the worst pixel that was asked for, once it is known."""
+        model = self._model
+        found, reason = model.worst.update()
+        if found is not None:
+            model.walk.go_to_pixel(found.pixel)
+            model.say(f"error {found.error:.4g} at ({found.pixel[0]}, {found.pixel[1]}): number {found.rank} of the slot")
+        elif reason:
+            model.say(reason)
 
     def _follow_source(self) -> None:
         """Take over another render rate that was chosen, more frames of the source, and options that a running program

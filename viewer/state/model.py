@@ -32,6 +32,7 @@ from ..picture.invalid import InvalidPixels
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
+from ..picture.worst_pixels import WorstPixels
 from .captions import Message, entries_of
 from .compare_b import Second
 from .comparing import Comparison, Scores
@@ -86,7 +87,10 @@ class Model:
         self.pointing = Pointing(self._inspect)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
-        self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection)
+        self.worst = WorstPixels(self.view, self.contents)
+        self.needed = Needed(
+            self.view, self.contents, self.regions, self.disocclusions, self.selection, self.worst
+        )
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
@@ -280,6 +284,7 @@ class Model:
             and self.comparison.ready
             and self.regions.ready
             and self.selection.ready
+            and not self.worst.due
             and self.screen.ready
         )
 
@@ -445,6 +450,7 @@ class Model:
         self.comparison.close()
         self.regions.close()
         self.invalid.close()
+        self.worst.close()
         self.survey.close()
         self.selection.close()
         self.engine.close()
