@@ -27,7 +27,7 @@ from gffe_cl.viewer.picture.disocclusions import Disocclusions
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.invalid import InvalidPixels
 from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
-from gffe_cl.viewer.picture.legends import legend
+from gffe_cl.viewer.picture.legends import Legend, legend
 from gffe_cl.viewer.picture.selection import statistics
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.picture.worst_pixels import worst_pixels
@@ -400,3 +400,5 @@ def test_legends_under_saved_pictures():
         assert {tuple(round(255 * c) for c in color) for color in LABEL_COLORS[:2]} <= colors
         assert {(255, 0, 0), (128, 255, 0)} & colors, "directions of motion"
         assert len(found) > len(with_legends(picture, more[:1])) > 30
+        lines = [with_legends(picture, [Entry("wide words " * count, Legend("none"))]) for count in (1, 30)]
+        assert lines[1].shape[1] == lines[0].shape[1] and len(lines[1]) > len(lines[0]), "long lines are broken"

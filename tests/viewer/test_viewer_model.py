@@ -441,6 +441,33 @@ def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
     assert model.messages[-1].text == "A and B are equal here"
 
 
+def test_saved_pictures_name_frame_layers_and_settings(session):
+    model = session.model
+    model.playback.seek(3)
+    model.parameters.switch("crack_closing", False)
+    model.keep_as_b()
+    model.parameters.switch("crack_closing", True)
+    model.show_layer("frame.depth")
+    session.settle()
+
+    def titles():
+        return [entry.title for entry in model._subject.legends()]
+
+    name = model.source.name
+    assert titles()[:2] == [f"{name}   generated: frame 1 + 1/2", "frame: Depth   defaults"]
+    model.comparison.set("error")
+    assert titles()[1:3] == ["A  frame: Depth   defaults", "B  frame: Depth   no crack closing"]
+    assert model.legends()[0].legend.unit == "world units"
+    model.show_layer("final")
+    model.comparison.with_layer("truth")
+    assert titles()[1:3] == ["A  frame: Final   defaults", "B  frame: Ground truth"]
+    assert model.legends()[0].legend.unit == "of display values"
+    model.comparison.set("flip error")
+    assert model.legends()[0].legend.unit.startswith("FLIP")
+    model.settings.legends = False
+    assert titles() == []
+
+
 def test_only_faults_are_offered_for_repair():
     note = Finding(NOTE, "color", "display values", "looks like display values", "colors are made linear")
     fault = Finding(FAULT, "motion", "y flipped", "y points up", "y is turned round")

@@ -11,7 +11,7 @@ from ..engine import names
 from ..engine.sources.preview import Preview
 from ..picture.canvas import Rectangle
 from ..picture.view import View
-from ..state.captions import frame_text
+from ..state.captions import layer_text
 from ..state.model import Model
 from ..state.presets import told
 from . import overview, widgets
@@ -71,6 +71,7 @@ def draw(app: Interface) -> None:
     _rectangle(model, place, marks)
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
+    covers += _bars(model, origin, width, height, marks)
     if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
         app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
@@ -105,7 +106,7 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
     marks = imgui.get_window_draw_list()
     text = f"rendered frame 0   {model.engine.activity or 'opening'} …"
-    _label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
+    widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
 def _mouse(app: Interface, place) -> None:
@@ -297,7 +298,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     view, covers = model.view, []
 
     def label(text: str, x: float, y: float, right: bool = False) -> None:
-        left, top, end, bottom = _label(marks, text, origin.x + x, origin.y + y, right)
+        left, top, end, bottom = widgets.label(marks, text, origin.x + x, origin.y + y, right)
         inside = left - origin.x, top - origin.y, end - origin.x + 1, bottom - origin.y + 1
         covers.append(tuple(map(int, inside)))
 
@@ -311,11 +312,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         label(b, width - 10, 8, right=True)
     else:
         label(_layer_text(model, view.a), 10, 8)
-    k, j = divmod(model.slot, model.n + 1)
-    kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
-    if model.follows and model.contents.result is not None:
-        kind = frame_text(model.contents.result.moment)
-    kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    kind, line = f"{model.frame_text}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
     if found := model.invalid.text():
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
@@ -329,29 +326,40 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     return covers
 
 
+def _bars(model: Model, origin, width: int, height: int, marks) -> list[Rectangle]:
+    """Draw a color bar with numbers and unit for each map, at the picture's right edge, of A in a wipe at its left one.
+    Returns their rectangles, in the picture's pixels."""
+    em, covers = hello_imgui.em_size(), []
+    top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
+    if high < 4 * em or width < 20 * em:
+        return covers
+    for entry in model.legends():
+        shown = entry.legend
+        left = entry.title.startswith("A  ")
+        at = origin.x + (0.3 * em if left else width - 0.3 * em), origin.y + top
+        draw = {"ramp": widgets.vertical_bar, "wheel": widgets.small_wheel}.get(shown.kind)
+        if draw is None:
+            continue
+        x0, y0, x1, y1 = draw(marks, shown, at, high, right=not left)
+        covers.append(tuple(map(int, (x0 - origin.x, y0 - origin.y, x1 - origin.x + 1, y1 - origin.y + 1))))
+        top += 0 if left else y1 - y0 + 0.5 * em
+        high = min(high, height - top - 4 * em)
+        if high < 4 * em:
+            break
+    return covers
+
+
 def _layer_text(model: Model, name: str) -> str:
     """Return the layer's name and its display settings, or the reason why it is missing."""
     spec = model.contents.spec(name)
     if spec is None:
         return f"{names.plain(name)}: not made with these options"
-    text, display = f"{spec.group}: {spec.label}", model.looks.of(name)
+    text = layer_text(spec, model.looks.of(name))
     if names.is_second(name) and model.kept.b is not None:
         text = f"{model.kept.b.name}   {text}"
         if model.second.fault:
             return f"{model.kept.b.name}: {model.second.fault}"
-    if spec.view == "color" and display.exposure:
-        text += f"   {display.exposure:+.1f} EV"
     result = model.contents.second if names.is_second(name) else model.contents.result
     if result and names.plain(name) in result.request.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     return text
-
-
-def _label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[float, float, float, float]:
-    """Write text on a dark ground; return the ground's left, top, right and bottom, window's pixels."""
-    size = imgui.calc_text_size(text)
-    x = x - size.x if right else x
-    ground = x - 5, y - 3, x + size.x + 5, y + size.y + 3
-    marks.add_rect_filled(ImVec2(*ground[:2]), ImVec2(*ground[2:]), imgui.get_color_u32((0, 0, 0, 0.6)), 4)
-    marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
-    return ground

@@ -28,19 +28,20 @@ from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.legend_strip import Entry
+from ..picture.legends import Legend
 from ..picture.invalid import InvalidPixels
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
 from ..picture.worst_pixels import WorstPixels
-from .captions import Message, entries_of
+from .captions import Message, entries_of, frame_text, layer_text, slot_text
 from .compare_b import Second
 from .comparing import Comparison, Scores
 from .loop import Loop
 from .navigation import Flight, Flyer, Walk
 from .parameters import Parameters
 from .playback import Playback
-from .presets import KeptSettings, command_line
+from .presets import KeptSettings, command_line, told
 from .requests import Asking, Needed, Prefetch
 from .saving import RecordingWork, Subject, Work
 from .settings import Settings
@@ -363,10 +364,37 @@ class Model:
     @property
     def _subject(self) -> Subject:
         def legends() -> list[Entry]:
-            there = self.settings.legends
-            return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
+            return [*self._headings(), *self.legends()] if self.settings.legends else []
 
         return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
+
+    def legends(self) -> list[Entry]:
+        """Return the legends of the picture."""
+        return entries_of(self.view, self.contents, self.looks, self.comparison)
+
+    @property
+    def frame_text(self) -> str:
+        """The name of the displayed frame."""
+        if self.follows and self.contents.result is not None:
+            return frame_text(self.contents.result.moment)
+        return slot_text(self.slot, self.n)
+
+    def _headings(self) -> list[Entry]:
+        """Return what a saved picture shows: the frame, and the layers and settings of A and B."""
+        view, settings = self.view, told(self.setup)
+        shown = [("A", view.a, settings)]
+        if view.compare != "off" and view.b:
+            kept = self.kept.b if self.comparison.by_settings else None
+            shown.append(("B", view.b, settings if kept is None else kept.name))
+        texts = [f"{self.source.name}   {self.frame_text}"]
+        for side, name, of in shown:
+            spec = self.contents.spec(name)
+            text = names.plain(name) if spec is None else layer_text(spec, self.looks.of(name))
+            text = text if name == names.TRUTH else f"{text}   {of}"
+            texts.append(f"{side}  {text}" if len(shown) > 1 else text)
+        if view.mark_invalid and (found := self.invalid.text()):
+            texts.append(f"{found}, checkered")
+        return [Entry(text, Legend("none")) for text in texts]
 
     def save(self, work: Callable[[Subject], Work]) -> None:
         """Start saving in the background."""
