@@ -16,6 +16,7 @@ from imgui_bundle import portable_file_dialogs as dialogs
 from ..panels import (
     compare,
     doctor,
+    histogram,
     inspector,
     kernels,
     layer_list,
@@ -44,6 +45,7 @@ _LAYOUT_VERSION = 5
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
+    "Histogram": (histogram.draw, "Left"),
     "Modules": (modules.draw, "Right"),
     "Compare": (compare.draw, "Right"),
     "Inspector": (inspector.draw, "RightBottom"),

@@ -29,6 +29,7 @@ from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.legend_strip import Entry
 from ..picture.legends import Legend
+from ..picture.histogram import Histogram
 from ..picture.invalid import InvalidPixels
 from ..picture.regions import Regions
 from ..picture.selection import Selection
@@ -83,6 +84,7 @@ class Model:
         self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._loop.take)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
+        self.histogram = Histogram(self.view, self.contents, self.looks)
         self.invalid = InvalidPixels(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
@@ -478,6 +480,7 @@ class Model:
         self.comparison.close()
         self.regions.close()
         self.invalid.close()
+        self.histogram.close()
         self.worst.close()
         self.survey.close()
         self.selection.close()
