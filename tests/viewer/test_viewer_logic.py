@@ -225,7 +225,7 @@ def test_every_frame_keeps_the_pace_between_ticks_but_does_not_catch_up():
 @given(st.floats(-1e6, 1e6), st.floats(0, 1e6) | st.floats(0, 1e-9))
 def test_axis_of_the_plot_has_room_and_a_few_round_numbers(least, more):
     low, high, levels, texts = scale_of(least, least + more)
-    assert low < least <= least + more < high and 1 <= len(levels) <= 5
+    assert low < least <= least + more < high and 2 <= len(levels) <= 6
     assert all(low <= level <= high for level in levels) and len(set(texts)) == len(texts)
 
 

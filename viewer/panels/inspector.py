@@ -79,7 +79,7 @@ def _table(group: str, rows: list[Row], names: float) -> None:
     for row in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text(widgets.shortened(row.label, names))
+        imgui.text(widgets.cut(row.label, names))
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
         text_color = widgets.RED if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)

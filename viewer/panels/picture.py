@@ -29,7 +29,6 @@ _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
-_USUAL_LETTERS = 15.0  # screen pixels
 
 
 def draw(app: Interface) -> None:
@@ -52,7 +51,7 @@ def draw(app: Interface) -> None:
         overview.draw(app, (width, height))
         return
     view = model.comparison.shown()
-    view.line = _LINE * _unit()
+    view.line = _LINE * widgets.mark_unit()
     texture = app.drawn(view, (width, height))
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
     imgui.set_cursor_screen_pos(origin)
@@ -122,7 +121,7 @@ def _mouse(app: Interface, place) -> None:
         after = place.to_display(at)
         view.center = (view.center[0] + before[0] - after[0], view.center[1] + before[1] - after[1])
     line = place.origin.x + view.split * place.size[0]
-    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP * _unit()
+    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP * widgets.mark_unit()
     if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
         imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew.value)
     if imgui.is_item_activated():
@@ -207,7 +206,7 @@ def _numbers(model: Model, place, marks) -> bool:
     lines = min(image[0, 0].size, _VALUES)
     wide, high = (along * place.view.zoom for along in scale)
     size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
-    if size < _LEAST_LETTERS * _unit():
+    if size < _LEAST_LETTERS * widgets.mark_unit():
         return False
     left, top = place.to_display(place.origin)
     right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
@@ -241,7 +240,7 @@ def _trajectory(model: Model, place, marks) -> None:
     if model.pointing.picked is None:
         return
     x, y = model.pointing.picked
-    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), _unit()
+    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), widgets.mark_unit()
     half = max(model.view.zoom / 2, 4 * unit)
     middle = place.to_screen(x + 0.5, y + 0.5)
     corners = ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half)
@@ -262,7 +261,7 @@ def _way(model: Model, place, marks) -> None:
     story = model.pointing.story
     if story is None or len(story.way) < 2:
         return
-    line, rim, unit = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8)), _unit()
+    line, rim, unit = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8)), widgets.mark_unit()
     points = [place.to_screen(*point.px) for point in story.way]
     for a, b in zip(points, points[1:], strict=False):
         marks.add_line(a, b, rim, 3.5 * unit)
@@ -276,11 +275,6 @@ def _way(model: Model, place, marks) -> None:
             imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
 
 
-def _unit() -> float:
-    """Return the size of marks in screen pixels: 1 at the usual size of letters."""
-    return imgui.get_font_size() / _USUAL_LETTERS
-
-
 def _rectangle(model: Model, place, marks) -> None:
     """Draw the rectangle whose statistics the inspector shows."""
     if model.selection.rectangle is None:
@@ -288,8 +282,8 @@ def _rectangle(model: Model, place, marks) -> None:
     left, top, right, bottom = model.selection.rectangle
     corners = place.to_screen(left, top), place.to_screen(right, bottom)
     marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
-    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * _unit())
-    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * _unit())
+    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * widgets.mark_unit())
+    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * widgets.mark_unit())
 
 
 def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
@@ -305,9 +299,9 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     if model.comparison.flipped and view.b:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
-        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
-        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
-        a, b = (widgets.shortened(text, width / 2 - 24) for text in texts)
+        settings = f"   {told(model.setup)}" if model.comparison.by_settings else ""
+        texts = (f"A  {_layer_text(model, view.a)}{settings}", f"B  {_layer_text(model, view.b)}")
+        a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
         label(a, 10, 8)
         label(b, width - 10, 8, right=True)
     else:
@@ -320,7 +314,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):
         state = "computing …"
     if state:
-        state = widgets.shortened(state, width - 24)
+        state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
         label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
     return covers
@@ -356,7 +350,7 @@ def _layer_text(model: Model, name: str) -> str:
         return f"{names.plain(name)}: not made with these options"
     text = layer_text(spec, model.looks.of(name))
     if names.is_second(name) and model.kept.b is not None:
-        text = f"{model.kept.b.name}   {text}"
+        text += f"   {model.kept.b.name}"
         if model.second.fault:
             return f"{model.kept.b.name}: {model.second.fault}"
     result = model.contents.second if names.is_second(name) else model.contents.result

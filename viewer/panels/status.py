@@ -27,7 +27,7 @@ def draw(app: Interface) -> None:
         _beside(told)
         imgui.text_colored(widgets.RED if last.error else _BLUE, _icon(last.error))
         imgui.same_line()
-        imgui.text(widgets.shortened(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
+        imgui.text(widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
         widgets.tooltip("\n".join(message.text for message in shown))
         told = True
     _beside(told)

@@ -14,6 +14,8 @@ from ..picture.colors import Rgb, wheel_color
 from ..picture.legends import Legend
 
 RED = ImVec4(0.97, 0.5, 0.45, 1.0)
+_GRABS = imgui.Col_.slider_grab.value, imgui.Col_.slider_grab_active.value
+_USUAL_LETTERS = 15.0  # screen pixels
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
 
@@ -71,11 +73,15 @@ def slider(
     needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
     written = imgui.calc_text_size(text % value).x + 2 * imgui.get_style().frame_padding.x
     _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed), written)
+    for grab in _GRABS:
+        imgui.push_style_color(grab, ImVec4(0, 0, 0, 0))  # it would lie over the number
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:
         changed, new = imgui.slider_float(f"###{label}", value, low, high, text)
+    imgui.pop_style_color(len(_GRABS))
     tooltip(help_text)
+    _level((new - low) / (high - low), _GRABS[imgui.is_item_active()])
     if changed:
         change(min(max(new, low), high))
     imgui.same_line()
@@ -87,10 +93,24 @@ def slider(
     beside(label)
 
 
+def _level(share: float, color: int) -> None:
+    """Draw how far a slider is, at the foot of the item drawn last."""
+    first, last, unit = imgui.get_item_rect_min(), imgui.get_item_rect_max(), mark_unit()
+    right = first.x + min(max(share, 0.0), 1.0) * (last.x - first.x)
+    corner = ImVec2(max(right, first.x + 3 * unit), last.y)
+    marks = imgui.get_window_draw_list()
+    marks.add_rect_filled(ImVec2(first.x, last.y - 3 * unit), corner, imgui.get_color_u32(color), 1.5 * unit)
+
+
+def mark_unit() -> float:
+    """Return the size of marks in screen pixels: 1 at the usual size of letters."""
+    return imgui.get_font_size() / _USUAL_LETTERS
+
+
 def beside(label: str) -> None:
     """Draw the label of the last item, as much of it as has room."""
     imgui.same_line()
-    text = shortened(label, imgui.get_content_region_avail().x)
+    text = cut(label, imgui.get_content_region_avail().x)
     imgui.text(text)
     tooltip("" if text == label else label)
 
@@ -147,18 +167,6 @@ def colored(color, text: str) -> None:
     imgui.push_style_color(imgui.Col_.text, color)
     imgui.text_wrapped(text)
     imgui.pop_style_color()
-
-
-def shortened(text: str, width: float) -> str:
-    """Return as much of a text as has room in `width` pixels, without its middle; a few letters in any case."""
-    shorter = text
-    if imgui.calc_text_size(text).x <= width:
-        return text
-    for kept in range(len(text) - 1, 2, -1):
-        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
-        if imgui.calc_text_size(shorter).x <= width:
-            break
-    return shorter
 
 
 def cut(text: str, width: float) -> str:
@@ -258,8 +266,9 @@ def label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[fl
 
 def _ground(marks, x: float, y: float, width: float, height: float) -> tuple[float, float, float, float]:
     """Draw a dark ground behind what has this place; return its left, top, right and bottom."""
-    ground = x - 5, y - 3, x + width + 5, y + height + 3
-    marks.add_rect_filled(ImVec2(*ground[:2]), ImVec2(*ground[2:]), imgui.get_color_u32((0, 0, 0, 0.6)), 4)
+    unit = mark_unit()
+    ground = x - 5 * unit, y - 3 * unit, x + width + 5 * unit, y + height + 3 * unit
+    marks.add_rect_filled(ImVec2(*ground[:2]), ImVec2(*ground[2:]), imgui.get_color_u32((0, 0, 0, 0.6)), 4 * unit)
     return ground
 
 
