@@ -244,8 +244,8 @@ def test_bad_values_are_counted_where_they_are_drawn(canvas, spec):
 
 def with_masks(canvas, rendered, seen, generated=True):
     canvas.frame = replace(canvas.frame, display_size=seen.shape[::-1], generated=generated)
-    for name, mask in ((RENDERED, rendered), (SHOWN, seen)):
-        canvas.upload(name, (255 * mask).astype(np.uint8), replace(MASK, grid="source" if name == RENDERED else "target"))
+    for name, mask, grid in ((RENDERED, rendered, "source"), (SHOWN, seen, "target")):
+        canvas.upload(name, (255 * mask).astype(np.uint8), replace(MASK, grid=grid))
 
 
 def test_invalid_pixels_of_the_input_are_marked_in_every_layer(canvas):

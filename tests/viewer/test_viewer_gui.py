@@ -220,11 +220,6 @@ def test_overview(values, seen):
 
 
 @pytest.mark.parametrize("overlay", ["edges", "residual motion"])
-def test_color_bars(values):
-    assert values["covers"] == {"final": 2, "rendered.depth": 3, "rendered.motion": 3}
-    assert min(values["colors"].values()) > 50, "a ramp, and a wheel"
-
-
 def test_overlays(seen, overlay):
     assert seen["overlays"]["error"] is None, seen["overlays"]["error"]
     values = seen["overlays"]["values"][overlay]
@@ -535,6 +530,11 @@ def test_rectangle(values):
     assert filled["its own fragment"] == pytest.approx(own) and sum(filled.values()) == pytest.approx(1)
     assert values["lengths"][0] == values["lengths"][1]
     assert values["of a rendered frame"] == [None, {}] and values["forgotten"] is None
+
+
+def test_color_bars(values):
+    assert values["covers"] == {"final": 2, "rendered.depth": 3, "rendered.motion": 3}
+    assert min(values["colors"].values()) > 50, "a ramp, and a wheel"
 
 
 def test_legends_in_saved_pictures(values):

@@ -19,9 +19,9 @@ from PIL import Image
 
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.viewer.automation.steps import read_place
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.panels.picture import short
-from gffe_cl.viewer.automation.steps import read_place
 from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state import settings as settings_module

@@ -77,7 +77,8 @@ def color_bars(gui: Gui):
         if covers[name] > 2:
             left, top, right, bottom = gui.app.spot.covers[-1]
             x, y = gui.app.spot.origin
-            colors[name] = len(np.unique(gui.window()[y + top : y + bottom, x + left : x + right].reshape(-1, 3), axis=0))
+            bar = gui.window()[y + top : y + bottom, x + left : x + right]
+            colors[name] = len(np.unique(bar.reshape(-1, 3), axis=0))
     values["covers"], values["colors"] = covers, colors
 
 

@@ -14,7 +14,7 @@ from ..picture.files import save_png
 from ..shell.app import App
 from ..shell.start import require_display
 from ..state.model import Model
-from .steps import Place, found_layer
+from .steps import FIRST, Place, found_layer
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
 PATIENCE = 120.0  # seconds
@@ -48,7 +48,7 @@ class Shot:
     """A screenshot to take: `look` at `frame`, with the story of `pixel`; `overview`: of all layers."""
 
     path: Path
-    frame: Place = Place("0", 0)
+    frame: Place = FIRST
     look: Look = Look()
     pixel: tuple[int, int] | None = None
     overview: bool = False

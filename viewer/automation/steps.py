@@ -135,11 +135,14 @@ class Place:
         if self.part is not None:
             slot = (slot + self.part) * parts
         if slot.denominator != 1:
-            raise GffeError(f"{name} {self.written}: generated frames are at {self.number}+1/{parts} …, of {parts} parts")
+            raise GffeError(f"{name} {self.written}: generated frames are at {self.number}+1/{parts} and so on")
         if slot >= playback.slots:
             least = f" (0 to {playback.count - 1}+{playback.n}/{parts})"
             raise GffeError(f"{name} must be 0 to {playback.slots - 1}{least}, got {self.written}")
         return int(slot)
+
+
+FIRST = Place("0", 0)
 
 
 def read_place(text: str, name: str) -> Place:

@@ -57,9 +57,11 @@ def seen_through(mask: np.ndarray, motion: np.ndarray) -> np.ndarray:
     return np.where(inside, mask.ravel()[at], np.uint8(0))
 
 
-def seen_at(mask: np.ndarray, size: tuple[int, int], place: Callable[[float, float], tuple[float, float]]) -> np.ndarray:
-    """Return `mask` as a rendered frame of `size` pixels shows it; `place` gives the position in the rendered image of a
-    displayed one."""
+def seen_at(
+    mask: np.ndarray, size: tuple[int, int], place: Callable[[float, float], tuple[float, float]]
+) -> np.ndarray:
+    """Return `mask` as a rendered frame of `size` pixels shows it; `place` gives the position in the rendered image of
+    a displayed one."""
     (x0, y0), (x1, y1) = place(0.5, 0.5), place(1.5, 1.5)
     x = np.floor(x0 + (x1 - x0) * np.arange(size[0])).astype(int)
     y = np.floor(y0 + (y1 - y0) * np.arange(size[1])).astype(int)

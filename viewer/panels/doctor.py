@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.core.errors import printable
 from ..state.model import Model
@@ -65,4 +65,3 @@ def _findings(model: Model, doctor) -> None:
                 if imgui.text_link(f"{text}###place {finding.id} {name}"):
                     model.go_to_input(frame, (x, y))
                 widgets.tooltip(f"rendered frame {frame}, pixel ({x}, {y}) of the input")
-

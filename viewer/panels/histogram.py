@@ -7,6 +7,7 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 
 from ..picture.displays import shown_as
 from ..picture.legends import legend
+from ..state.model import Model
 from . import widgets
 from .interface import Interface
 from .plot import scale_of
@@ -60,7 +61,7 @@ def draw(app: Interface) -> None:
     implot.end_plot()
 
 
-def _unit(model, spec) -> str:
+def _unit(model: Model, spec) -> str:
     """Return the name of the axis of values."""
     display = model.looks.of(spec.name)
     view = shown_as(spec, display)[0]

@@ -121,7 +121,8 @@ def _mouse(app: Interface, place) -> None:
         after = place.to_display(at)
         view.center = (view.center[0] + before[0] - after[0], view.center[1] + before[1] - after[1])
     line = place.origin.x + view.split * place.size[0]
-    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP * widgets.mark_unit()
+    near = abs(at.x - line) < _GRIP * widgets.mark_unit()
+    on_line = view.compare == "split" and not model.comparison.flipped and near
     if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
         imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew.value)
     if imgui.is_item_activated():

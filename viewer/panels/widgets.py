@@ -297,7 +297,7 @@ def vertical_bar(marks, shown: Legend, at, high: float, right: bool) -> tuple[fl
 
 
 def small_wheel(marks, shown: Legend, at, high: float, right: bool) -> tuple[float, float, float, float]:
-    """Draw the wheel of directions with its unit, as `vertical_bar`."""
+    """Draw the wheel of directions with its unit, as `vertical_bar`. Returns the same."""
     radius, size = min(1.6 * hello_imgui.em_size(), high / 3), imgui.calc_text_size(shown.unit)
     width = max(2 * radius, size.x)
     x, y = at[0] - width - 5 if right else at[0] + 5, at[1] + 3

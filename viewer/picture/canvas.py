@@ -26,7 +26,8 @@ from .textures import PixelBuffers, Texture, texels_of
 from .view import COMPARISONS, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
-_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID", "MARKED")  # of display.frag
+# of display.frag
+_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID", "MARKED")
 _MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}

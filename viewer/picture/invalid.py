@@ -3,7 +3,6 @@ places."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 import numpy as np
@@ -96,7 +95,7 @@ def bad_values(spec: LayerSpec, image: np.ndarray) -> np.ndarray:
     if spec.view == "depth":
         return np.isnan(image[..., 0]) | np.isneginf(image[..., 0])
     used = {"color": 3, "motion": 2, "place": 2, "world": 3}.get(spec.view, image.shape[2])
-    bad = ~np.isfinite(image[..., :used]).all(-1)
+    bad = np.asarray((~np.isfinite(image[..., :used])).any(-1))
     weighted = spec.view == "color" and spec.components[3:] == ("weight",)
     if weighted or spec.view == "world":
         bad &= image[..., 3] != 0

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
 from ..panels import (
@@ -202,7 +202,7 @@ class App(Interface):
         dropped: Any = lambda _window, paths: self.drop(paths)  # noqa: E731
         glfw.set_drop_callback(window, dropped)
         implot.get_style().use_local_time = False
-        implot.get_style().plot_min_size = (40, 40)  # pixels: narrow panels show whole plots
+        implot.get_style().plot_min_size = ImVec2(40, 40)  # pixels: narrow panels show whole plots
 
     def _before_frame(self) -> None:
         model = self.model

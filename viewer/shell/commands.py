@@ -207,7 +207,7 @@ def _finding(app: App, add, opened) -> None:
             lambda difference=difference: opened() or survey.why_not(difference), tooltip=tooltip)  # fmt: skip
     add("worst_pixel", "Worst pixel", "Find", "Alt+W", lambda: setattr(model.worst, "due", True),
         lambda: opened() or model.worst.why_not(),
-        tooltip="Of this frame: by A and B where they are compared, else by ground truth; again: the next one")  # fmt: skip
+        tooltip="Of this frame, by A and B if they are compared, else by ground truth; again: the next")  # fmt: skip
     for name, quantity in QUANTITIES.items():
         add(f"plot {name}", f"Plot {quantity.label}", "Find", "", partial(setattr, survey, "quantity", name),
             checked=lambda name=name: survey.quantity == name)  # fmt: skip

@@ -66,7 +66,8 @@ class Loop:
         found, reason = model.worst.update()
         if found is not None:
             model.walk.go_to_pixel(found.pixel)
-            model.say(f"error {found.error:.4g} at ({found.pixel[0]}, {found.pixel[1]}): number {found.rank} of the slot")
+            x, y = found.pixel
+            model.say(f"error {found.error:.4g} at ({x}, {y}): number {found.rank} of the slot")
         elif reason:
             model.say(reason)
 

@@ -12,8 +12,8 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from ..engine import names
-from ..engine.buffers import moved
 from ..engine.attached.program import FRAMES, RunningProgram
+from ..engine.buffers import moved
 from ..engine.cache import CACHE_MIB, FrameCache
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
@@ -27,10 +27,10 @@ from ..picture.current_frame import Contents
 from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
-from ..picture.legend_strip import Entry
-from ..picture.legends import Legend
 from ..picture.histogram import Histogram
 from ..picture.invalid import InvalidPixels
+from ..picture.legend_strip import Entry
+from ..picture.legends import Legend
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
@@ -91,9 +91,7 @@ class Model:
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
         self.worst = WorstPixels(self.view, self.contents)
-        self.needed = Needed(
-            self.view, self.contents, self.regions, self.disocclusions, self.selection, self.worst
-        )
+        self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection, self.worst)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
@@ -333,7 +331,7 @@ class Model:
         self.measuring = on
 
     def overview_tiles(self) -> list[tuple[str, Display]]:
-        """Return all layers that generated frames have, with their displays: tiles stay in place from frame to frame."""
+        """Return all layers that generated frames have, with their displays: tiles keep their places."""
         image = self.contents.image
         shown = [spec.name for spec in self.contents.layers if spec.of_generated or image(spec.name) is not None]
         return [(name, self.looks.of(name)) for name in shown]

@@ -123,7 +123,8 @@ class Pointing:
         return pixel is not None and all(0 <= at < size for at, size in zip(pixel, self._size, strict=True))
 
 
-_OF_OTHERS = {flip_map.NAME, regions.NAME, disocclusions.NAME, invalid.RENDERED, invalid.SHOWN}  # layers that come and go by themselves
+# layers that come and go by themselves
+_OF_OTHERS = {flip_map.NAME, regions.NAME, disocclusions.NAME, invalid.RENDERED, invalid.SHOWN}
 _BUDGET = 0.02  # seconds per frame of the interface, but at least one image
 
 

@@ -34,8 +34,8 @@ _UNIT_SLACK = 0.03
 class Finding:
     """One finding. `kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera,
     frames or color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
-    `change`: the correction of the capture's own description, if possible; `places`: examples by name, each (frame, x, y)
-    in pixels of the rendered image."""
+    `change`: the correction of the capture's own description, if possible; `places`: examples by name, each a frame
+    and a pixel (x, y) of its rendered image."""
 
     kind: str
     about: str

@@ -224,8 +224,8 @@ class HostArrays:
         """The bad pixels, (H, W) bool by the fields of `BadPixels`; those of motion only where there is motion."""
         rgb = self.color[..., :3]
         finite = np.isfinite(rgb)
-        wrong = {"color": (~finite).any(-1), "clamped": (finite & (np.abs(rgb) > HALF_MAX)).any(-1)}
-        return wrong | wrong_geometry(self.depth, self.motion)
+        wrong = {"color": ~finite, "clamped": finite & (np.abs(rgb) > HALF_MAX)}
+        return {kind: np.asarray(values.any(-1)) for kind, values in wrong.items()} | wrong_geometry(self.depth, self.motion)
 
     def in_device_layout(self) -> HostArrays:
         """Return the arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth channel, missing
