@@ -157,7 +157,7 @@ class FrameFormat:
         if 0.0 in self.motion_scale:
             raise GffeError(f"format: motion_scale must not contain 0, got {shown(list(self.motion_scale))}")
         if self.camera_motion == "movers_only" and self.motion_invalid is None:
-            raise GffeError("format: camera_motion movers_only needs motion_invalid, the value of pixels without motion")
+            raise GffeError("format: camera_motion movers_only needs motion_invalid, the value without a vector")
 
     def _require_planes(self) -> None:
         planes = f"near_z {self.near_z:g}, far_z {self.far_z:g}"
@@ -184,7 +184,7 @@ class FrameFormat:
 
         The arguments are fields of `ffxDispatchDescFrameGenerationPrepareV2` and
         `ffxCreateContextDescFrameGeneration` (`flags`: the bits FFX_FRAMEGENERATION_ENABLE_…), in
-        `ffx_framegeneration.h` of the FidelityFX SDK. There vectors lead "from a pixel in the current frame to the
+        the header `ffx_framegeneration` of the FidelityFX SDK. There vectors lead "from a pixel in the current frame to the
         position of that same pixel in the previous frame" and are in pixels after motionVectorScale, y down
         (https://gpuopen.com/manuals/fidelityfx_sdk/techniques/super-resolution-upscaler/). Infinite depth ignores
         cameraFar; near and far may be swapped. `others` are fields of `FrameFormat`. Pass `jitterOffset` as
@@ -201,7 +201,7 @@ class FrameFormat:
         planes = [require_number(value, f"fsr3: {name}", infinite=True)
                   for name, value in (("cameraNear", cameraNear), ("cameraFar", cameraFar))]  # fmt: skip
         near, far = min(planes), math.inf if flags & _FSR_DEPTH_INFINITE else max(planes)
-        made = dict(
+        made: dict[str, Any] = dict(
             color_size=display, geometry_size=render, motion_scale=motionVectorScale,
             motion_jittered=bool(flags & _FSR_JITTER_CANCELLATION), motion_type="float16",
             **_device_depth(near, far, bool(flags & _FSR_DEPTH_INVERTED)),
@@ -226,7 +226,7 @@ class FrameFormat:
     ) -> FrameFormat:
         """Return the description of what an integration of NVIDIA DLSS frame generation (DLSS-G) provides.
 
-        The arguments are fields of `sl::Constants` in `sl_consts.h` of Streamline. mvecScale brings vectors into the
+        The arguments are fields of `sl::Constants` in the header `sl_consts` of Streamline. mvecScale brings vectors into the
         range −1 to 1 of a whole image, so 1/width for vectors in pixels (https://github.com/NVIDIAGameWorks/Streamline,
         docs/ProgrammingGuideDLSS_G.md, section 7.0); they lead from the current to the previous frame, y down.
         Without cameraMotionIncluded pixels of motionVectorsInvalidValue (by default 0) have the camera's motion alone,
@@ -239,7 +239,7 @@ class FrameFormat:
         included = require_bool(cameraMotionIncluded, "streamline: cameraMotionIncluded")
         if not included and invalid is None:
             invalid = 0.0
-        made = dict(
+        made: dict[str, Any] = dict(
             motion_scale=mvecScale, motion_unit="uv", motion_type="float16",
             motion_channels=4 if require_bool(motionVectors3D, "streamline: motionVectors3D") else 2,
             motion_dilated=motionVectorsDilated, motion_jittered=motionVectorsJittered, motion_invalid=invalid,
@@ -262,7 +262,7 @@ class FrameFormat:
 
         The arguments are fields of `xefg_swapchain_frame_constant_data_t` (projectionMatrix: 16 numbers or 4 rows,
         row-major, for row vectors or column vectors) and `xefg_swapchain_d3d12_init_params_t` (initFlags: the bits
-        XEFG_SWAPCHAIN_INIT_FLAG_…), in `xefg_swapchain.h`. Vectors lead from the current to the previous frame, in
+        XEFG_SWAPCHAIN_INIT_FLAG_…), in the header `xefg_swapchain`. Vectors lead from the current to the previous frame, in
         pixels y down or, by flag, in normalized device coordinates y up; those of high resolution are dilated
         (https://github.com/intel/xess, doc/xess_fg_developer_guide_english.md, "Motion Vectors"). `others` are fields
         of `FrameFormat`, such as sizes. Pass `jitterOffsetX` and `jitterOffsetY` as `RenderedFrame.geometry_jitter`.
@@ -271,7 +271,7 @@ class FrameFormat:
         flags = require_whole(initFlags, "xess: initFlags", 0)
         near, far = depth_planes(square(projectionMatrix, "projectionMatrix"), bool(flags & _XEFG_INVERTED_DEPTH))
         in_ndc = flags & _XEFG_USE_NDC_VELOCITY
-        made = dict(
+        made: dict[str, Any] = dict(
             motion_scale=(motionVectorScaleX, motionVectorScaleY), motion_type="float16",
             motion_unit="ndc" if in_ndc else "pixels", motion_y="up" if in_ndc else "down",
             motion_dilated=bool(flags & _XEFG_HIGH_RES_MV), motion_jittered=bool(flags & _XEFG_JITTERED_MV),
@@ -305,7 +305,7 @@ class FrameFormat:
             require_vector(list(given)[:2], f"openxr: {name}", 2)
             for name, given in (("motionVectorScale", motionVectorScale), ("motionVectorOffset", motionVectorOffset))
         )
-        made = dict(
+        made: dict[str, Any] = dict(
             motion_scale=tuple(scale.tolist()), motion_offset=tuple(offset.tolist()), motion_unit="ndc",
             motion_direction="from_previous", motion_y="down", motion_type="float16",
             motion_channels=2 if flags & _XR_USE_2D_MOTION_VECTOR else 4,
@@ -328,7 +328,8 @@ class FrameFormat:
         names = [f.name for f in fields(cls)]
         if unknown := next((name for name in given if name not in names), None):
             raise GffeError(f"format: unknown field '{unknown}' (expected {', '.join(names)})")
-        return cls(**{name: math.inf if value == _JSON_INFINITY else value for name, value in given.items()})
+        values: dict[str, Any] = {n: math.inf if v == _JSON_INFINITY else v for n, v in given.items()}
+        return cls(**values)
 
     # ---- in numbers ------------------------------------------------------------------------------------
 

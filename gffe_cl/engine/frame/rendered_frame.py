@@ -92,7 +92,8 @@ class RenderedFrame:
 
     Notes
     -----
-    With a `FrameFormat` arrays and buffers are as that describes them. The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
+    With a `FrameFormat` arrays and buffers are as that describes them. The fields are checked where the frame is used:
+    `Pipeline.submit` and `present` raise GffeError.
     """
 
     color: Any
@@ -275,7 +276,7 @@ def described_arrays(frame: RenderedFrame, height: int, width: int) -> HostArray
     return HostArrays(color, _described(depth, "depth", DEPTH_TYPES), motion, frame._known_bad)
 
 
-def _described(array: np.ndarray, name: str, allowed: Iterable[str]) -> np.ndarray:
+def _described(array: np.ndarray, name: str, allowed: tuple[str, ...]) -> np.ndarray:
     """Return an array as native and C-contiguous, floats in an `allowed` type. Raises GffeError for other types than
     those."""
     if array.dtype.kind == "f" and not (array.dtype.itemsize == 2 and "float16" in allowed):

@@ -135,9 +135,10 @@ class Pipeline:
     Notes
     -----
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays, the
-    first frames in another format and with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers. Device
-    buffers must have been written on `device.queue`, or be finished, before they are submitted, or the events of their
-    writers must be in `wait_for`. Do not submit a released buffer: it cannot be detected, and drivers crash on it.
+    first frame in another format and the first that is rendered through a window, brings overlays, or lacks motion
+    beside device buffers. Device buffers must have been written on `device.queue`, or be finished, before they are
+    submitted, or the events of their writers must be in `wait_for`. Do not submit a released buffer: it cannot be
+    detected, and drivers crash on it.
 
     `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
     device's context: the work of the call begins when they are complete. Other queues can wait for the event that
@@ -255,7 +256,8 @@ class Pipeline:
     @format.setter
     def format(self, value: FrameFormat | None) -> None:
         if value is not None:
-            require_kind(value, FrameFormat, "pipeline: format", "a FrameFormat or None").require_size(self.sizes.source)
+            require_kind(value, FrameFormat, "pipeline: format", "a FrameFormat or None")
+            value.require_size(self.sizes.source)
         self._format = value
 
     @property

@@ -311,7 +311,14 @@ class DeviceFrame:
 
     @classmethod
     def allocate(
-        cls, device: Device, size: tuple[int, int], camera, display_camera, time, geometry_jitter=(0.0, 0.0), motion=None
+        cls,
+        device: Device,
+        size: tuple[int, int],
+        camera,
+        display_camera,
+        time,
+        geometry_jitter: tuple[float, float] = (0.0, 0.0),
+        motion: cl.Buffer | None = None,
     ) -> DeviceFrame:
         """Return a frame with new buffers for images of `size` (width, height); `motion`: the buffer to use for
         that."""

@@ -1,4 +1,4 @@
-"""Descriptions of engines' buffers: a camera that turns and moves, in each SDK's own matrices, becomes our conventions."""
+"""Descriptions of engines' buffers: what each SDK has of a camera that turns and moves becomes our conventions."""
 
 import math
 from dataclasses import fields, replace
@@ -115,8 +115,8 @@ def openxr(world):
     here, before = world.ndc(far=math.inf, inverted=True, jitter_before=NONE)
     scale, offset = np.array([0.5, -2.0]), np.array([0.125, -0.25])
     made = FrameFormat.openxr(
-        motionVectorScale=(*scale, 1, 0), motionVectorOffset=(*offset, 0, 0), minDepth=0.2, maxDepth=0.9, nearZ=math.inf,
-        farZ=NEAR, layerFlags=1,
+        motionVectorScale=(*scale, 1, 0), motionVectorOffset=(*offset, 0, 0), minDepth=0.2, maxDepth=0.9,
+        nearZ=math.inf, farZ=NEAR, layerFlags=1,
     )  # fmt: skip
     vectors = (here - before)[..., :2] * (1, -1)
     return made, 0.2 + 0.7 * here[..., 2], (vectors - offset) / scale
@@ -185,8 +185,9 @@ def test_engines_types_are_converted_in_device_buffers(device):
 def test_no_conversion_of_our_own_buffers(device):
     """Device buffers that a description leaves as they are are used in place; those of another type are not."""
     pipeline = Pipeline(device, W, H, Options(shading_correction=False), format=FrameFormat())
-    flags, arrays = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, ((4, np.float16), (1, np.float32), (2, np.float32))
-    buffers = [cl.Buffer(device.context, flags, hostbuf=np.ones((H, W, n), dtype)) for n, dtype in arrays]
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    arrays = [np.ones((H, W, n), dtype) for n, dtype in ((4, np.float16), (1, np.float32), (2, np.float32))]
+    buffers = [cl.Buffer(device.context, flags, hostbuf=array) for array in arrays]
     pipeline.submit(RenderedFrame(*buffers, NOW, 0.0, reset=True))
     assert pipeline._current.buffers == tuple(buffers)
     pipeline.format = FrameFormat(motion_unit="uv")
@@ -230,7 +231,7 @@ def test_invalid_values_are_unknown_and_not_bad(device):
     ],
 )
 def test_wrong_descriptions_are_refused(wrong, text):
-    with pytest.raises(GffeError, match="format: .*") as refused:
+    with pytest.raises(GffeError, match="format: ") as refused:
         FrameFormat(**wrong)
     assert text in str(refused.value) and "\n" not in str(refused.value)
 
@@ -265,8 +266,8 @@ def test_wrong_frames_are_refused(device):
 def test_text_and_back():
     """Every field, none of them at its default."""
     made = FrameFormat(
-        (40, 24), (20, 12), "unorm8", 3, "unorm24", "device", math.inf, 0.1, (0.2, 0.9), "snorm16", 4, (2, -3), (0.1, 0),
-        "ndc", "from_previous", "up", True, True, 0.0, "movers_only",
+        (40, 24), (20, 12), "unorm8", 3, "unorm24", "device", math.inf, 0.1, (0.2, 0.9), "snorm16", 4, (2, -3),
+        (0.1, 0), "ndc", "from_previous", "up", True, True, 0.0, "movers_only",
     )  # fmt: skip
     given = made.to_json()
     assert [*given] == [field.name for field in fields(FrameFormat)] and given["near_z"] == "infinity"

@@ -154,22 +154,24 @@ def stored(rng, size, type_name, *channels):
     dtype, shape = TYPES[type_name][0], (*size[::-1], *channels)
     if np.dtype(dtype).kind != "f":
         limits = np.iinfo(dtype)
-        return np.where(rng.random(shape) < 0.1, rng.choice([0, limits.max]), rng.integers(limits.min, limits.max, shape,
-                        dtype=dtype, endpoint=True)).astype(dtype)  # fmt: skip
-    values = np.where(rng.random(shape) < 0.1, rng.choice([0, 1, np.nan, np.inf, -np.inf, 1e30, 1e-41], shape),
-                      rng.uniform(-0.1, 1, shape))  # fmt: skip
+        values, others = rng.integers(limits.min, limits.max, shape, dtype, endpoint=True), [0, limits.max]
+    else:
+        values, others = rng.uniform(-0.1, 1, shape), [0, 1, np.nan, np.inf, -np.inf, 1e30, 1e-41]
     with np.errstate(over="ignore"):
-        return values.astype(dtype)
+        return np.where(rng.random(shape) < 0.1, rng.choice(others, shape), values).astype(dtype)
 
 
 DESCRIPTIONS = {
     "plain": FrameFormat(),
-    "OpenXR": FrameFormat.openxr(nearZ=np.inf, farZ=0.3, motionVectorScale=(2, 3, 1, 0), motionVectorOffset=(-1, 0.1, 0, 0),
-                                 motion_invalid=1.0, motion_jittered=True, geometry_size=(61, 33), color_size=(61, 33)),
-    "movers only": FrameFormat(depth="device", near_z=0.1, far_z=50, motion_unit="uv", motion_y="up", motion_invalid=0.0,
-                               camera_motion="movers_only"),
-    "excluded": FrameFormat(depth="linear", near_z=2, far_z=9, motion_direction="from_previous",
-                            camera_motion="excluded"),
+    "OpenXR": FrameFormat.openxr(
+        nearZ=np.inf, farZ=0.3, motionVectorScale=(2, 3, 1, 0), motionVectorOffset=(-1, 0.1, 0, 0), motion_invalid=1.0,
+        motion_jittered=True, geometry_size=(61, 33), color_size=(61, 33),
+    ),
+    "movers only": FrameFormat(
+        depth="device", near_z=0.1, far_z=50, motion_unit="uv", motion_y="up", motion_invalid=0.0,
+        camera_motion="movers_only",
+    ),
+    "excluded": FrameFormat(near_z=2, far_z=9, motion_direction="from_previous", camera_motion="excluded"),
 }  # fmt: skip
 
 
