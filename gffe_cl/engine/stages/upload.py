@@ -109,7 +109,7 @@ class Upload(Stage):
         else:
             places = self._copy(given)
         if step:
-            self._convert(places, frame, step)
+            self.convert_places(places, frame, step)
         elif "color" in copied:
             self._take_color(arrays.color, *places["color"], frame)
         if "depth" in copied and not step:
@@ -126,10 +126,12 @@ class Upload(Stage):
         into those of `frame`, and count their bad pixels. `step` has the numbers."""
         if not {"color", "depth"} <= given.keys():
             self.fill("bad_pixels", 0)
-        self._convert({name: (buffer, 0) for name, buffer in given.items()}, frame, step)
+        self.convert_places({name: (buffer, 0) for name, buffer in given.items()}, frame, step)
         self._count()
 
-    def _convert(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame, step: Step) -> None:
+    def convert_places(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame, step: Step) -> None:
+        """Enqueue the conversion of values that begin at an index of a buffer, by name, into the buffers of `frame`;
+        bad pixels are counted on the device."""
         if "color" in places:
             given, start = places["color"]
             self.launch("convert_color", step, given=given, start=start, color=frame.color)
