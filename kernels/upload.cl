@@ -49,12 +49,18 @@ INLINE __global const float *given_from(__global const uchar *given, const int t
 /* Value i as it is stored: integers are not scaled. */
 INLINE float stored_value(__global const float *given, const int type, const int i) {
     switch (type) {
-        case FLOAT16: return vload_half(i, (__global const half *)given);
-        case UNORM8: return (float)((__global const uchar *)given)[i];
-        case UNORM16: return (float)((__global const ushort *)given)[i];
-        case SNORM16: return (float)((__global const short *)given)[i];
-        case UNORM24: return (float)(((__global const uint *)given)[i] & 0xffffff);
-        default: return given[i];
+    case FLOAT16:
+        return vload_half(i, (__global const half *)given);
+    case UNORM8:
+        return (float)((__global const uchar *)given)[i];
+    case UNORM16:
+        return (float)((__global const ushort *)given)[i];
+    case SNORM16:
+        return (float)((__global const short *)given)[i];
+    case UNORM24:
+        return (float)(((__global const uint *)given)[i] & 0xffffff);
+    default:
+        return given[i];
     }
 }
 
@@ -71,10 +77,14 @@ INLINE float given_value(__global const float *given, const int type, const int 
 #if LANES == 8
 INLINE float4 given_4(__global const float *given, const int type, const int i) {
     switch (type) {
-        case FLOAT16: return vload_half4(0, (__global const half *)given + i);
-        case UNORM8: return convert_float4(vload4(0, (__global const uchar *)given + i)) * color_unit(type);
-        case UNORM16: return convert_float4(vload4(0, (__global const ushort *)given + i)) * color_unit(type);
-        default: return vload4(0, given + i);
+    case FLOAT16:
+        return vload_half4(0, (__global const half *)given + i);
+    case UNORM8:
+        return convert_float4(vload4(0, (__global const uchar *)given + i)) * color_unit(type);
+    case UNORM16:
+        return convert_float4(vload4(0, (__global const ushort *)given + i)) * color_unit(type);
+    default:
+        return vload4(0, given + i);
     }
 }
 
@@ -86,10 +96,14 @@ INLINE float16 rgb_of(const float16 texels) {
 
 INLINE float16 given_16(__global const float *given, const int type, const int i) {
     switch (type) {
-        case FLOAT16: return vload_half16(0, (__global const half *)given + i);
-        case UNORM8: return convert_float16(vload16(0, (__global const uchar *)given + i)) * color_unit(type);
-        case UNORM16: return convert_float16(vload16(0, (__global const ushort *)given + i)) * color_unit(type);
-        default: return vload16(0, given + i);
+    case FLOAT16:
+        return vload_half16(0, (__global const half *)given + i);
+    case UNORM8:
+        return convert_float16(vload16(0, (__global const uchar *)given + i)) * color_unit(type);
+    case UNORM16:
+        return convert_float16(vload16(0, (__global const ushort *)given + i)) * color_unit(type);
+    default:
+        return vload16(0, given + i);
     }
 }
 #endif
@@ -183,8 +197,7 @@ INLINE Floats checked_depth(Floats z, const int count, int *bad, int *far) {
 
 /* Bad is motion that is NaN or infinite. Motion as long as the diagonal, which leads out of the image from everywhere,
    becomes NaN. */
-INLINE void check_motion(Floats *x, Floats *y, const int count, const float diagonal_squared, int *bad,
-                         int *too_long) {
+INLINE void check_motion(Floats *x, Floats *y, const int count, const float diagonal_squared, int *bad, int *too_long) {
     const Ints good = *x * *x + *y * *y < diagonal_squared;
     if (!ALL(good)) {
         const Ints is_finite = isfinite(*x) & isfinite(*y), unwritten = is_finite & !good;
@@ -241,7 +254,8 @@ INLINE Floats load_stored_xy(__global const float *given, const int type, const 
                              const int count, Floats *y) {
 #if LANES == 8
     if (count >= LANES && channels == 2 && (type == FLOAT32 || type == FLOAT16)) {
-        const float16 xy = type == FLOAT32 ? vload16(0, given + 2 * i) : vload_half16(0, (__global const half *)given + 2 * i);
+        const float16 xy =
+            type == FLOAT32 ? vload16(0, given + 2 * i) : vload_half16(0, (__global const half *)given + 2 * i);
         *y = xy.odd;
         return xy.even;
     }

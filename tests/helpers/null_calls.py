@@ -8,7 +8,8 @@ from pathlib import Path
 HEADERS = ("gffe.h", "gffe_camera.h")
 MAY_BE_NULL = {  # where NULL means something
     ("gffe_destroy", "g"), ("gffe_submit", "display_camera"), ("gffe_submit", "motion"),
-    ("gffe_set_overlays", "overlays"), ("gffe_set_format", "format"), ("gffe_extrapolate", "camera"), ("gffe_submit_after", "display_camera"),
+    ("gffe_set_format", "format"),
+    ("gffe_set_overlays", "overlays"), ("gffe_extrapolate", "camera"), ("gffe_submit_after", "display_camera"),
     ("gffe_submit_after", "motion"), ("gffe_extrapolate_after", "camera"), ("gffe_submit_after", "done"),
     ("gffe_extrapolate_after", "done"), ("gffe_present_after", "done"),
 }  # fmt: skip
@@ -16,7 +17,8 @@ MAY_BE_NULL = {  # where NULL means something
 GOOD = {
     "gffe *": "g", "gffe **": "&other", "gffe_options *": "&options", "gffe_camera *": "cameras",
     "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays", "gffe_window *": "&window",
-    "gffe_window_options *": "&window_options", "gffe_format *": "&format", "cl_context": "context", "cl_command_queue": "queue",
+    "gffe_format *": "&format",
+    "gffe_window_options *": "&window_options", "cl_context": "context", "cl_command_queue": "queue",
     "cl_mem": "memory", "char *": '"history.dynamic_mask"', "double *": "numbers", "float *": "floats",
     "double": "1.0", "int": "1", "cl_uint": "1",
 }  # fmt: skip

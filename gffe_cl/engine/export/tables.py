@@ -40,8 +40,10 @@ GIVEN = {
     "overlays.effects": ("SOURCE", 8),
     "overlays.effects_motion": ("SOURCE", 8),
     "overlays.ui": ("TARGET", 8),
-    **{f"engine.{name}": ("SOURCE", nbytes) for name, nbytes in
-       zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)},
+    **{
+        f"engine.{name}": ("SOURCE", nbytes)
+        for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
+    },
 }
 _GRIDS = (
     "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",

@@ -184,8 +184,8 @@ class FrameFormat:
 
         The arguments are fields of `ffxDispatchDescFrameGenerationPrepareV2` and
         `ffxCreateContextDescFrameGeneration` (`flags`: the bits FFX_FRAMEGENERATION_ENABLE_…), in the header
-        `ffx_framegeneration` of the FidelityFX SDK. There vectors lead "from a pixel in the current frame to the position
-        of that same pixel in the previous frame" and are in pixels after motionVectorScale, y down
+        `ffx_framegeneration` of the FidelityFX SDK. There vectors lead "from a pixel in the current frame to the
+        position of that same pixel in the previous frame" and are in pixels after motionVectorScale, y down
         (https://gpuopen.com/manuals/fidelityfx_sdk/techniques/super-resolution-upscaler/). Infinite depth ignores
         cameraFar; near and far may be swapped. `others` are fields of `FrameFormat`. Pass `jitterOffset` as
         `RenderedFrame.geometry_jitter`. Raises GffeError for vectors at display resolution beside smaller depth.
@@ -226,8 +226,8 @@ class FrameFormat:
     ) -> FrameFormat:
         """Return the description of what an integration of NVIDIA DLSS frame generation (DLSS-G) provides.
 
-        The arguments are fields of `sl::Constants` in the header `sl_consts` of Streamline. mvecScale brings vectors into
-        the range −1 to 1 of a whole image, so 1/width for vectors in pixels (https://github.com/NVIDIAGameWorks/Streamline,
+        The arguments are fields of `sl::Constants` in the header `sl_consts` of Streamline. mvecScale brings vectors
+        into the range −1 to 1 of a whole image, so 1/width for vectors in pixels (https://github.com/NVIDIAGameWorks/Streamline,
         docs/ProgrammingGuideDLSS_G.md, section 7.0); they lead from the current to the previous frame, y down.
         Without cameraMotionIncluded pixels of motionVectorsInvalidValue (by default 0) have the camera's motion alone,
         as in its `shaders/mvec.hlsl`. `others` are fields of `FrameFormat`, such as sizes. Pass `jitterOffset`, in
@@ -262,8 +262,8 @@ class FrameFormat:
 
         The arguments are fields of `xefg_swapchain_frame_constant_data_t` (projectionMatrix: 16 numbers or 4 rows,
         row-major, for row vectors or column vectors) and `xefg_swapchain_d3d12_init_params_t` (initFlags: the bits
-        XEFG_SWAPCHAIN_INIT_FLAG_…), in the header `xefg_swapchain`. Vectors lead from the current to the previous frame,
-        in pixels y down or, by flag, in normalized device coordinates y up; those of high resolution are dilated
+        XEFG_SWAPCHAIN_INIT_FLAG_…), in the header `xefg_swapchain`. Vectors lead from the current to the previous
+        frame, in pixels y down or, by flag, in normalized device coordinates y up; those of high resolution are dilated
         (https://github.com/intel/xess, doc/xess_fg_developer_guide_english.md, "Motion Vectors"). `others` are fields
         of `FrameFormat`, such as sizes. Pass `jitterOffsetX` and `jitterOffsetY` as `RenderedFrame.geometry_jitter`.
         Raises GffeError for another than a perspective projection.
@@ -453,4 +453,3 @@ def _what(name: str) -> str:
 
 def _by(size: tuple[int, int]) -> str:
     return f"{size[0]}×{size[1]}"
-

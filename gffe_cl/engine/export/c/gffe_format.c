@@ -65,9 +65,7 @@ static int is_one_of(int value, const int *allowed, int count) {
     return 0;
 }
 
-static int is_finite_pair(const double pair[2]) {
-    return fabs(pair[0]) < GFFE_LARGEST && fabs(pair[1]) < GFFE_LARGEST;
-}
+static int is_finite_pair(const double pair[2]) { return fabs(pair[0]) < GFFE_LARGEST && fabs(pair[1]) < GFFE_LARGEST; }
 
 /* Returns the fault of a description, NULL if it has none. */
 static const char *fault_of(const gffe_format *format) {
@@ -150,7 +148,8 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     const double most = step->has_motion ? most_of(format->motion_type) : 1;
     const double sign = format->motion_from_previous ? -1 : 1;
     const int swapped = format->near_z > format->far_z;
-    const double farthest = swapped ? format->near_z : format->far_z, nearest = swapped ? format->far_z : format->near_z;
+    const double farthest = swapped ? format->near_z : format->far_z,
+                 nearest = swapped ? format->far_z : format->near_z;
     const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
     const double depth_most = most_of(format->depth_type);
     int k;
@@ -185,7 +184,8 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     block->has_previous = step->converts_after;
 }
 
-/* Makes the buffers of a converted frame: `turn` 0 and 1 have one motion, for nothing reads that of the frame before. */
+/* Makes the buffers of a converted frame: `turn` 0 and 1 have one motion, for nothing reads that of the frame before.
+ */
 static gffe_status need_converted(gffe *g, int turn) {
     static const size_t texels[BUFFERS] = {8, 4, 8};
     int k;

@@ -57,7 +57,13 @@ enum {
 };
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
-enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8, GFFE_OF_FORMATS = 256 };
+enum {
+    GFFE_TAKES_LANES = 1,
+    GFFE_TAKES_RUN = 2,
+    GFFE_TAKES_EXACT_DIVISION = 4,
+    GFFE_TAKES_INT64 = 8,
+    GFFE_OF_FORMATS = 256
+};
 /* Flags of buffers: the one of the frame before is kept, too; the host works in it where it shares memory with the
    device; made with the first windowed frame; the caller's; memory that contains others side by side; memory that is
    free while frames are extrapolated; the copy of the frame before is free then; made with the first overlays. What

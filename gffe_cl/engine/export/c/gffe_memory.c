@@ -134,7 +134,8 @@ gffe_status gffe_allocate(gffe *g, int late) {
         for (number = 0; number < g->plan->buffer_count; ++number) {
             const gffe_buffer *buffer = &g->plan->buffers[number];
             const gffe_place *place = &g->places[number];
-            if (buffer->flags & GFFE_GIVEN || late != (buffer->flags & (GFFE_LATE | GFFE_OF_OVERLAYS | GFFE_OF_FORMATS)))
+            if (buffer->flags & GFFE_GIVEN
+                || late != (buffer->flags & (GFFE_LATE | GFFE_OF_OVERLAYS | GFFE_OF_FORMATS)))
                 continue;
             if ((place->root >= 0) != parts || !place->bytes) continue;
             for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
