@@ -227,8 +227,8 @@ class FrameFormat:
         """Return the description of what an integration of NVIDIA DLSS frame generation (DLSS-G) provides.
 
         The arguments are fields of `sl::Constants` in the header `sl_consts` of Streamline. mvecScale brings vectors
-        into the range −1 to 1 of a whole image, so 1/width for vectors in pixels (https://github.com/NVIDIAGameWorks/Streamline,
-        docs/ProgrammingGuideDLSS_G.md, section 7.0); they lead from the current to the previous frame, y down.
+        into the range −1 to 1 of a whole image, so 1/width for vectors in pixels (https://github.com/NVIDIAGameWorks/Streamline, programming
+        guide of DLSS-G, section 7.0); they lead from the current to the previous frame, y down.
         Without cameraMotionIncluded pixels of motionVectorsInvalidValue (by default 0) have the camera's motion alone,
         as in its `shaders/mvec.hlsl`. `others` are fields of `FrameFormat`, such as sizes. Pass `jitterOffset`, in
         pixels, as `RenderedFrame.geometry_jitter`. Raises GffeError for an orthographic projection.
@@ -264,7 +264,7 @@ class FrameFormat:
         row-major, for row vectors or column vectors) and `xefg_swapchain_d3d12_init_params_t` (initFlags: the bits
         XEFG_SWAPCHAIN_INIT_FLAG_…), in the header `xefg_swapchain`. Vectors lead from the current to the previous
         frame, in pixels y down or, by flag, in normalized device coordinates y up; those of high resolution are dilated
-        (https://github.com/intel/xess, doc/xess_fg_developer_guide_english.md, "Motion Vectors"). `others` are fields
+        (https://github.com/intel/xess, developer guide of XeSS-FG, "Motion Vectors"). `others` are fields
         of `FrameFormat`, such as sizes. Pass `jitterOffsetX` and `jitterOffsetY` as `RenderedFrame.geometry_jitter`.
         Raises GffeError for another than a perspective projection.
         """
