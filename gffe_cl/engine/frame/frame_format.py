@@ -227,8 +227,9 @@ class FrameFormat:
         """Return the description of what an integration of NVIDIA DLSS frame generation (DLSS-G) provides.
 
         The arguments are fields of `sl::Constants` in the header `sl_consts` of Streamline. mvecScale brings vectors
-        into the range −1 to 1 of a whole image, so 1/width for vectors in pixels (https://github.com/NVIDIAGameWorks/Streamline, programming
-        guide of DLSS-G, section 7.0); they lead from the current to the previous frame, y down.
+        into the range −1 to 1 of a whole image, so 1/width for vectors in pixels
+        (https://github.com/NVIDIAGameWorks/Streamline, programming guide of DLSS-G, section 7.0); they lead from the
+        current to the previous frame, y down.
         Without cameraMotionIncluded pixels of motionVectorsInvalidValue (by default 0) have the camera's motion alone,
         as in its `shaders/mvec.hlsl`. `others` are fields of `FrameFormat`, such as sizes. Pass `jitterOffset`, in
         pixels, as `RenderedFrame.geometry_jitter`. Raises GffeError for an orthographic projection.

@@ -249,7 +249,7 @@ class Pipeline:
 
     @property
     def format(self) -> FrameFormat | None:
-        """Description of the buffers of rendered frames, None where they have the conventions of `RenderedFrame`. Set it
+        """Description of the buffers of rendered frames, None if they have the conventions of `RenderedFrame`. Set it
         before `submit`. Raises GffeError for other values, and for images of other sizes than the render size."""
         return self._format
 
