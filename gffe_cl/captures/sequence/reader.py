@@ -43,6 +43,7 @@ from gffe_cl.engine.core.validation import (
     require_whole,
 )
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, require_one_pose
 
 _MOST_AHEAD = 1024
@@ -89,7 +90,7 @@ class Sequence:
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
         if self.format and self.rendered:
             try:
-                self.format.require_size(self.size_of(self.rendered[0]))
+                require_render_size(self.format, self.size_of(self.rendered[0]))
             except GffeError as error:
                 raise GffeError(f"{path}: frame_{error}") from None
 

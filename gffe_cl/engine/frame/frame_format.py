@@ -15,6 +15,8 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
+    is_number,
+    require_array,
     require_bool,
     require_choice,
     require_kind,
@@ -236,7 +238,9 @@ class FrameFormat:
         """
         if require_bool(orthographicProjection, "streamline: orthographicProjection"):
             raise GffeError("streamline: orthographicProjection is not supported (expected a perspective projection)")
-        invalid = None if motionVectorsInvalidValue == _SL_INVALID_FLOAT else motionVectorsInvalidValue
+        invalid = motionVectorsInvalidValue
+        if is_number(invalid) and float(invalid) == _SL_INVALID_FLOAT:
+            invalid = None
         included = require_bool(cameraMotionIncluded, "streamline: cameraMotionIncluded")
         if not included and invalid is None:
             invalid = 0.0
@@ -303,7 +307,7 @@ class FrameFormat:
         """
         flags = require_whole(layerFlags, "openxr: layerFlags", 0)
         scale, offset = (
-            require_vector(list(given)[:2], f"openxr: {name}", 2)
+            require_vector(require_array(given, f"openxr: {name}", (2, 4))[:2], f"openxr: {name}", 2)
             for name, given in (("motionVectorScale", motionVectorScale), ("motionVectorOffset", motionVectorOffset))
         )
         made: dict[str, Any] = dict(
@@ -329,7 +333,9 @@ class FrameFormat:
         names = [f.name for f in fields(cls)]
         if unknown := next((name for name in given if name not in names), None):
             raise GffeError(f"format: unknown field '{unknown}' (expected {', '.join(names)})")
-        values: dict[str, Any] = {n: math.inf if v == _JSON_INFINITY else v for n, v in given.items()}
+        values: dict[str, Any] = {
+            n: math.inf if isinstance(v, str) and v == _JSON_INFINITY else v for n, v in given.items()
+        }
         return cls(**values)
 
     # ---- in numbers ------------------------------------------------------------------------------------
@@ -344,19 +350,20 @@ class FrameFormat:
         color = own.pop("color_type"), own.pop("color_channels")
         return {"color": all(color), "geometry": all(own.values())}
 
-    def require_size(self, size: tuple[int, int]) -> None:
-        """Raise GffeError unless color, depth and motion have the `size` of the rendered image."""
-        color, geometry = self.color_size or size, self.geometry_size or size
-        if color != geometry:
-            raise GffeError(
-                f"format: color {_by(color)} and geometry {_by(geometry)} differ (expected depth and motion at the size"
-                " of color)"
-            )
-        if color != size:
-            raise GffeError(f"format: images are {_by(color)} (expected the render size {_by(size)})")
-
 
 _JSON_INFINITY = "infinity"
+
+
+def require_render_size(format: FrameFormat, size: tuple[int, int]) -> None:
+    """Raise GffeError unless the description is of color, depth and motion of the `size` of rendered images."""
+    color, geometry = format.color_size or size, format.geometry_size or size
+    if color != geometry:
+        raise GffeError(
+            f"format: color {_by(color)} and geometry {_by(geometry)} differ (expected depth and motion at the size of"
+            " color)"
+        )
+    if color != size:
+        raise GffeError(f"format: images are {_by(color)} (expected the render size {_by(size)})")
 
 
 def require_jitter(value: Any) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import MOST_ALPHA, Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
-from gffe_cl.engine.frame.frame_format import FrameFormat, conversion
+from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, require_render_size
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
@@ -257,7 +257,7 @@ class Pipeline:
     def format(self, value: FrameFormat | None) -> None:
         if value is not None:
             require_kind(value, FrameFormat, "pipeline: format", "a FrameFormat or None")
-            value.require_size(self.sizes.source)
+            require_render_size(value, self.sizes.source)
         self._format = value
 
     @property
