@@ -23,6 +23,7 @@ _HOME = {
     "motion_from_ndc": "engine.frame.conventions",
     "motion_from_uv": "engine.frame.conventions",
     "motion_from_unreal": "engine.frame.conventions",
+    "FrameFormat": "engine.frame.frame_format",
     "Device": "engine.opencl.device",
     "DeviceInfo": "engine.opencl.device",
     "list_devices": "engine.opencl.device",

@@ -16,6 +16,7 @@ from gffe_cl.engine.frame.conventions import depth_from_distance as depth_from_d
 from gffe_cl.engine.frame.conventions import motion_from_ndc as motion_from_ndc
 from gffe_cl.engine.frame.conventions import motion_from_unreal as motion_from_unreal
 from gffe_cl.engine.frame.conventions import motion_from_uv as motion_from_uv
+from gffe_cl.engine.frame.frame_format import FrameFormat as FrameFormat
 from gffe_cl.engine.frame.jitter import Jitter as Jitter
 from gffe_cl.engine.frame.rendered_frame import BadPixels as BadPixels
 from gffe_cl.engine.frame.rendered_frame import Overlays as Overlays

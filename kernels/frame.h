@@ -21,9 +21,13 @@ typedef struct {
     float4 to_render; /* display -> source: scale x, y, offset x, y in pixels */
     float4 to_display; /* source -> display */
     float4 to_previous_display; /* previous -> its display */
+    float4 given_motion; /* of an engine's buffers, for upload.cl: factors and addends of x and y, in stored numbers */
+    float4 given_depth; /* of the same: factor, origin, addend, the value of sky */
+    int4 given_types; /* of color, depth, motion; and what vectors have of the camera's motion */
     int4 level_starts; /* first texels of background levels 1, 2 and 3, and the end of all levels */
     float2 zoom; /* target pixels per source pixel of points equally far from both cameras */
     float2 pixel_size; /* of the source, display pixels */
+    int2 given_channels; /* of color and motion */
     int source_width, source_height;
     int target_width, target_height;
     int network_width, network_height;
@@ -35,6 +39,8 @@ typedef struct {
     float exposure; /* factor on color before display */
     float code_offset; /* color_code.h, at this frame's exposure */
     float camera_step; /* world units that the camera moved since the frame before */
+    float motion_invalid; /* the stored number of unwritten vectors; NaN: there is none */
+    int depth_is_device;
     int has_overlays; /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion; /* whether motion is estimated */

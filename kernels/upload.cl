@@ -1,12 +1,19 @@
-/* Frames from the host as other kernels take them, and counts of bad pixels. The host's arrays begin at value
-   `start` of the given buffers. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs consecutive
-   ones, on GPUs those that lie as far apart as there are runs, so that neighbors load neighbors. */
+/* Frames from the host, or in an engine's own formats, as other kernels take them, and counts of bad pixels. Arrays
+   begin at value `start` of the given buffers. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs
+   consecutive ones, on GPUs those that lie as far apart as there are runs, so that neighbors load neighbors. No other
+   kernel knows about formats (gffe_cl/engine/frame/frame_format.py). */
 
 #include "frame.h"
 #include "simd_rgb.h"
 
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
+
+/* Types of given values. Integers stand for 0 to 1, or -1 to 1 (SNORM16); UNORM24 are the low bits of 32. */
+enum { NO_BUFFER, FLOAT32, FLOAT16, UNORM8, UNORM16, SNORM16, UNORM24 };
+
+/* What given motion vectors have of the camera's motion. */
+enum { CAMERA_INCLUDED, CAMERA_MOVERS_ONLY, CAMERA_EXCLUDED };
 
 /* The number of runs in a row of `width` pixels, for a single lane. */
 INLINE int runs_of(const int width) { return (width + RUN_PIXELS - 1) / RUN_PIXELS; }
@@ -33,14 +40,52 @@ INLINE void store_counts(const int width, const int height, const int first, con
     counts[runs * height + place] = second;
 }
 
-/* Values of the host's array, which holds halves or floats. */
-INLINE float given_value(__global const float *given, const bool halves, const int i) {
-    return halves ? vload_half(i, (__global const half *)given) : given[i];
+/* The buffer from its value `start` on. */
+INLINE __global const float *given_from(__global const uchar *given, const int type, const int start) {
+    const int bytes = type == UNORM8 ? 1 : (type == FLOAT32 || type == UNORM24) ? 4 : 2;
+    return (__global const float *)(given + (size_t)bytes * start);
+}
+
+/* Value i as it is stored: integers are not scaled. */
+INLINE float stored_value(__global const float *given, const int type, const int i) {
+    switch (type) {
+    case FLOAT16:
+        return vload_half(i, (__global const half *)given);
+    case UNORM8:
+        return (float)((__global const uchar *)given)[i];
+    case UNORM16:
+        return (float)((__global const ushort *)given)[i];
+    case SNORM16:
+        return (float)((__global const short *)given)[i];
+    case UNORM24:
+        return (float)(((__global const uint *)given)[i] & 0xffffff);
+    default:
+        return given[i];
+    }
+}
+
+/* What a stored color value is multiplied with. */
+INLINE float color_unit(const int type) {
+    return type == UNORM8 ? 1.0f / 255.0f : type == UNORM16 ? 1.0f / 65535.0f : 1.0f;
+}
+
+INLINE float given_value(__global const float *given, const int type, const int i) {
+    const float stored = stored_value(given, type, i);
+    return type == UNORM8 || type == UNORM16 ? stored * color_unit(type) : stored;
 }
 
 #if LANES == 8
-INLINE float4 given_4(__global const float *given, const bool halves, const int i) {
-    return halves ? vload_half4(0, (__global const half *)given + i) : vload4(0, given + i);
+INLINE float4 given_4(__global const float *given, const int type, const int i) {
+    switch (type) {
+    case FLOAT16:
+        return vload_half4(0, (__global const half *)given + i);
+    case UNORM8:
+        return convert_float4(vload4(0, (__global const uchar *)given + i)) * color_unit(type);
+    case UNORM16:
+        return convert_float4(vload4(0, (__global const ushort *)given + i)) * color_unit(type);
+    default:
+        return vload4(0, given + i);
+    }
 }
 
 /* Four texels with 0 in their fourth channels. */
@@ -49,25 +94,34 @@ INLINE float16 rgb_of(const float16 texels) {
     return as_float16(as_int16(texels) & (int16)(rgb, rgb, rgb, rgb));
 }
 
-INLINE float16 given_16(__global const float *given, const bool halves, const int i) {
-    return halves ? vload_half16(0, (__global const half *)given + i) : vload16(0, given + i);
+INLINE float16 given_16(__global const float *given, const int type, const int i) {
+    switch (type) {
+    case FLOAT16:
+        return vload_half16(0, (__global const half *)given + i);
+    case UNORM8:
+        return convert_float16(vload16(0, (__global const uchar *)given + i)) * color_unit(type);
+    case UNORM16:
+        return convert_float16(vload16(0, (__global const ushort *)given + i)) * color_unit(type);
+    default:
+        return vload16(0, given + i);
+    }
 }
 #endif
 
 /* LANES pixels from pixel i on, of which the image has `count` or more: RGB, and 0. */
-INLINE void load_given(__global const float *given, const bool halves, const int channels, const int i, const int count,
+INLINE void load_given(__global const float *given, const int type, const int channels, const int i, const int count,
                        Strip *s) {
 #if LANES == 8
     if (count >= LANES && channels == 4) {
-        s->part[0] = rgb_of(given_16(given, halves, 4 * i));
-        s->part[1] = rgb_of(given_16(given, halves, 4 * i + 16));
+        s->part[0] = rgb_of(given_16(given, type, 4 * i));
+        s->part[1] = rgb_of(given_16(given, type, 4 * i + 16));
         return;
     }
     if (count >= LANES) {  /* with the first value of the next pixel, but for the last one */
-        const float4 a = given_4(given, halves, 3 * i), b = given_4(given, halves, 3 * i + 3),
-                     c = given_4(given, halves, 3 * i + 6), d = given_4(given, halves, 3 * i + 9),
-                     e = given_4(given, halves, 3 * i + 12), f = given_4(given, halves, 3 * i + 15),
-                     g = given_4(given, halves, 3 * i + 18), h = given_4(given, halves, 3 * i + 20).yzww;
+        const float4 a = given_4(given, type, 3 * i), b = given_4(given, type, 3 * i + 3),
+                     c = given_4(given, type, 3 * i + 6), d = given_4(given, type, 3 * i + 9),
+                     e = given_4(given, type, 3 * i + 12), f = given_4(given, type, 3 * i + 15),
+                     g = given_4(given, type, 3 * i + 18), h = given_4(given, type, 3 * i + 20).yzww;
         s->part[0] = rgb_of((float16)(a, b, c, d));
         s->part[1] = rgb_of((float16)(e, f, g, h));
         return;
@@ -76,14 +130,14 @@ INLINE void load_given(__global const float *given, const bool halves, const int
     float texels[4 * LANES];
     for (int k = 0; k < LANES; ++k) {
         const int first = channels * (i + min(k, count - 1));
-        for (int c = 0; c < 3; ++c) texels[4 * k + c] = given_value(given, halves, first + c);
+        for (int c = 0; c < 3; ++c) texels[4 * k + c] = given_value(given, type, first + c);
         texels[4 * k + 3] = 0.0f;
     }
     for (int part = 0; part < PARTS; ++part) s->part[part] = reload_texels(part, texels);
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(__constant Frame *restrict frame, __global const float *given, const bool halves, const int channels,
+INLINE void take(__constant Frame *restrict frame, __global const float *given, const int type, const int channels,
                  __global half *color, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
@@ -92,7 +146,7 @@ INLINE void take(__constant Frame *restrict frame, __global const float *given, 
         const int x = run_x(width, k), count = width - x, i = y * width + x;
         if (count <= 0) break;
         Strip s;
-        load_given(given, halves, channels, i, count, &s);
+        load_given(given, type, channels, i, count, &s);
         bool good = true;
         for (int part = 0; part < PARTS; ++part) good &= ALL_TEXELS(fabs(s.part[part]) <= COLOR_MAX);
         if (!good) {
@@ -112,48 +166,163 @@ INLINE void take(__constant Frame *restrict frame, __global const float *given, 
 
 WIDE __kernel void take_floats(__constant Frame *restrict frame, __global const float *given, const int start,
                                const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(frame, given + start, false, channels, color, bad_pixels);
+    take(frame, given + start, FLOAT32, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start,
-                               const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
+WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start, const int channels,
+                               __global half *color, __global uchar *bad_pixels) {
+    take(frame, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
 }
 
-/* Bad are depth that is NaN, not positive or denormal, and motion that is NaN or infinite. Finite depth beyond
-   DEPTH_MOST becomes sky, and motion as long as the diagonal, which leads out of the image from everywhere, NaN.
-   Input and output may be the same buffer. */
-WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth,
-                                 const int depth_start, __global const float *given_motion, const int motion_start,
-                                 __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
+/* Color of any type that a description allows, on its way from host or device. */
+WIDE __kernel void convert_color(__constant Frame *restrict frame, __global const uchar *given, const int start,
+                                 __global half *color, __global uchar *bad_pixels) {
+    const int type = frame->given_types.x;
+    take(frame, given_from(given, type, start), type, frame->given_channels.x, color, bad_pixels);
+}
+
+/* Bad is depth that is NaN, not positive or denormal. Finite depth beyond DEPTH_MOST becomes sky. */
+INLINE Floats checked_depth(Floats z, const int count, int *bad, int *far) {
+    const Ints good = z >= FLT_MIN, beyond = (z > DEPTH_MOST) & !isinf(z);
+    if (!ALL(good)) {
+        *bad += min(count, LANES) - lanes_where(good, count);
+        z = ((z >= 0.0f) & !good) ? (Floats)(0.0f) : z;
+    }
+    if (ANY(beyond)) {
+        *far += lanes_where(beyond, count);
+        z = beyond ? (Floats)(INFINITY) : z;
+    }
+    return z;
+}
+
+/* Bad is motion that is NaN or infinite. Motion as long as the diagonal, which leads out of the image from everywhere,
+   becomes NaN. */
+INLINE void check_motion(Floats *x, Floats *y, const int count, const float diagonal_squared, int *bad, int *too_long) {
+    const Ints good = *x * *x + *y * *y < diagonal_squared;
+    if (!ALL(good)) {
+        const Ints is_finite = isfinite(*x) & isfinite(*y), unwritten = is_finite & !good;
+        *bad += min(count, LANES) - lanes_where(is_finite, count);
+        *too_long += lanes_where(unwritten, count);
+        *x = unwritten ? (Floats)(NAN) : *x;
+        *y = unwritten ? (Floats)(NAN) : *y;
+    }
+}
+
+INLINE float diagonal_squared_of(__constant Frame *frame) {
+    const float width = frame->source_width, height = frame->source_height;
+    return width * width + height * height;
+}
+
+/* Input and output may be the same buffer. */
+WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth, const int depth_start,
+                                 __global const float *given_motion, const int motion_start, __global float *depth,
+                                 __global float2 *motion, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
-    const float diagonal_squared = (float)width * (float)width + (float)height * (float)height;
+    const float diagonal_squared = diagonal_squared_of(frame);
     int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;
         if (count <= 0) break;
         Floats motion_y;
-        Floats z = load_some_floats(count, given_depth + depth_start + i);
+        const Floats z = load_some_floats(count, given_depth + depth_start + i);
         Floats motion_x = load_some_xy(count, (__global const float2 *)(given_motion + motion_start) + i, &motion_y);
-        const Ints good_depth = z >= FLT_MIN, beyond = (z > DEPTH_MOST) & !isinf(z);
-        const Ints good_motion = motion_x * motion_x + motion_y * motion_y < diagonal_squared;
-        if (!ALL(good_depth)) {
-            bad_depth += min(count, LANES) - lanes_where(good_depth, count);
-            z = ((z >= 0.0f) & !good_depth) ? (Floats)(0.0f) : z;
-        }
-        if (ANY(beyond)) {
-            far += lanes_where(beyond, count);
-            z = beyond ? (Floats)(INFINITY) : z;
-        }
-        if (!ALL(good_motion)) {
-            const Ints finite = isfinite(motion_x) & isfinite(motion_y), unwritten = finite & !good_motion;
-            bad_motion += min(count, LANES) - lanes_where(finite, count);
-            too_long += lanes_where(unwritten, count);
-            motion_x = unwritten ? (Floats)(NAN) : motion_x;
-            motion_y = unwritten ? (Floats)(NAN) : motion_y;
-        }
+        store_some_floats(checked_depth(z, count, &bad_depth, &far), count, depth + i);
+        check_motion(&motion_x, &motion_y, count, diagonal_squared, &bad_motion, &too_long);
+        store_some_xy(motion_x, motion_y, count, motion + i);
+    }
+    store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);
+    store_counts(width, height, far, too_long, bad_pixels + 4 * runs_of(width) * height);
+}
+
+/* Values i, i + step ... as they are stored, for the first `count` lanes; others repeat the last. */
+INLINE Floats load_stored(__global const float *given, const int type, const int i, const int step, const int count) {
+#if LANES == 8
+    if (count >= LANES && step == 1) {
+        if (type == FLOAT32) return vload8(0, given + i);
+        if (type == UNORM16) return convert_float8(vload8(0, (__global const ushort *)given + i));
+        if (type == UNORM24) return convert_float8(vload8(0, (__global const uint *)given + i) & 0xffffff);
+    }
+#endif
+    float lanes[LANES];
+    for (int k = 0; k < LANES; ++k) lanes[k] = stored_value(given, type, i + step * min(k, count - 1));
+    return load_floats(0, lanes);
+}
+
+/* Stored x and y of motion from pixel i on. */
+INLINE Floats load_stored_xy(__global const float *given, const int type, const int channels, const int i,
+                             const int count, Floats *y) {
+#if LANES == 8
+    if (count >= LANES && channels == 2 && (type == FLOAT32 || type == FLOAT16)) {
+        const float16 xy =
+            type == FLOAT32 ? vload16(0, given + 2 * i) : vload_half16(0, (__global const half *)given + 2 * i);
+        *y = xy.odd;
+        return xy.even;
+    }
+#endif
+    *y = load_stored(given, type, channels * i + 1, channels, count);
+    return load_stored(given, type, channels * i, channels, count);
+}
+
+/* Planar depth of stored numbers. Device depth beyond its range, or at the far end as in a cleared buffer, is sky. */
+INLINE Floats planar_depth(__constant Frame *restrict frame, const Floats stored) {
+    const float4 numbers = frame->given_depth;  /* factor, origin, addend, sky */
+    const Floats value = numbers.x * (stored - numbers.y) + numbers.z;
+    if (!frame->depth_is_device) return value;
+    const Ints is_sky = (stored == numbers.w) | (value <= 1.0f / DEPTH_MOST);
+    return is_sky ? (Floats)(INFINITY) : wide_divide((Floats)(1.0f), value);
+}
+
+/* Motion of static points at depth z, in pixels: 0 where depth is invalid or there is no frame before, NaN where the
+   point was behind the camera. */
+INLINE Floats motion_by_camera(__constant Frame *restrict frame, const int px_x, const int px_y, const Floats z, Floats *y) {
+    const Floats here_x = row_centers(px_x);
+    const float here_y = px_y + 0.5f;
+    const Wide3 before = wide_reproject(here_x, (Floats)(here_y), z, frame->to_previous);
+    const Ints known = z > 0.0f, front = before.z > 0.0f;
+    *y = known ? (front ? before.y - here_y : (Floats)(NAN)) : (Floats)(0.0f);
+    return known ? (front ? before.x - here_x : (Floats)(NAN)) : (Floats)(0.0f);
+}
+
+/* Depth and motion of any type and convention that a description allows. Values of the description's own for unwritten
+   vectors are not counted as bad. */
+WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global const uchar *given_depth, const int depth_start,
+                                    __global const uchar *given_motion, const int motion_start, __global float *depth,
+                                    __global float2 *motion, __global uchar *bad_pixels) {
+    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
+    if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
+    const int depth_type = frame->given_types.y, motion_type = frame->given_types.z;
+    const int camera_motion = frame->given_types.w, channels = frame->given_channels.y;
+    __global const float *depths = given_from(given_depth, depth_type, depth_start);
+    __global const float *vectors = given_from(given_motion, motion_type, motion_start);
+    const float4 numbers = frame->given_motion;  /* factors and addends of x and y */
+    const float diagonal_squared = diagonal_squared_of(frame);
+    int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
+    for (int k = 0; k < RUN_PIXELS; ++k) {
+        const int x = run_x(width, k), count = width - x, i = y * width + x;
+        if (count <= 0) break;
+        const Floats given_z = planar_depth(frame, load_stored(depths, depth_type, i, 1, count));
+        const Floats z = checked_depth(given_z, count, &bad_depth, &far);
         store_some_floats(z, count, depth + i);
+        Floats motion_x = (Floats)(0.0f), motion_y = (Floats)(0.0f);
+        if (motion_type != NO_BUFFER) {
+            Floats stored_y;
+            const Floats stored_x = load_stored_xy(vectors, motion_type, channels, i, count, &stored_y);
+            const Ints unwritten = (stored_x == frame->motion_invalid) & (stored_y == frame->motion_invalid);
+            motion_x = unwritten ? (Floats)(0.0f) : stored_x * numbers.x + numbers.z;
+            motion_y = unwritten ? (Floats)(0.0f) : stored_y * numbers.y + numbers.w;
+            check_motion(&motion_x, &motion_y, count, diagonal_squared, &bad_motion, &too_long);
+            if (camera_motion == CAMERA_INCLUDED) {
+                motion_x = unwritten ? (Floats)(NAN) : motion_x;
+                motion_y = unwritten ? (Floats)(NAN) : motion_y;
+            } else if (frame->has_previous) {
+                Floats camera_y;
+                const Floats camera_x = motion_by_camera(frame, x, y, z, &camera_y);
+                const Ints added = camera_motion == CAMERA_EXCLUDED ? (Ints)(ALL_LANES) : unwritten;
+                motion_x = added ? motion_x + camera_x : motion_x;
+                motion_y = added ? motion_y + camera_y : motion_y;
+            }
+        }
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
     store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);

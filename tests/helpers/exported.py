@@ -1,6 +1,7 @@
 """An exported pipeline in C, compiled, loaded and called beside Python's, on the same device and buffers."""
 
 import ctypes as ct
+import math
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import pyopencl as cl
 import pytest
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, TYPES, FrameFormat
 from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -71,6 +73,36 @@ class COverlays(ct.Structure):
     _fields_ = tuple((name, ct.c_void_p) for name in OVERLAYS)
 
 
+class CFormat(ct.Structure):
+    _fields_ = (
+        *((name, ct.c_int) for name in ("color_type", "color_channels", "depth_type", "depth_is_device")),
+        *((name, ct.c_double) for name in ("near_z", "far_z")),
+        ("depth_range", ct.c_double * 2),
+        *((name, ct.c_int) for name in ("motion_type", "motion_channels")),
+        *((name, ct.c_double * 2) for name in ("motion_scale", "motion_offset")),
+        *((f"motion_{name}", ct.c_int) for name in ("unit", "from_previous", "y_up", "jittered")),
+        ("motion_invalid", ct.c_double),
+        ("camera_motion", ct.c_int),
+    )
+
+    @classmethod
+    def of(cls, format: FrameFormat):
+        numbers = {name: 1 + number for number, name in enumerate(TYPES)}
+        plain = ("color_channels", "near_z", "far_z", "motion_channels", "motion_jittered")
+        pairs = ("depth_range", "motion_scale", "motion_offset")
+        return cls(
+            **{name: getattr(format, name) for name in plain},
+            **{name: numbers[getattr(format, name)] for name in ("color_type", "depth_type", "motion_type")},
+            **{name: (ct.c_double * 2)(*getattr(format, name)) for name in pairs},
+            depth_is_device=format.depth == "device",
+            motion_unit=("pixels", "uv", "ndc").index(format.motion_unit),
+            motion_from_previous=format.motion_direction == "from_previous",
+            motion_y_up=format.motion_y == "up",
+            motion_invalid=math.nan if format.motion_invalid is None else format.motion_invalid,
+            camera_motion=CAMERA_MOTIONS.index(format.camera_motion),
+        )
+
+
 class Failed(Exception):
     """`status`, and what gffe_message says."""
 
@@ -114,6 +146,9 @@ def load(path: Path) -> ct.CDLL:
     library.gffe_nearest_depth.restype = ct.c_double
     for name in ("message", "adaptive_window", "predict_camera_at", "camera_fault", "buffer_name"):
         getattr(library, f"gffe_{name}").restype = ct.c_char_p
+    library.gffe_default_format.restype = CFormat
+    library.gffe_set_format.argtypes = [ct.c_void_p] * 2
+    library.gffe_set_geometry_jitter.argtypes = [ct.c_void_p, *[ct.c_double] * 2]
     library.gffe_interval.restype = ct.c_double
     library.gffe_create.argtypes = [ct.c_void_p] * 4
     library.gffe_destroy.argtypes = library.gffe_interval.argtypes = library.gffe_is_cut.argtypes = [ct.c_void_p]
@@ -178,6 +213,12 @@ class Engine:
         cameras = [c and ct.byref(CCamera.of(c)) for c in (camera, display)]
         handles = [b and b.int_ptr for b in buffers]
         return self._call("submit", (*handles, *cameras, time, int(reset)), wait_for)
+
+    def set_format(self, format, jitter=(0.0, 0.0)):
+        """`format`: a FrameFormat, a CFormat or None."""
+        made = CFormat.of(format) if isinstance(format, FrameFormat) else format
+        self._check(self.library.gffe_set_format(self.handle, made and ct.byref(made)))
+        self._check(self.library.gffe_set_geometry_jitter(self.handle, *jitter))
 
     def set_overlays(self, overlays):
         """`overlays` of device buffers."""

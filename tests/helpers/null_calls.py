@@ -8,6 +8,7 @@ from pathlib import Path
 HEADERS = ("gffe.h", "gffe_camera.h")
 MAY_BE_NULL = {  # where NULL means something
     ("gffe_destroy", "g"), ("gffe_submit", "display_camera"), ("gffe_submit", "motion"),
+    ("gffe_set_format", "format"),
     ("gffe_set_overlays", "overlays"), ("gffe_extrapolate", "camera"), ("gffe_submit_after", "display_camera"),
     ("gffe_submit_after", "motion"), ("gffe_extrapolate_after", "camera"), ("gffe_submit_after", "done"),
     ("gffe_extrapolate_after", "done"), ("gffe_present_after", "done"),
@@ -16,6 +17,7 @@ MAY_BE_NULL = {  # where NULL means something
 GOOD = {
     "gffe *": "g", "gffe **": "&other", "gffe_options *": "&options", "gffe_camera *": "cameras",
     "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays", "gffe_window *": "&window",
+    "gffe_format *": "&format",
     "gffe_window_options *": "&window_options", "cl_context": "context", "cl_command_queue": "queue",
     "cl_mem": "memory", "char *": '"history.dynamic_mask"', "double *": "numbers", "float *": "floats",
     "double": "1.0", "int": "1", "cl_uint": "1",
@@ -35,6 +37,7 @@ int main(void) {
     cl_event complete, done = NULL;
     gffe *g = NULL, *other = NULL, *failed = NULL;
     gffe_options options = gffe_default_options(64, 48);
+    gffe_format format = gffe_default_format();
     gffe_window_options window_options = gffe_default_window_options(64, 48);
     gffe_camera cameras[2], made;
     gffe_window window = {-1, -1, 1, 1, 0};

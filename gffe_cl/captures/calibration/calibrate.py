@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -214,7 +215,8 @@ def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Len
         pose = np.linalg.inv(found[entry.file].movement.matrix) @ before if entry.file in found else before
         poses.append(pose)
     cameras = {e.file: _camera(p, lens) for e, p in zip(sequence.rendered, poses, strict=True)}
-    named = {"generator": "gffe-cl calibrate", "attributes": sequence.attributes}
+    named: dict[str, Any] = {"generator": "gffe-cl calibrate", "attributes": sequence.attributes}
+    named["format"] = sequence.format  # as the files are linked
     with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         for entry in sequence.frames:
             path = sequence.path / entry.file

@@ -37,7 +37,8 @@ def import_capture(
     on_frame: Callable[[], None] = lambda: None,
 ) -> ImportReport:
     """Write the rendered frames and the truth of `sequence` into the folder `output`, in our own form, and return the
-    counts.
+    counts. Depth and motion that the sequence stores in an engine's format keep it, with its description, where nothing
+    is to be changed: with `every` 1 and an exact `encoding`.
 
     Of the rendered frames after a reset every `every`-th one stays rendered, the others become ground truth; motion
     then reaches over the frames in between, m₂(x) = m(x) + m′(x + m(x)), and `fps` is that of the frames that stay.
@@ -60,7 +61,7 @@ def import_capture(
     fps, size = sequence.fps / every, (sequence.width, sequence.height)
     writing = SequenceWriter(
         output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression,
-        attributes=sequence.attributes,
+        attributes=sequence.attributes, format=sequence.format if every == 1 and encoding == EXACT else None,
     )  # fmt: skip
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every, encoding):
@@ -85,7 +86,8 @@ def import_capture(
 def _thinned(sequence: Sequence, every: int, encoding: Encoding) -> Iterator[tuple[FrameEntry, RenderedFrame, bool]]:
     """Yield each rendered frame, and whether it stays; then it is stored, with motion to the one before that stays."""
     since: list[RenderedFrame] = []  # the last one that stays, and those after it
-    for entry, frame in sequence.prefetch(sequence.rendered):
+    reading = sequence.read_stored if every == 1 and encoding == EXACT else sequence.read
+    for entry, frame in sequence.prefetch(sequence.rendered, reading):
         if entry.reset:
             since = []
         stays = len(since) in (0, every)

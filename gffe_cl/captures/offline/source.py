@@ -203,7 +203,7 @@ class Recorded(Source):
         return self.entries[k].time
 
     def store(self, writer, entry, frame):
-        own = None if self._cut else self.sequence.exr_file(entry)
+        own = None if self._cut or self.sequence.format else self.sequence.exr_file(entry)
         if own is None:
             super().store(writer, entry, frame)
         else:

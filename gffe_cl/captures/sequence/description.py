@@ -29,10 +29,11 @@ from gffe_cl.engine.core.validation import (
     shown,
 )
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat, require_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 FILE_NAME = "sequence.json"
-FORMAT, VERSION = "gffe-sequence", 1
+FORMAT, VERSIONS = "gffe-sequence", (1, 2)  # the second one describes an engine's buffers
 KINDS = ("rendered", "ground_truth", "extrapolated")
 _CAMERA = ("world_to_view", "fx", "fy", "cx", "cy")
 _MAX_BYTES = 1 << 30
@@ -65,6 +66,8 @@ class FrameEntry:
         (time − source time) / (source time − time of the rendered frame before it).
     elsewhere : str or None
         Path of the file where that is not in the folder; `file` is then the name of its copies.
+    geometry_jitter : (float, float)
+        Jitter of depth and motion of a rendered frame that its color does not have, pixels.
     """
 
     file: str
@@ -77,6 +80,7 @@ class FrameEntry:
     source: str | None = None
     alpha: float | None = None
     elsewhere: str | None = None
+    geometry_jitter: tuple[float, float] = (0.0, 0.0)
 
     @property
     def place(self) -> str:
@@ -87,7 +91,8 @@ class FrameEntry:
 @dataclass
 class Description:
     """Contents of `sequence.json`; sizes in pixels, times in seconds. `unfinished`: the run that wrote it was
-    interrupted, the frames are those that were finished then."""
+    interrupted, the frames are those that were finished then. `format`: of depth and motion of the rendered frames,
+    None: they have our conventions."""
 
     width: int
     height: int
@@ -96,6 +101,7 @@ class Description:
     frames: list[FrameEntry]
     unfinished: bool = False
     known_cameras: tuple[FrameEntry, ...] = ()  # of other forms: kind "camera_only", no file
+    format: FrameFormat | None = None
 
 
 @contextmanager
@@ -121,8 +127,9 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
         raise GffeError(f"{name}: not valid JSON ({' '.join(str(error).split())})") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise GffeError(f'{name}: not a sequence (expected "format": "{FORMAT}")')
-    if document.get("version") != VERSION or isinstance(document["version"], bool):
-        raise GffeError(f"{name}: unknown version {shown(document.get('version'))} (expected {VERSION})")
+    version = document.get("version")
+    if version not in VERSIONS or isinstance(version, bool):
+        raise GffeError(f"{name}: unknown version {shown(version)} (expected {' or '.join(map(str, VERSIONS))})")
     description = Description(
         _whole(document.get("width"), name, "width"),
         _whole(document.get("height"), name, "height"),
@@ -131,6 +138,8 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
         [],
         _true_or_false(document.get("unfinished", False), f"{name}: unfinished"),
     )
+    if document.get("frame_format") is not None:
+        description.format = _parse_format(document["frame_format"], version, name)
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise GffeError(f"{name}: frames must be a list of at least one frame")
@@ -163,6 +172,7 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
         reset=require_bool(entry.reset, f"{label}reset"),
         render_size=None if size is None else require_size(size, f"{label}render_size", whole=True),
         alpha=None if alpha is None else require_positive(alpha, f"{label}alpha"),
+        geometry_jitter=_parse_jitter(entry.geometry_jitter, label),
     )
 
 
@@ -270,9 +280,10 @@ def read_text(path: Path, most: int = _MAX_BYTES) -> str:
 
 def describe(description: Description, generator: str) -> str:
     """Return the JSON text of a sequence: the inverse of `parse_description`."""
+    is_described = description.format is not None or any(any(entry.geometry_jitter) for entry in description.frames)
     document = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSIONS[is_described],
         "generator": generator,
         "width": description.width,
         "height": description.height,
@@ -281,6 +292,8 @@ def describe(description: Description, generator: str) -> str:
     }
     if description.unfinished:
         document["unfinished"] = True
+    if description.format is not None:
+        document["frame_format"] = description.format.to_json()
     size = (description.width, description.height)
     frames = [_frame_document(entry, size) for entry in description.frames]
     return json.dumps({**document, "frames": frames}, indent=1) + "\n"
@@ -293,6 +306,8 @@ def _frame_document(entry: FrameEntry, size) -> dict:
         document["reset"] = bool(entry.reset)
     if tuple(render_size) != tuple(size) or entry.kind == "rendered":
         document["render_size"] = [int(n) for n in render_size]
+    if any(entry.geometry_jitter):
+        document["geometry_jitter"] = list(entry.geometry_jitter)
     if entry.source is not None:
         document["source"] = entry.source
     if entry.alpha is not None:
@@ -322,11 +337,29 @@ def _parse_frame(frame, index, name) -> FrameEntry:
     entry = FrameEntry(file, require_number(frame.get("time"), f"{label}: time"), kind, reset, elsewhere=elsewhere)
     if frame.get("render_size") is not None:
         entry.render_size = _parse_size(frame["render_size"], label)
+    if frame.get("geometry_jitter") is not None:
+        entry.geometry_jitter = _parse_jitter(frame["geometry_jitter"], f"{label}: ")
     if frame.get("source") is not None:
         entry.source, _ = reference(frame["source"], f"{label}, source")
     if frame.get("alpha") is not None:
         entry.alpha = require_positive(frame["alpha"], f"{label}: alpha")
     return entry
+
+
+def _parse_format(given, version: int, name: str) -> FrameFormat:
+    if version < 2:
+        raise GffeError(f"{name}: frame_format needs version 2, got {version}")
+    try:
+        return FrameFormat.from_json(given)
+    except GffeError as error:
+        raise GffeError(f"{name}: frame_format: {str(error).removeprefix('format: ')}") from None
+
+
+def _parse_jitter(given, label: str) -> tuple[float, float]:
+    try:
+        return require_jitter(given)
+    except GffeError as error:
+        raise GffeError(f"{label}{str(error).removeprefix('frame: ')}") from None
 
 
 def _parse_cameras(entries: list[FrameEntry], frames: list[dict], name: str) -> None:
@@ -378,4 +411,5 @@ def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> 
     height, width = np.shape(frame.depth)
     render_size = (width, height) if (width, height) != size else None
     cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
-    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, render_size=render_size, **cameras)
+    own = {"reset": frame.reset, "render_size": render_size, "geometry_jitter": frame.geometry_jitter}
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, **own, **cameras)

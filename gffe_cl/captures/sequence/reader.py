@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 
 from gffe_cl.captures.sequence import exr
 from gffe_cl.captures.sequence.checks import time_warnings, zero_motion_warning
+from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.description import (
     FILE_NAME,
     KINDS,
@@ -41,6 +43,7 @@ from gffe_cl.engine.core.validation import (
     require_whole,
 )
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, require_one_pose
 
 _MOST_AHEAD = 1024
@@ -59,6 +62,8 @@ class Sequence:
     width, height : int
         Display size in pixels.
     fps, exposure : float
+    format : FrameFormat or None
+        Description of depth and motion of the rendered frames as they are stored; None: in our conventions.
     frames : list[FrameEntry]
         All frames by time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
     known_cameras : list[FrameEntry]
@@ -69,20 +74,25 @@ class Sequence:
     Raises
     ------
     GffeError
-        If rendered frames have several sizes. Methods raise it for arguments of other types, for files that were
-        damaged since opening, and for frames of another kind than expected.
+        If rendered frames have several sizes, or another one than `format` describes. Methods raise it for arguments of
+        other types, for files that were damaged since opening, and for frames of another kind than expected.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):
         require_one_size(description.frames, (description.width, description.height), str(path))
         self.path, self._pixels = path, pixels
         self.width, self.height = description.width, description.height
-        self.fps, self.exposure = description.fps, description.exposure
+        self.fps, self.exposure, self.format = description.fps, description.exposure, description.format
         self.frames, self.unfinished = description.frames, description.unfinished
         self.known_cameras = list(description.known_cameras)
         self._timeline = Timeline(self.frames + self.known_cameras, self.fps)
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
+        if self.format and self.rendered:
+            try:
+                require_render_size(self.format, self.size_of(self.rendered[0]))
+            except GffeError as error:
+                raise GffeError(f"{path}: frame_{error}") from None
 
     def __iter__(self) -> Iterator[RenderedFrame]:
         """Return an iterator over the rendered frames in order. The next ones are read meanwhile on threads.
@@ -146,7 +156,9 @@ class Sequence:
     @property
     def notes(self) -> list[str]:
         """Remarks of the reader of the capture's form on opening it."""
-        return [printable(text) for text in self._pixels.notes]
+        text = json.dumps(self.format.to_json()) if self.format else ""
+        converted = [f"depth and motion are converted from the frame_format {text}"] if text else []
+        return [printable(text) for text in converted + self._pixels.notes]
 
     def rendered_before(self, time: float) -> int | None:
         """Return the index in `rendered` of the last frame before `time`, None without one. A frame that is `at` it is
@@ -182,17 +194,27 @@ class Sequence:
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
         """Return the rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
-        (H, W, 2) float32 or None; and its overlays. Raises GffeError if the file has been damaged since opening."""
+        (H, W, 2) float32 or None, in our conventions; and its overlays. Raises GffeError if the file has been damaged
+        since opening."""
+        frame, previous = self.read_stored(entry), self._previous.get(entry.file)
+        before = None if entry.reset or previous is None else previous
+        if self.format:
+            camera = before and before.render_camera
+            frame = described_frame(frame, self.format, camera, before.geometry_jitter if before else (0.0, 0.0))
+        if before and frame.camera and before.render_camera:
+            text = zero_motion_warning(frame.motion, frame.depth, frame.camera, before.render_camera)
+            if text:
+                self._suspicions.setdefault(text, entry.file)
+        return frame
+
+    def read_stored(self, entry: FrameEntry) -> RenderedFrame:
+        """Return the rendered frame `entry` as it is stored, with depth and motion as `format` describes them, for a
+        `Pipeline` with that. Raises GffeError as `read` does."""
         if _entry(entry).kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
         camera: Any = entry.render_camera  # None if `open_sequence` was called for a sequence without cameras
-        previous = self._previous.get(entry.file)
-        if previous and not entry.reset and camera and previous.render_camera:
-            text = zero_motion_warning(motion, depth, camera, previous.render_camera)
-            if text:
-                self._suspicions.setdefault(text, entry.file)
         shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
         return RenderedFrame(
             color,
@@ -203,6 +225,7 @@ class Sequence:
             display_camera=None if shown_as_rendered else entry.display_camera,
             reset=entry.reset,
             overlays=overlays,
+            geometry_jitter=entry.geometry_jitter,
         )
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:

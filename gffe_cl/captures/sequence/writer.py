@@ -42,6 +42,7 @@ from gffe_cl.engine.core.validation import (
     require_size,
     require_whole,
 )
+from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import Overlays
 
 _WAITING = 2  # frames, besides those that are being compressed
@@ -67,6 +68,8 @@ class SequenceWriter:
         Name of the writing program; only an earlier output of the same generator is replaced.
     attributes : dict or None
         Further attributes of the EXRs' headers, such as `Sequence.attributes`.
+    format : FrameFormat or None
+        Description of depth and motion of the rendered frames, if these are stored as an engine has them.
     compression : str
         Compression of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
@@ -91,11 +94,14 @@ class SequenceWriter:
         generator: str = GENERATOR,
         compression: str = exr.DEFAULT_COMPRESSION,
         attributes: dict[str, Any] | None = None,
+        format: FrameFormat | None = None,
     ):
         self.path = require_path(path, "writer: path")
         size = require_size((width, height), "writer: width and height", whole=True)
         fps, exposure = require_positive(fps, "writer: fps"), require_exposure(exposure, "writer: exposure")
-        self._description = Description(*size, fps, exposure, [])
+        if format is not None:
+            require_kind(format, FrameFormat, "writer: format", "a FrameFormat or None")
+        self._description = Description(*size, fps, exposure, [], format=format)
         self._generator = require_kind(generator, str, "writer: generator", "a text")
         self._folder = OutputFolder(self.path, generator)
         self._pending: deque = deque()

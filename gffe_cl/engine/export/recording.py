@@ -27,6 +27,7 @@ from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
+from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.stages.upscaling import Upscaling
 
 MOST_PIXELS = 16384  # each way, of the images that C takes
@@ -69,9 +70,9 @@ class Operation:
 @dataclass
 class Plan:
     """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
-    without a previous frame, and also "extrapolated", "present", "cut", "leave_out" and "compose"; the `buffers` by
-    their full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the
-    stages in order."""
+    without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color" and
+    "convert_geometry"; the `buffers` by their full names, `initial` contents of small ones, memory that is `lent` while
+    frames are extrapolated, and the stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -129,7 +130,7 @@ class _Rehearsal:
             for name, stage in chosen.items()
         }
         self.board.memory.place(self.board.turn)
-        others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
+        others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition, Upload)}
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
         for stage in self.all.values():
@@ -158,6 +159,8 @@ class _Rehearsal:
             ("cut", lambda: self._count_samples(rendered)),
             ("compose", lambda: composition.compose(shown, step.alpha)),
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
+            ("convert_color", lambda: self._convert(rendered, "color")),
+            ("convert_geometry", lambda: self._convert(rendered, "depth", "motion")),
         ):
             self.board.blocks.forget()
             work()
@@ -172,6 +175,9 @@ class _Rehearsal:
 
     def _present(self, step: Step) -> None:
         self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
+
+    def _convert(self, step: Step, *names: str) -> None:
+        self.all[Upload.name].convert_places({name: (self._engine[name], 0) for name in names}, step.frame, step)
 
     def _take_rendered(self, step: Step) -> None:
         for stage in self.stages.values():
@@ -207,6 +213,8 @@ class _Rehearsal:
         named = {f"{owner}.{name}": b for owner, own in owners.items() for name, b in own.buffer.items()}
         named |= {f"{name}.{b}'": buffer for name, stage in self.all.items() for b, buffer in stage.before.items()}
         named |= {f"overlays.{name}": self.all[Composition.name].buffer[name] for name in OVERLAYS}
+        self._engine = {name: self.board.device.buffer(1) for name in ("color", "depth", "motion")}  # in its own format
+        named |= {f"engine.{name}": buffer for name, buffer in self._engine.items()}
         for frame in ("previous", "rendered"):
             for name in ("color", "depth", "motion"):
                 named[f"{frame}.{name}"] = getattr(getattr(self.board, frame), name)

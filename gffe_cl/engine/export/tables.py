@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
-from gffe_cl.engine.frame import camera, camera_prediction, window
+from gffe_cl.engine.frame import camera, camera_prediction, frame_format, window
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.engine.inference.model_interface import MULTIPLE
 from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
@@ -21,10 +21,11 @@ from gffe_cl.engine.stages import correction, mu_law, scene_cuts
 from gffe_cl.engine.stages.base import FrameBlocks, Kernel, NearestStage, Stage
 from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
 from gffe_cl.engine.stages.frame_block import FRAME
+from gffe_cl.engine.stages.upload import Upload
 
 OCCASIONS = (
     "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
-    "compose", "compose_rendered",
+    "compose", "compose_rendered", "convert_color", "convert_geometry",
 )  # fmt: skip
 # Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {
@@ -39,10 +40,14 @@ GIVEN = {
     "overlays.effects": ("SOURCE", 8),
     "overlays.effects_motion": ("SOURCE", 8),
     "overlays.ui": ("TARGET", 8),
+    **{
+        f"engine.{name}": ("SOURCE", nbytes)
+        for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
+    },
 }
 _GRIDS = (
     "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
-    "cells", "network",
+    "cells", "runs", "network",
 )  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {"LANES": "GFFE_TAKES_LANES", "RUN": "GFFE_TAKES_RUN", "EXACT_DIVISION": "GFFE_TAKES_EXACT_DIVISION"}
@@ -60,6 +65,7 @@ def config(options: Options) -> str:
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
         "CELL": texel_of("cells")[0],
+        "RUN_PIXELS": texel_of("runs")[0],
         "NETWORK_TEXEL": texel_of("network")[0],
         "NETWORK_MULTIPLE": MULTIPLE,
         "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
@@ -77,6 +83,7 @@ def config(options: Options) -> str:
         "MOST_FOCAL": camera.MOST_FOCAL,
         "MOST_DISTANCE": camera.MOST_DISTANCE,
         "SAME_POSE": SAME_POSE,
+        "MOST_JITTER": frame_format.MOST_JITTER,
         "CAMERA_ORDER": options.camera_order or 0,
         "POSES": camera_prediction.POSES,
         "JUMP": camera_prediction.JUMP,
@@ -156,6 +163,7 @@ class Tables:
             text = expand(f"{name}.cl")
             flags = [flag for choice, flag in _FLAGS.items() if choice in text]
             flags += ["GFFE_TAKES_INT64"] * isinstance(self._stage(name), NearestStage)
+            flags += ["GFFE_OF_FORMATS"] * (name == Upload.name)
             count = len(text.splitlines())
             rows.append(f'"{name}", source_{name}, {count}, {" | ".join(flags) or "0"}')
         return _table("gffe_program", "gffe_programs", rows) + f"const int gffe_program_count = {len(rows)};\n"
@@ -284,7 +292,7 @@ class _Buffers:
         spec, whole = self.specs[name], _whole(name, self.specs[name])
         grid, level = _grid(spec.grid)
         flags = ["GFFE_KEPT"] * spec.kept + ["GFFE_MAPPED"] * spec.mapped
-        late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"]}
+        late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"], "upload": ["GFFE_OF_FORMATS"]}
         flags += late.get(name.partition(".")[0], []) + ["GFFE_MEMORY"] * (name in self.memory)
         flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
         planes = 1 if name in self.memory else spec.planes

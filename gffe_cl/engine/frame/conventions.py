@@ -6,6 +6,7 @@ units, motion = (position in the previous rendered frame) − (position here) in
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -237,6 +238,22 @@ def decides_depth_range(projection: np.ndarray) -> bool:
     """Return whether a perspective projection (4, 4), for column vectors, determines the range of the values in its
     depth buffer. Planes that are not reversed can be meant for 0 … 1 and for −1 … 1."""
     return _reversed_to_zero(*_depth_terms(_perspective(projection)))
+
+
+def depth_planes(projection: np.ndarray, inverted: bool) -> tuple[float, float]:
+    """Return the distances of the near and the far plane of a perspective projection (4, 4) to depth 0 … 1, of row or
+    of column vectors, infinity included; `inverted`: depth is 1 at the near plane. Raises GffeError if it is no such
+    projection."""
+    chosen = [_is_projection(projection), _is_projection(projection.T)]
+    if not any(chosen):
+        _refuse_projection([projection, projection.T])
+    a, b = _depth_terms(_perspective(projection if chosen[0] else projection.T))
+    ends = [math.inf if abs(value - a) < _ZERO else b / (value - a) for value in (0.0, 1.0)]
+    near, far = reversed(ends) if inverted else ends
+    if not 0 < near < far:
+        expected = "1 at the near plane, 0 far away" if inverted else "0 at the near plane, 1 far away"
+        raise GffeError(f"camera: projectionMatrix has its planes at {near:g} and {far:g} (expected depth {expected})")
+    return near, far
 
 
 def _depth_terms(p: np.ndarray) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from gffe_cl.engine.core.validation import (
     require_size,
 )
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import DEPTH_TYPES, MOTION_TYPES, TYPES, require_jitter
 
 HALF_MAX = 65504.0
 DEPTH_MOST = 1e37  # beyond, squares and products overflow: nothing is there, as with +inf
@@ -84,10 +85,15 @@ class RenderedFrame:
         Whether frames before this one must not be used (scene cut, teleport, start).
     overlays : Overlays or None
         Layers that are not warped with the picture.
+    geometry_jitter : (float, float)
+        Jitter of depth and motion that color does not have, because it was antialiased over time: pixels to the right
+        and down by which their image is shifted. It is no part of the camera. Vectors that include it need a
+        `FrameFormat` with `motion_jittered`.
 
     Notes
     -----
-    The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
+    With a `FrameFormat` arrays and buffers are as that describes them. The fields are checked where the frame is used:
+    `Pipeline.submit` and `present` raise GffeError.
     """
 
     color: Any
@@ -98,6 +104,7 @@ class RenderedFrame:
     display_camera: Camera | None = None
     reset: bool = False
     overlays: Overlays | None = None
+    geometry_jitter: tuple[float, float] = (0.0, 0.0)
     # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -116,7 +123,8 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
     if frame.overlays is not None:
         require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
     time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
-    checked = replace(frame, time=time, reset=reset)
+    jitter = require_jitter(frame.geometry_jitter)
+    checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter)
     checked._known_bad = frame._known_bad
     return checked
 
@@ -204,7 +212,8 @@ class HostArrays:
     """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
 
     color (H, W, 3 or 4) float16 or float32, linear RGB, whose fourth channel is not used; depth (H, W) float32, world
-    units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
+    units; motion (H, W, 2) float32, pixels, or None. With a `FrameFormat` they have other types of `TYPES`.
+    `known_bad`: their bad pixels, where these are known.
     """
 
     color: np.ndarray
@@ -253,6 +262,39 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
         motion = as_float32(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
         motion = np.require(motion, requirements="A")
     return HostArrays(_uploadable(color), np.require(depth, requirements="A"), motion, frame._known_bad)
+
+
+def described_arrays(frame: RenderedFrame, height: int, width: int) -> HostArrays:
+    """Check a frame's NumPy arrays, which a `FrameFormat` describes, and return them. Those in a type that kernels take
+    are not copied. Depth of uint32 is unorm24.
+
+    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
+    """
+    color = require_array(frame.color, "frame: color", height, width, (3, 4))
+    depth = require_array(frame.depth, "frame: depth", height, width)
+    motion = require_motion(frame)
+    if motion is not None:
+        motion = require_array(motion, "frame: motion", height, width, (2, 3, 4))[..., :2]
+        motion = _described(motion, "motion", MOTION_TYPES)
+    color = _uploadable(color) if color.dtype.kind == "f" else _described(color, "color", ("unorm16", "unorm8"))
+    return HostArrays(color, _described(depth, "depth", DEPTH_TYPES), motion, frame._known_bad)
+
+
+def _described(array: np.ndarray, name: str, allowed: tuple[str, ...]) -> np.ndarray:
+    """Return an array as native and C-contiguous, floats in an `allowed` type. Raises GffeError for other types than
+    those."""
+    if array.dtype.kind == "f" and not (array.dtype.itemsize == 2 and "float16" in allowed):
+        array = as_float32(array)
+    array = np.require(array.astype(array.dtype.newbyteorder("="), copy=False), requirements=["C", "A"])
+    if type_of(array) not in allowed:
+        expected = ", ".join(np.dtype(TYPES[name][0]).name for name in allowed)
+        raise GffeError(f"frame: {name} must be of type {expected}, got {array.dtype}")
+    return array
+
+
+def type_of(array: np.ndarray) -> str | None:
+    """Return the name of an array's type in `TYPES`, None if it is of another one."""
+    return next((name for name, (dtype, _) in TYPES.items() if array.dtype == dtype), None)
 
 
 def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:

@@ -27,6 +27,7 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import MOST_ALPHA, Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
+from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, require_render_size
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
@@ -109,6 +110,8 @@ class Pipeline:
     options : Options
     render_size : (int, int) or None
         Width and height of the rendered images where they differ from the display's.
+    format : FrameFormat or None
+        Description of the buffers of rendered frames where they differ from the conventions of `RenderedFrame`.
     fps : float
         Rendered frames per second, used for α until two frames are known.
     int64_atomics : bool or None
@@ -119,6 +122,8 @@ class Pipeline:
     exposure : float
         Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
+    format : FrameFormat or None
+        Description of the buffers of rendered frames. It may change from frame to frame.
     is_cut : bool
         Whether the last submitted frame was detected as an unmarked cut: it is treated as a reset.
 
@@ -129,10 +134,11 @@ class Pipeline:
 
     Notes
     -----
-    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and with
-    the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers. Device
-    buffers must have been written on `device.queue`, or be finished, before they are submitted, or the events of their
-    writers must be in `wait_for`. Do not submit a released buffer: it cannot be detected, and drivers crash on it.
+    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays, the
+    first frame in another format and the first that is rendered through a window, brings overlays, or lacks motion
+    beside device buffers. Device buffers must have been written on `device.queue`, or be finished, before they are
+    submitted, or the events of their writers must be in `wait_for`. Do not submit a released buffer: it cannot be
+    detected, and drivers crash on it.
 
     `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
     device's context: the work of the call begins when they are complete. Other queues can wait for the event that
@@ -147,6 +153,7 @@ class Pipeline:
         options: Options | None = None,
         *,
         render_size: tuple[int, int] | None = None,
+        format: FrameFormat | None = None,
         fps: float = 30.0,
         int64_atomics: bool | None = None,
     ):
@@ -155,6 +162,7 @@ class Pipeline:
         source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
         self.sizes = Sizes(source, target, max(LEAST_ALIGNMENT, device.alignment))
         self.options = Options() if options is None else require_kind(options, Options, "pipeline: options", "Options")
+        self.format = format
         self.fps = require_frame_rate(fps, "pipeline: fps")
         if int64_atomics is not None:
             int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
@@ -240,9 +248,23 @@ class Pipeline:
         self._exposure = require_exposure(value, "pipeline: exposure")
 
     @property
+    def format(self) -> FrameFormat | None:
+        """Description of the buffers of rendered frames, None if they have the conventions of `RenderedFrame`. Set it
+        before `submit`. Raises GffeError for other values, and for images of other sizes than the render size."""
+        return self._format
+
+    @format.setter
+    def format(self, value: FrameFormat | None) -> None:
+        if value is not None:
+            require_kind(value, FrameFormat, "pipeline: format", "a FrameFormat or None")
+            require_render_size(value, self.sizes.source)
+        self._format = value
+
+    @property
     @telling_device_faults
     def bad_pixels(self) -> BadPixels:
-        """Bad pixels of all NumPy arrays submitted so far. Waits for the device, which counts them."""
+        """Bad pixels of all NumPy arrays, and of buffers that were converted from a `format`, submitted so far. Waits
+        for the device, which counts them."""
         if self._upload:
             self._bad_pixels += self._upload.take_bad_pixels()
         return self._bad_pixels
@@ -276,16 +298,19 @@ class Pipeline:
         waits for the first work on this frame, which counts samples, and not for the rest. The work on a cut is
         repeated, as on a reset.
 
+        Buffers that `format` describes differently are converted before the work on the frame; they may be overwritten
+        when the event of this `submit` is complete.
+
         `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
         have the layout of device buffers (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32;
         C-contiguous) and begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion
-        are used in place both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied:
-        `copied_bytes` counts them.
+        are used in place both or neither. Bad pixels of arrays in place are not counted. Other arrays, and all with a
+        `format`, are copied: `copied_bytes` counts them.
 
         Raises GffeError for fields that do not match `RenderedFrame`, wrong shapes, missing motion, a time that
         does not increase, or events that cannot be waited for; the pipeline is then as it was before.
         """
-        prepared = prepare(frame, self.sizes, self.device, jittered=bool(self.options.upscale))
+        prepared = prepare(frame, self.sizes, self.device, bool(self.options.upscale), self.format)
         frame, zero_copy = prepared.frame, require_bool(zero_copy, "submit: zero_copy")
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
         if self._times and not frame.reset and frame.time <= self._times[0]:
@@ -406,19 +431,53 @@ class Pipeline:
 
     def _on_device(self, prepared: PreparedFrame, zero_copy: bool) -> DeviceFrame:
         frame, host = prepared.frame, prepared.arrays
-        seen = {"camera": frame.camera, "display_camera": prepared.display_camera, "time": frame.time}
+        seen = {
+            "camera": frame.camera,
+            "display_camera": prepared.display_camera,
+            "time": frame.time,
+            "geometry_jitter": frame.geometry_jitter,
+        }
         if host is None:
-            buffers = prepared.buffers
-            return DeviceFrame(**({} if "motion" in buffers else {"motion": self._zero_motion()}) | buffers, **seen)
+            return self._on_device_already(prepared, seen)
         if self._upload is None:
             self._upload = Upload(self.board)
         self._count_conversions(frame, host)
+        if self.format:
+            taken = DeviceFrame(**self._slot(seen), **seen)
+            self._upload.take(host, taken, step=self._conversion(prepared, taken))
+            return taken
         shared = self._upload.shared(host) if zero_copy else {}
         self._reads_arrays |= bool(shared)
         buffers = dict(shared) if len(shared) == len(RENDERED) else self._slot(seen) | shared
         taken = DeviceFrame(**buffers, **seen)
         self._upload.take(host, taken, shared)
         return taken
+
+    def _on_device_already(self, prepared: PreparedFrame, seen: Mapping[str, Any]) -> DeviceFrame:
+        """Return the frame of device buffers: with the buffers themselves, or converted ones."""
+        given = prepared.buffers
+        ours = self.format.is_ours if self.format else {"color": True, "geometry": True}
+        converted = {n: b for n, b in given.items() if not ours["color" if n == "color" else "geometry"]}
+        if not converted:
+            return DeviceFrame(**({} if "motion" in given else {"motion": self._zero_motion()}) | given, **seen)
+        if self._upload is None:
+            self._upload = Upload(self.board)
+        own = self._slot(seen)
+        kept = given.keys() - converted.keys()
+        buffers = own | {name: given[name] for name in kept}
+        if "depth" in kept and "motion" not in given:
+            buffers["motion"] = self._zero_motion()
+        taken = DeviceFrame(**buffers, **seen)
+        self._upload.convert(converted, taken, self._conversion(prepared, taken))
+        return taken
+
+    def _conversion(self, prepared: PreparedFrame, taken: DeviceFrame) -> Step:
+        """Return the step with the numbers that convert a frame into the buffers of `taken`."""
+        previous = None if prepared.frame.reset else self._current
+        jitters = taken.geometry_jitter, previous.geometry_jitter if previous else taken.geometry_jitter
+        assert self.format is not None  # as it is only called with one
+        given = conversion(self.format, self.sizes.source, prepared.types, prepared.channels, *jitters)
+        return Step(taken, previous, [taken.time, *self._times], given=given)
 
     def _slot(self, seen: Mapping[str, Any]) -> dict[str, cl.Buffer]:
         """Return the buffers for a frame of NumPy arrays, by name. Two sets of them are used in turn."""

@@ -126,6 +126,8 @@ class Step:
         Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
     overlays : int
         Overlays that the rendered frame brings: bits, in the order of `OVERLAYS`.
+    given : mapping of name to numbers
+        Members of the frame block that convert an engine's buffers (`conversion`); empty: there is nothing to convert.
     """
 
     frame: DeviceFrame
@@ -138,6 +140,7 @@ class Step:
     target_position: np.ndarray | None = None
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
     overlays: int = 0
+    given: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.slot = "rendered" if self.camera is None else "new"  # of `FrameBlocks`
@@ -146,7 +149,7 @@ class Step:
     def block(self, board: Board) -> np.ndarray:
         """Return the frame block of frame.h, as bytes, for the stages on `board`."""
         rendered = self.frame, self.previous, self.times, self.exposure
-        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays)
+        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays, self.given)
 
 
 class Board:

@@ -299,7 +299,7 @@ class ExtrapolatedBuffers(Owner):
 @dataclass
 class DeviceFrame:
     """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers); `camera` in
-    pixels of these images, `display_camera` in pixels of the display."""
+    pixels of these images, `display_camera` in pixels of the display; `geometry_jitter` of depth and motion."""
 
     color: cl.Buffer
     depth: cl.Buffer
@@ -307,14 +307,24 @@ class DeviceFrame:
     camera: Camera
     display_camera: Camera
     time: float
+    geometry_jitter: tuple[float, float] = (0.0, 0.0)  # pixels
 
     @classmethod
-    def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
+    def allocate(
+        cls,
+        device: Device,
+        size: tuple[int, int],
+        camera,
+        display_camera,
+        time,
+        geometry_jitter: tuple[float, float] = (0.0, 0.0),
+        motion: cl.Buffer | None = None,
+    ) -> DeviceFrame:
         """Return a frame with new buffers for images of `size` (width, height); `motion`: the buffer to use for
         that."""
         color, depth, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
         buffers = device.buffer(color), device.buffer(depth), motion or device.buffer(moved)
-        return cls(*buffers, camera, display_camera, time)
+        return cls(*buffers, camera, display_camera, time, geometry_jitter)
 
     @property
     def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:

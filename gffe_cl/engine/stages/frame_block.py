@@ -24,6 +24,7 @@ _GRIDS = ("source", "target", "network", "cells")
 _WORDS = {
     name: slice(member[1] // 4, (member[1] + member[0].itemsize) // 4) for name, member in (FRAME.fields or {}).items()
 }
+_INTEGERS = {name for name, member in (FRAME.fields or {}).items() if member[0].base.kind == "i"}
 
 
 class BlockWriter:
@@ -49,6 +50,7 @@ class BlockWriter:
         time: float,
         alpha: float,
         overlays: int,
+        given: Mapping[str, Any] | None = None,
     ) -> np.ndarray:
         """Return the `Frame` of frame.h, as bytes, of a rendered frame or, with a `camera`, of a new one. Parameters
         are those of `Step`."""
@@ -71,6 +73,8 @@ class BlockWriter:
         integers[_WORDS["has_previous"].start] = previous is not None
         integers[_WORDS["has_overlays"].start] = overlays
         integers[_WORDS["order"].start] = order
+        for name, numbers in (given or {}).items():
+            made.view(np.int32 if name in _INTEGERS else np.float32)[_WORDS[name]] = numbers
         return made
 
     def _of_rendered(self, cameras: tuple[Camera, ...], times: Sequence[float], exposure: float) -> array[float]:

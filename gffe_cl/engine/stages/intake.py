@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pyopencl as cl
@@ -10,18 +10,21 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import TYPES, FrameFormat
 from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import (
     HostArrays,
     RenderedFrame,
     checked_frame,
+    described_arrays,
     display_camera_of,
     host_arrays,
     require_motion,
     require_one_pose,
+    type_of,
 )
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.stages.buffers import RENDERED, Sizes, given_buffer
+from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, Sizes, given_buffer
 
 
 @dataclass(frozen=True)
@@ -38,17 +41,29 @@ class PreparedFrame:
         Device buffers of color, depth and motion, the latter missing if a reset has none; empty for NumPy arrays.
     arrays : HostArrays or None
         NumPy arrays as `Upload` takes them; None for device buffers.
+    types : dict of str to str or None
+        With a `FrameFormat`: the types of the values given, by name as `TYPES` has them; None for missing motion.
+    channels : dict of str to int
+        With a `FrameFormat`: the channels of the values given.
     """
 
     frame: RenderedFrame
     display_camera: Camera
     buffers: dict[str, cl.Buffer]
     arrays: HostArrays | None
+    types: dict[str, str | None] = field(default_factory=dict)
+    channels: dict[str, int] = field(default_factory=dict)
 
 
-def prepare(frame: RenderedFrame, sizes: Sizes, device: Device, jittered: bool = False) -> PreparedFrame:
+def prepare(
+    frame: RenderedFrame,
+    sizes: Sizes,
+    device: Device,
+    jittered: bool = False,
+    format: FrameFormat | None = None,
+) -> PreparedFrame:
     """Return `frame` ready to be taken by a pipeline of `sizes` on `device`. If it is `jittered`, a display camera that
-    is not given is the rendered one without jitter.
+    is not given is the rendered one without jitter. `format` describes its buffers if they differ from ours.
 
     Raises GffeError for a structural fault: invalid values, shapes or types, buffers that the device cannot use, motion
     missing although the frame is no reset, or two cameras of different poses.
@@ -60,10 +75,16 @@ def prepare(frame: RenderedFrame, sizes: Sizes, device: Device, jittered: bool =
     display_camera = display_camera_of(plain, sizes.source, sizes.target)
     require_one_pose(frame.camera, display_camera)
     given: dict[str, Any] = {spec.name: getattr(frame, spec.name) for spec in RENDERED}
-    buffers: dict[str, Any] = {s.name: given_buffer(given[s.name], s, sizes, device) for s in RENDERED}
+    specs = RENDERED if format is None else described_specs(format)
+    buffers: dict[str, Any] = {s.name: given_buffer(given[s.name], s, sizes, device) for s in specs}
     if not any(buffers.values()):
         width, height = sizes.source
-        return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width))
+        if format is None:
+            return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width))
+        arrays = described_arrays(frame, height, width)
+        types = {s.name: None if (a := getattr(arrays, s.name)) is None else type_of(a) for s in specs}
+        channels = {"color": arrays.color.shape[2], "motion": 2}
+        return PreparedFrame(frame, display_camera, {}, arrays, types, channels)
     if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
         del buffers["motion"]
     if other := next((name for name, buffer in buffers.items() if not buffer), None):
@@ -71,4 +92,18 @@ def prepare(frame: RenderedFrame, sizes: Sizes, device: Device, jittered: bool =
             "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
             f" got {other} as {shown(given[other])}"
         )
-    return PreparedFrame(frame, display_camera, buffers, None)
+    if format is None:
+        return PreparedFrame(frame, display_camera, buffers, None)
+    types = {name: getattr(format, f"{name}_type") if name in buffers else None for name in given}
+    channels = {"color": format.color_channels, "motion": format.motion_channels}
+    return PreparedFrame(frame, display_camera, buffers, None, types, channels)
+
+
+def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
+    """Return the descriptions of color, depth and motion as device buffers of an engine."""
+    color, depth, motion = RENDERED
+    letters = {"color": RGBA[: format.color_channels], "depth": (), "motion": "xyzw"[: format.motion_channels]}
+    return tuple(
+        replace(spec, dtype=TYPES[getattr(format, f"{spec.name}_type")][0], components=tuple(letters[spec.name]))
+        for spec in (color, depth, motion)
+    )

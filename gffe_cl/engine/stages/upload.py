@@ -1,4 +1,4 @@
-"""Upload: rendered frames from the host (beyond the paper, which renders on the device)."""
+"""Upload: rendered frames from the host, or in an engine's formats (beyond the paper, which renders on the device)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _KINDS = len(fields(BadPixels))
 
 
 class Upload(Stage):
-    """Copies NumPy arrays to the device, converts their colors to half and counts bad pixels.
+    """Copies NumPy arrays to the device, converts their colors to half and counts bad pixels. Converts arrays and
+    device buffers that a `FrameFormat` describes.
 
     CPUs read the arrays where they lie. For other devices the arrays are gathered in pinned memory, and copied from
     there at once, while the host continues: there are two such places, in turn.
@@ -65,6 +66,24 @@ class Upload(Stage):
             },
             step=("LANES", 1),
         ),
+        Kernel(
+            "convert_color",
+            "runs",
+            {"given": "upload.given"},
+            {"color": "rendered.color", "bad_pixels": Access("upload.bad_pixels", planes=2)},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "convert_geometry",
+            "runs",
+            {"given_depth": "rendered.depth", "given_motion": "rendered.motion"},
+            {
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "bad_pixels": Access("upload.bad_pixels", planes=4),
+            },
+            step=("LANES", 1),
+        ),
     )
 
     def __init__(self, board: Board):
@@ -75,9 +94,12 @@ class Upload(Stage):
         self._staging: list[tuple[np.ndarray, cl.Event]] = []  # places, and the copies from them, the oldest first
         self.copied_bytes = 0
 
-    def take(self, arrays: HostArrays, frame: DeviceFrame, shared: Container[str] = ()) -> None:
+    def take(
+        self, arrays: HostArrays, frame: DeviceFrame, shared: Container[str] = (), step: Step | None = None
+    ) -> None:
         """Enqueue the upload of `arrays` into the buffers of `frame`, except those that are `shared`. The other arrays
-        may be changed afterwards; only in them bad pixels are counted."""
+        may be changed afterwards; only in them bad pixels are counted. `step`: with the numbers that convert arrays
+        which a `FrameFormat` describes."""
         copied = [spec.name for spec in RENDERED if spec.name not in shared]
         if 0 < len(copied) < len(RENDERED):
             self.fill("bad_pixels", 0)
@@ -86,9 +108,11 @@ class Upload(Stage):
             places = {name: self._in_memory(array) for name, array in given.items()}
         else:
             places = self._copy(given)
-        if "color" in copied:
+        if step:
+            self.convert_places(places, frame, step)
+        elif "color" in copied:
             self._take_color(arrays.color, *places["color"], frame)
-        if "depth" in copied:
+        if "depth" in copied and not step:
             self._take_geometry(places, frame)
         if copied and self._in_place:
             self.device.queue.finish()  # kernels read the arrays
@@ -96,6 +120,30 @@ class Upload(Stage):
             self._bad += arrays.known_bad
         elif copied:
             self._count()
+
+    def convert(self, given: Mapping[str, cl.Buffer], frame: DeviceFrame, step: Step) -> None:
+        """Enqueue the conversion of device buffers that a `FrameFormat` describes, color or depth and motion or all,
+        into those of `frame`, and count their bad pixels. `step` has the numbers."""
+        if not {"color", "depth"} <= given.keys():
+            self.fill("bad_pixels", 0)
+        self.convert_places({name: (buffer, 0) for name, buffer in given.items()}, frame, step)
+        self._count()
+
+    def convert_places(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame, step: Step) -> None:
+        """Enqueue the conversion of values that begin at an index of a buffer, by name, into the buffers of `frame`;
+        bad pixels are counted on the device."""
+        if "color" in places:
+            given, start = places["color"]
+            self.launch("convert_color", step, given=given, start=start, color=frame.color)
+        if "depth" not in places:
+            return
+        given_depth, depth_start = places["depth"]
+        given_motion, motion_start = places.get("motion", (frame.motion, 0))  # then its type is none
+        self.launch(
+            "convert_geometry", step,
+            given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
+            depth=frame.depth, motion=frame.motion,
+        )  # fmt: skip
 
     def shared(self, arrays: HostArrays) -> dict[str, cl.Buffer]:
         """Return those of the arrays that kernels can use in place, by name, depth and motion both or neither: on a

@@ -309,7 +309,7 @@ def test_exposures_are_checked_wherever_one_is_taken(tmp_path, exposure):
 @pytest.mark.parametrize(
     "change, expected",
     [
-        ({"version": 2}, "unknown version 2 (expected 1)"),
+        ({"version": 3}, "unknown version 3 (expected 1 or 2)"),
         ({"version": None}, "unknown version nothing"),
         ({"format": "film"}, "not a sequence"),
         ({"width": 0}, "width must be whole pixels"),

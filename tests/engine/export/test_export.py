@@ -13,6 +13,7 @@ from exported import (
     NETWORK,
     NETWORK_FAILED,
     CCamera,
+    CFormat,
     CFrame,
     CWindow,
     Engine,
@@ -31,6 +32,7 @@ from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.export.writing import export
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.camera_prediction import predict_camera_at, rotation_matrix
+from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat
 from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame, host_arrays
 from gffe_cl.engine.frame.window import WindowChooser, adaptive_window, nearest_depth
@@ -135,7 +137,7 @@ def assert_same_frame(engine: Engine, made, ours):
     assert made.camera.camera() == ours.camera and made.time == ours.time
 
 
-def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), cameras=None, **more):
+def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), cameras=None, formats=None, **more):
     """Both pipelines over frames; all buffers and outputs are compared after each extrapolated one."""
     render_size, exposure = more.pop("render_size", size), more.pop("exposure", 1.0)
     engine = Engine(library(options), device, *size, render_width=render_size[0], render_height=render_size[1], **more)
@@ -144,7 +146,10 @@ def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), camer
     pipeline.exposure = exposure
     engine.set_exposure(exposure)
     compared, cuts = set(), []
-    for frame in frames:
+    for frame, described in zip(frames, formats or [None] * len(frames), strict=True):
+        pipeline.format = described
+        if formats:
+            engine.set_format(described, frame.geometry_jitter)
         pipeline.submit(frame)
         if frame.overlays:
             engine.set_overlays(frame.overlays)
@@ -166,6 +171,79 @@ def test_ten_frames_of_a_scene_have_the_same_bits(device, library):
     compared, _ = run_both(device, library, DEFAULT, moving(device, 10))
     assert {"history.dynamic_mask", "background.color_0", "frame.filled_by", "silhouettes.coverage"} <= compared
     assert len(compared) > 25
+
+
+def in_format(device, frame, format, rng):
+    """The frame in the types of a description, with values of every kind that these have."""
+
+    def buffer(values, type_name):
+        dtype, most = TYPES[type_name]
+        with np.errstate(over="ignore"):
+            array = values.astype(dtype) if most == 1 else np.round(values * most).astype(dtype)
+        return cl.Buffer(device.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+
+    color = rng.uniform(0, 1, (H, W, format.color_channels))
+    depth = rng.uniform(0.1, 1, (H, W))
+    motion = rng.uniform(0, 0.1, (H, W, format.motion_channels))
+    motion[:9] = 0.25 if format.motion_invalid is None else format.motion_invalid
+    missing = frame.reset and format.motion_y == "up"
+    return replace(
+        frame,
+        color=buffer(color, format.color_type),
+        depth=buffer(depth, format.depth_type),
+        motion=None if missing else buffer(motion, format.motion_type),
+        geometry_jitter=tuple(rng.uniform(-0.5, 0.5, 2)),
+    )
+
+
+FORMATS = (
+    FrameFormat(),
+    FrameFormat.fsr3(renderSize=(W, H), cameraNear=0.3, flags=1 << 2 | 1 << 3 | 1 << 4, motionVectorScale=(W, -H)),
+    FrameFormat.streamline(
+        mvecScale=(1, 1), cameraNear=0.2, cameraFar=40, depthInverted=False, cameraMotionIncluded=False
+    ),
+    FrameFormat.openxr(nearZ=np.inf, farZ=0.2, minDepth=0.1, maxDepth=0.9, motionVectorOffset=(0.01, -0.02, 0, 0)),
+    FrameFormat(near_z=1, far_z=90, motion_unit="uv", motion_y="up", camera_motion="excluded", motion_jittered=True),
+    FrameFormat(motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3),
+)
+
+
+def test_engines_own_formats_have_the_same_bits(device, library):
+    """Every type, from frame to frame another description, or none; a reset without motion."""
+    rng, frames, formats = np.random.default_rng(2), moving(device, 8), [*FORMATS, None, FORMATS[4]]
+    types = zip(2 * COLOR_TYPES, 2 * (*DEPTH_TYPES, "float32"), 2 * MOTION_TYPES, strict=True)
+    names = [dict(zip(("color_type", "depth_type", "motion_type"), t, strict=True)) for t in types]
+    formats = [f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)
+               for k, (f, n) in enumerate(zip(formats, names, strict=True))]  # fmt: skip
+    frames = [f if g is None else in_format(device, f, g, rng) for f, g in zip(frames, formats, strict=True)]
+    frames[-1] = replace(frames[-1], reset=True, motion=None)
+    run_both(device, library, DEFAULT, frames, formats=formats)
+
+
+def test_wrong_formats_are_refused(device, library):
+    engine = Engine(library(DEFAULT), device, W, H)
+    plain = engine.library.gffe_default_format()
+    assert bytes(plain) == bytes(CFormat.of(FrameFormat()))
+    for wrong, text in (
+        ({"color_type": 6}, "color_type, depth_type or motion_type"),
+        ({"motion_channels": 5}, "motion_channels 2 to 4"),
+        ({"depth_is_device": 1}, "near_z and far_z must be finite or"),
+        ({"near_z": 1.0}, "near_z and far_z must differ"),
+        ({"motion_unit": 3}, "motion_unit and camera_motion"),
+        ({"camera_motion": 1}, "needs motion_invalid"),
+    ):
+        made = CFormat.of(FrameFormat())
+        for name, value in wrong.items():
+            setattr(made, name, value)
+        with pytest.raises(Failed, match=f"format: .*{text}"):
+            engine.set_format(made)
+    with pytest.raises(Failed, match="geometry jitter must be in pixels"):
+        engine.set_format(FrameFormat(), (99, 0))
+    engine.set_format(FrameFormat(color_type="float32"))
+    frame = moving(device, 1)[0]
+    with pytest.raises(Failed, match=f"color buffer must hold {16 * W * H} bytes"):
+        submit(engine, frame)
+    engine.destroy()
 
 
 @pytest.mark.slow

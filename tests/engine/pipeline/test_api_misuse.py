@@ -149,6 +149,37 @@ def host_calls():
         "motion_from_uv": Call(
             gffe_cl.motion_from_uv, {"motion": MOTION, "size": (W, H), "direction": "to_previous", "y": "up"}
         ),
+        "FrameFormat": Call(gffe_cl.FrameFormat, vars(gffe_cl.FrameFormat(motion_invalid=1.0, color_size=(W, H)))),
+        "FrameFormat.from_json": Call(gffe_cl.FrameFormat.from_json, {"given": {"near_z": 1, "far_z": 2}}),
+        "FrameFormat.fsr3": Call(
+            gffe_cl.FrameFormat.fsr3,
+            {
+                **{"renderSize": (W, H), "displaySize": (W, H), "motionVectorScale": (W, H), "cameraNear": 0.5},
+                **{"cameraFar": 9.0, "flags": 8},
+            },
+        ),
+        "FrameFormat.streamline": Call(
+            gffe_cl.FrameFormat.streamline,
+            {
+                **{"mvecScale": (1, 1), "cameraNear": 0.5, "cameraFar": 9.0, "depthInverted": True},
+                **{"cameraMotionIncluded": False, "motionVectors3D": True, "motionVectorsDilated": True},
+                **{"motionVectorsJittered": True, "motionVectorsInvalidValue": 1.0, "orthographicProjection": False},
+            },
+        ),
+        "FrameFormat.xess": Call(
+            gffe_cl.FrameFormat.xess,
+            {
+                "projectionMatrix": CAMERA.projection_matrix("direct3d", W, H, 0.5),
+                **{"motionVectorScaleX": 2.0, "motionVectorScaleY": 2.0, "initFlags": 8},
+            },
+        ),
+        "FrameFormat.openxr": Call(
+            gffe_cl.FrameFormat.openxr,
+            {
+                **{"motionVectorScale": (1, 1, 1, 0), "motionVectorOffset": (0, 0, 0, 0), "minDepth": 0.1},
+                **{"maxDepth": 0.9, "nearZ": 9.0, "farZ": 0.5, "layerFlags": 1},
+            },
+        ),
         "motion_from_unreal": Call(gffe_cl.motion_from_unreal, {"rg": MOTION, "size": (W, H), "scale": 2.0}),
         "Options": Call(Options, {name: option.default for name, option in OPTIONS.items()}),
         "Options.changed": Call(Options().changed, {"name": "levels", "value": 1}),
@@ -213,6 +244,7 @@ def file_calls(folder):
         "Sequence.rendered_before": Call(sequence.rendered_before, {"time": 0.0}),
         "Sequence.size_of": Call(sequence.size_of, {"entry": own}),
         "Sequence.read": Call(sequence.read, {"entry": own}),
+        "Sequence.read_stored": Call(sequence.read_stored, {"entry": own}),
         "Sequence.read_channels": Call(sequence.read_channels, {"entry": own, "names": ["R"]}),
         "Sequence.read_color": Call(sequence.read_color, {"entry": own}),
         "Sequence.exr_file": Call(sequence.exr_file, {"entry": own}),
@@ -220,7 +252,9 @@ def file_calls(folder):
             lambda **given: [entry for entry, _ in sequence.prefetch(**given)],
             {"entries": [own], "read": sequence.read, "ahead": 2},
         ),
-        "SequenceWriter": Call(SequenceWriter, writing | {"generator": "gffe-cl", "compression": "zip"}),
+        "SequenceWriter": Call(
+            SequenceWriter, writing | {"generator": "gffe-cl", "compression": "zip", "format": None}
+        ),
         "SequenceWriter.add": Call(written("add"), {"entry": entry, "channels": channels, "owned": False}),
         "SequenceWriter.add, Z": Call(
             lambda z: written("add")(entry=entry, channels=channels | {"Z": z}), {"z": channels["Z"]}
@@ -242,7 +276,7 @@ def device_calls(pipeline, frame):
         "ui": np.zeros((H, W, 4)),
     }
     submitted = {"color": frame.color, "depth": frame.depth, "motion": frame.motion, "camera": frame.camera}
-    submitted |= {"time": 0.5, "display_camera": None, "reset": True, "overlays": None}
+    submitted |= {"time": 0.5, "display_camera": None, "reset": True, "overlays": None, "geometry_jitter": (0.1, 0.2)}
     made = pipeline.extrapolate()
     geometry = (made.numpy("depth"), made.numpy("motion"))
     through = {
@@ -258,7 +292,7 @@ def device_calls(pipeline, frame):
             Pipeline,
             {
                 **{"device": device, "width": W, "height": H, "options": None, "render_size": (W, H), "fps": 30.0},
-                "int64_atomics": None,
+                **{"int64_atomics": None, "format": gffe_cl.FrameFormat()},
             },
         ),
         "Pipeline.submit": Call(lambda frame: pipeline.submit(frame), {"frame": frame}),

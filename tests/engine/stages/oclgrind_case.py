@@ -9,15 +9,17 @@ from pathlib import Path
 from shutil import copytree
 
 import numpy as np
+import pyopencl as cl
 from network_stages import made_stages
 from synthetic import camera
 from twin_cases import frames, run
 
+from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat, conversion
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Board
+from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
@@ -88,6 +90,25 @@ def upload(device):
             depth, motion = np.zeros(size[::-1], np.float32), np.ones((*size[::-1], 2), np.float32)
             stage.take(HostArrays(color, depth, motion), frame)
             assert stage.take_bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
+        described(Upload(board), frame, size)
+
+
+def described(stage, frame, size):
+    """Buffers of all types that a description allows, no larger than they must be, and motion from cameras."""
+    format = FrameFormat(depth="device", near_z=1, far_z=2, motion_invalid=0.0, camera_motion="movers_only")
+    for number, (depth_type, motion_type) in enumerate(product(DEPTH_TYPES, (*MOTION_TYPES, None))):
+        types = {"color": COLOR_TYPES[number % 4], "depth": depth_type, "motion": motion_type}
+        channels = {"color": 3 + number % 2, "motion": 2 + number % 3}
+        given = {}
+        for name, type_name in types.items():
+            if type_name:
+                texel = TYPES[type_name][0], channels.get(name, 1)
+                zeros = np.zeros((*size[::-1], texel[1]), texel[0])
+                flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+                given[name] = cl.Buffer(stage.device.context, flags, hostbuf=zeros)
+        step = Step(frame, frame, [0.1, 0.0], given=conversion(format, size, types, channels))
+        stage.convert(given, frame, step)
+        assert not stage.take_bad_pixels()
 
 
 def dilate_splat(device):

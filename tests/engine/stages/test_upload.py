@@ -6,10 +6,13 @@ import pytest
 import twins
 from synthetic import camera
 
-from gffe_cl import Options, Pipeline, RenderedFrame
-from gffe_cl.engine.frame.rendered_frame import BadPixels, host_arrays
-from gffe_cl.engine.stages.base import Board
+from gffe_cl import FrameFormat, Options, Pipeline, RenderedFrame
+from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, conversion
+from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, host_arrays
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.upload import Upload
 
 SIZES = [(1, 1), (3, 70), (37, 21), (64, 4), (249, 5)]  # one more than eight lanes have in a run
@@ -144,6 +147,74 @@ def test_values_that_were_never_written_are_unknown(device):
             assert bad == BadPixels(depth=2 * 2 * size[0], far=2 * 4 * size[0], long=2 * np.count_nonzero(~written))
             assert "motion longer than the image's diagonal" in str(bad) and "1e37" in str(bad)
     np.testing.assert_array_equal(made["unknown"], made["never written"])
+
+
+def stored(rng, size, type_name, *channels):
+    """Values of a type, with those that mean something else."""
+    dtype, shape = TYPES[type_name][0], (*size[::-1], *channels)
+    if np.dtype(dtype).kind != "f":
+        limits = np.iinfo(dtype)
+        values, others = rng.integers(limits.min, limits.max, shape, dtype, endpoint=True), [0, limits.max]
+    else:
+        values, others = rng.uniform(-0.1, 1, shape), [0, 1, np.nan, np.inf, -np.inf, 1e30, 1e-41]
+    with np.errstate(over="ignore"):
+        return np.where(rng.random(shape) < 0.1, rng.choice(others, shape), values).astype(dtype)
+
+
+DESCRIPTIONS = {
+    "plain": FrameFormat(),
+    "OpenXR": FrameFormat.openxr(
+        nearZ=np.inf, farZ=0.3, motionVectorScale=(2, 3, 1, 0), motionVectorOffset=(-1, 0.1, 0, 0), motion_invalid=1.0,
+        motion_jittered=True, geometry_size=(61, 33), color_size=(61, 33),
+    ),
+    "movers only": FrameFormat(
+        depth="device", near_z=0.1, far_z=50, motion_unit="uv", motion_y="up", motion_invalid=0.0,
+        camera_motion="movers_only",
+    ),
+    "excluded": FrameFormat(near_z=2, far_z=9, motion_direction="from_previous", camera_motion="excluded"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("described", DESCRIPTIONS)
+def test_described_frames_equal_their_twin(device, stage_of, described):
+    """All types, one after another in the same stage, in arrays and in buffers, with and without a frame before."""
+    size, rng, format = (61, 33), np.random.default_rng(9), DESCRIPTIONS[described]
+    stage, now, before = stage_of(size), camera(*size, (0.3, -0.1, 0.6), 0.1), camera(*size, (0, 0, 0), -0.05, 0.04)
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    previous = DeviceFrame.allocate(device, size, before, before, 0.0)
+    types = zip(2 * COLOR_TYPES, 2 * (*DEPTH_TYPES, "float32"), (*MOTION_TYPES, None, *MOTION_TYPES[1:]), strict=False)
+    for number, names in enumerate(types):
+        types = dict(zip(("color", "depth", "motion"), names, strict=True))
+        channels = {"color": 3 + number % 2, "motion": 2 + number % 3}
+        color, depth = stored(rng, size, types["color"], channels["color"]), stored(rng, size, types["depth"])
+        motion = types["motion"] and stored(rng, size, types["motion"], channels["motion"])
+        given = conversion(format, size, types, channels, (0.2, -0.4), (-0.3, 0.1))
+        taken = DeviceFrame.allocate(device, size, now, now, 0.1)
+        last = previous if number % 3 else None
+        step = Step(taken, last, [0.1, 0.0][: 1 + bool(last)], given=given)
+        if number % 2 and channels["motion"] == 2:
+            stage.take(HostArrays(color, depth, motion), taken, step=step)
+        else:
+            arrays = {"color": color, "depth": depth} | ({} if motion is None else {"motion": motion})
+            buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
+            stage.convert(buffers, taken, step)
+        rgb, infinite, clamped = twins.convert_described_color(color)
+        to_previous = reprojection(now, before) if last else None
+        vectors = None if motion is None else motion[..., :2]
+        z, moved, counts = twins.convert_described_geometry(depth, vectors, given, to_previous)
+        found = [np.empty_like(array) for array in (rgb, z, moved)]
+        for array, buffer in zip(found, taken.buffers, strict=True):
+            cl.enqueue_copy(device.queue, array, buffer)
+        assert found[0].tobytes() == rgb.tobytes(), names
+        np.testing.assert_array_equal(found[1], z, err_msg=str(names))
+        np.testing.assert_array_equal(found[2], moved, err_msg=str(names))
+        assert stage.take_bad_pixels() == BadPixels(infinite, clamped, *counts), names
+
+
+def test_kernel_and_description_number_alike():
+    numbers = constants("upload.cl")
+    assert [numbers[name.upper()] for name in TYPES] == [*range(1, len(TYPES) + 1)] and numbers["NO_BUFFER"] == 0
+    assert [numbers[f"CAMERA_{name.upper()}"] for name in CAMERA_MOTIONS] == [*range(len(CAMERA_MOTIONS))]
 
 
 def test_arrays_may_be_changed_after_submit(device):

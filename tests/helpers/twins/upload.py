@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F
+from twins.common import COLOR_MAX, INF, F, centers, kernel_constants, reproject
+
+UPLOAD = kernel_constants("upload.cl")
+UNITS = {np.uint8: F(1) / F(255), np.uint16: F(1) / F(65535)}
 
 
 def convert_color(color):
@@ -27,3 +30,40 @@ def convert_geometry(depth, motion):
     unwritten = finite & ~short
     vectors = np.where(unwritten[..., None], F(np.nan), motion)
     return converted, vectors, (invalid.sum(), (~finite).sum(), far.sum(), unwritten.sum())
+
+
+def convert_described_color(color):
+    """`convert_color` of color of any type; integers stand for 0 to 1."""
+    unit = UNITS.get(color.dtype.type)
+    return convert_color(color if unit is None else color.astype(F) * unit)
+
+
+def convert_described_geometry(depth, motion, given, to_previous=None):
+    """Depth and motion in pixels of stored ones, converted by the members `given` of the frame block (motion None:
+    there is none), and the counts as of `convert_geometry`. `to_previous` (6, 4): None without a frame before."""
+    factor, origin, addend, sky = F(given["given_depth"])
+    stored = (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(F)
+    with np.errstate(all="ignore"):
+        value = factor * (stored - origin) + addend
+        if given["depth_is_device"]:
+            is_sky = (stored == sky) | (value <= F(1) / F(1e37))
+            value = np.where(is_sky, INF, F(1) / value)
+    if motion is None:
+        z, _, (invalid, _, far, _) = convert_geometry(value, np.zeros((*depth.shape, 2), F))
+        return z, np.zeros((*depth.shape, 2), F), (invalid, 0, far, 0)
+    numbers = F(given["given_motion"])
+    unwritten = (motion.astype(F) == F(given["motion_invalid"])).all(-1, keepdims=True)
+    with np.errstate(all="ignore"):
+        vectors = np.where(unwritten, F(0), motion.astype(F) * numbers[:2] + numbers[2:])
+    z, vectors, counts = convert_geometry(value, vectors)
+    if given["given_types"][3] == UPLOAD.CAMERA_INCLUDED:
+        return z, np.where(unwritten, F(np.nan), vectors), counts
+    if to_previous is None:
+        return z, vectors, counts
+    here = centers(*depth.shape)
+    before = reproject(here, z, to_previous)
+    camera = np.where(before[..., 2:] > 0, before[..., :2] - here, F(np.nan))
+    camera = np.where((z > 0)[..., None], camera, F(0))
+    added = given["given_types"][3] == UPLOAD.CAMERA_EXCLUDED
+    with np.errstate(all="ignore"):
+        return z, np.where(added | unwritten, vectors + camera, vectors), counts

@@ -102,6 +102,7 @@ void gffe_destroy(gffe *g) {
     for (k = 0; g->programs && k < gffe_program_count; ++k)
         if (g->programs[k]) clReleaseProgram(g->programs[k]);
     gffe_drop_overlays(g);
+    gffe_drop_converted(g);
     if (g->no_motion) clReleaseMemObject(g->no_motion);
     if (g->queue) clReleaseCommandQueue(g->queue);
     if (g->context) clReleaseContext(g->context);
@@ -166,14 +167,17 @@ static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motio
         return gffe_fail(
             g, GFFE_INVALID,
             "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
-    status = gffe_check_buffer(g, color, "color", GFFE_RENDERED_COLOR);
-    if (!status) status = gffe_check_buffer(g, depth, "depth", GFFE_RENDERED_DEPTH);
+    if (g->has_format) {
+        const cl_mem given[3] = {color, depth, motion};
+        status = gffe_check_formatted(g, given);
+    } else {
+        status = gffe_check_buffer(g, color, "color", GFFE_RENDERED_COLOR);
+        if (!status) status = gffe_check_buffer(g, depth, "depth", GFFE_RENDERED_DEPTH);
+        if (!status && motion) status = gffe_check_buffer(g, motion, "motion", GFFE_RENDERED_MOTION);
+    }
     if (!status && !motion && !reset)
         return gffe_fail(g, GFFE_INVALID, "frame at %g s: motion is missing (only reset frames may lack it)", time);
-    if (!status) {
-        status = motion ? gffe_check_buffer(g, motion, "motion", GFFE_RENDERED_MOTION) : need_no_motion(g);
-    }
-    return status;
+    return status || motion ? status : need_no_motion(g);
 }
 
 /* The frame becomes the current one, and the current one the frame before. */
@@ -291,6 +295,8 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
 gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                               const gffe_camera *display_camera, double time, int reset, cl_uint count,
                               const cl_event *wait_for, cl_event *done) {
+    const cl_mem given[3] = {color, depth, motion};
+    cl_mem frame[3] = {color, depth, motion};
     gffe_step *step;
     gffe_camera shown;
     gffe_status status = gffe_need(g, camera, "camera");
@@ -307,15 +313,17 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     status = check_frame(g, color, depth, motion, camera, display_camera, time, reset);
     if (!status) status = decide_cut(g);
     if (!status) status = gffe_wait_for(g, count, wait_for);
+    if (!status && g->has_format) status = gffe_prepare_formatted(g, given, frame);
     if (status) return status;
-    take_frame(g, color, depth, motion ? motion : g->no_motion);
+    take_frame(g, frame[0], frame[1], frame[2] ? frame[2] : g->no_motion);
     step->cameras[GFFE_PREVIOUS] = step->cameras[GFFE_FRAME];
     step->cameras[GFFE_PREVIOUS_DISPLAY] = step->cameras[GFFE_FRAME_DISPLAY];
     step->cameras[GFFE_FRAME] = *camera;
     step->cameras[GFFE_FRAME_DISPLAY] = *display_camera;
     g->has_previous = g->has_frame && !reset;
     g->has_frame = 1;
-    status = gffe_take_overlays(g);
+    status = gffe_convert(g, given, g->has_previous);
+    if (!status) status = gffe_take_overlays(g);
     if (!status) status = look_for_cut(g);
     if (status) return status;
     if (!g->has_previous) forget(g);

@@ -4,7 +4,8 @@
    - images are row-major, origin top left, y down; render images may differ in size from the display
    - color: half x 4 per pixel, linear scene-referred RGB (the fourth is not read)
    - depth: float, planar view-space z, world units, +inf for sky
-   - motion: float x 2, pixels: (position in the previous rendered frame) - (position here) One gffe serves one
+   - motion: float x 2, pixels: (position in the previous rendered frame) - (position here)
+   gffe_set_format takes buffers of other formats and conventions. One gffe serves one
      in-order queue; calls on one gffe come from one thread at a time. NULL where a pointer is needed, and a gffe
      that gffe_create failed to make: functions that return a gffe_status return GFFE_INVALID, others do nothing and
      return NULL or zeros. Which pointers may be NULL stands at each function. */
@@ -100,6 +101,51 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
 gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                               const gffe_camera *display_camera, double time, int reset, cl_uint count,
                               const cl_event *wait_for, cl_event *done);
+
+/* Types of values. Integers stand for 0 to 1, or -1 to 1 (GFFE_SNORM16). GFFE_UNORM24 are the low 24 bits of 32. */
+typedef enum gffe_type {
+    GFFE_FLOAT32 = 1,
+    GFFE_FLOAT16,
+    GFFE_UNORM8,
+    GFFE_UNORM16,
+    GFFE_SNORM16,
+    GFFE_UNORM24
+} gffe_type;
+
+/* Units of motion: pixels, 0 to 1 across the image, or -1 to 1 across it. */
+enum { GFFE_PIXELS, GFFE_UV, GFFE_NDC };
+
+/* What motion vectors have of the camera's motion: all of it; all of it, but only movers have vectors, and the camera's
+   own motion is taken where both components hold `motion_invalid`; nothing, it is added. */
+enum { GFFE_CAMERA_INCLUDED, GFFE_CAMERA_MOVERS_ONLY, GFFE_CAMERA_EXCLUDED };
+
+/* Describes buffers of rendered frames in an engine's own formats, of the render size. */
+typedef struct gffe_format {
+    int color_type, color_channels; /* float16, float32, unorm16 or unorm8, linear; 3 or 4 channels */
+    int depth_type; /* float32, unorm16 or unorm24 */
+    int depth_is_device; /* whether depth is that of a depth buffer, in which 1/z is linear, instead of planar depth */
+    double near_z, far_z, depth_range[2]; /* planar depth where the buffer holds the first and the second value of the
+                                             range; of device depth greater than 0, one of them perhaps infinite */
+    int motion_type, motion_channels; /* float32, float16, unorm16 or snorm16; 2 to 4 channels */
+    double motion_scale[2], motion_offset[2]; /* stored value * scale + offset is motion in its unit */
+    int motion_unit;
+    int motion_from_previous; /* whether it is (here - previous) */
+    int motion_y_up; /* whether positive y is up */
+    int motion_jittered; /* whether vectors include the jitter of gffe_set_geometry_jitter, which is then removed */
+    double motion_invalid; /* the stored value that both components have where no vector was written; NAN: none */
+    int camera_motion;
+} gffe_format;
+
+/* Returns the description of the conventions above. */
+gffe_format gffe_default_format(void);
+
+/* Sets the description of the next submitted frames; NULL: they have the conventions above. They are converted on the
+   device. Buffers that need that may be overwritten when the event of their gffe_submit_after is complete. */
+gffe_status gffe_set_format(gffe *g, const gffe_format *format);
+
+/* Sets the jitter that depth and motion of the next submitted frame have and its color does not: pixels to the right
+   and down. */
+gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y);
 
 /* Layers over the picture of the next submitted frame, which are not warped with it. Each may be NULL, and NULL in
    place of all drops them. Colors are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until the

@@ -135,13 +135,34 @@ static gffe_status set_initial(gffe *g) {
     return GFFE_OK;
 }
 
+/* Builds the programs that formats need, or all others, and makes their kernels. */
+static gffe_status make_kernels(gffe *g, int of_formats, int int64) {
+    gffe_status status = GFFE_OK;
+    cl_int error;
+    int k;
+    for (k = 0; k < gffe_program_count && !status; ++k)
+        if ((gffe_programs[k].flags & GFFE_OF_FORMATS) == of_formats) status = build(g, k, int64);
+    for (k = 0; k < gffe_kernel_count && !status; ++k) {
+        const int program = gffe_kernels[k].program;
+        if ((gffe_programs[program].flags & GFFE_OF_FORMATS) != of_formats) continue;
+        g->kernels[k] = clCreateKernel(g->programs[program], gffe_kernels[k].name, &error);
+        if (!g->kernels[k]) status = gffe_opencl_failed(g, error, gffe_kernels[k].name);
+    }
+    return status;
+}
+
+gffe_status gffe_open_late(gffe *g) {
+    const gffe_status status = make_kernels(g, GFFE_OF_FORMATS, 0);
+    return status ? status : gffe_allocate(g, GFFE_OF_FORMATS);
+}
+
 gffe_status gffe_open(gffe *g) {
     gffe_status status = GFFE_OK;
     cl_device_type type = 0;
     cl_bool unified = CL_FALSE;
     cl_uint alignment = 0; /* bits */
     cl_int error;
-    int k, int64 = g->options.int64_atomics;
+    int int64 = g->options.int64_atomics;
     error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
     if (error == CL_SUCCESS)
         error = clGetDeviceInfo(g->device, CL_DEVICE_HOST_UNIFIED_MEMORY, sizeof unified, &unified, NULL);
@@ -160,11 +181,7 @@ gffe_status gffe_open(gffe *g) {
     g->places = (gffe_place *)calloc((size_t)g->plan->buffer_count, sizeof *g->places);
     if (!g->programs || !g->kernels || !g->memory || !g->places)
         return gffe_fail(g, GFFE_OUT_OF_MEMORY, "the host has no memory");
-    for (k = 0; k < gffe_program_count && !status; ++k) status = build(g, k, int64);
-    for (k = 0; k < gffe_kernel_count && !status; ++k) {
-        g->kernels[k] = clCreateKernel(g->programs[gffe_kernels[k].program], gffe_kernels[k].name, &error);
-        if (!g->kernels[k]) status = gffe_opencl_failed(g, error, gffe_kernels[k].name);
-    }
+    status = make_kernels(g, 0, int64);
     if (!status) status = gffe_allocate(g, 0);
     if (!status) status = set_initial(g);
     if (!status) g->counts = gffe_reference(g, "scene_cuts.counts");

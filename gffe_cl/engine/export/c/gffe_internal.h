@@ -21,6 +21,7 @@ enum {
     GFFE_SOURCE_BLOCKS,
     GFFE_TARGET_BLOCKS,
     GFFE_CELLS,
+    GFFE_RUNS,
     GFFE_NETWORK,
     GFFE_MIP,
     GFFE_LEVEL,
@@ -50,14 +51,23 @@ enum {
     GFFE_LEAVE_OUT,
     GFFE_COMPOSE,
     GFFE_COMPOSE_RENDERED,
+    GFFE_CONVERT_COLOR,
+    GFFE_CONVERT_GEOMETRY,
     GFFE_OCCASIONS
 };
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
-enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
+enum {
+    GFFE_TAKES_LANES = 1,
+    GFFE_TAKES_RUN = 2,
+    GFFE_TAKES_EXACT_DIVISION = 4,
+    GFFE_TAKES_INT64 = 8,
+    GFFE_OF_FORMATS = 256
+};
 /* Flags of buffers: the one of the frame before is kept, too; the host works in it where it shares memory with the
    device; made with the first windowed frame; the caller's; memory that contains others side by side; memory that is
-   free while frames are extrapolated; the copy of the frame before is free then; made with the first overlays. */
+   free while frames are extrapolated; the copy of the frame before is free then; made with the first overlays. What
+   the first format needs, GFFE_OF_FORMATS, is a flag of programs, too. */
 enum {
     GFFE_KEPT = 1,
     GFFE_MAPPED = 2,
@@ -77,7 +87,8 @@ enum {
     GFFE_PREVIOUS_COLOR = 6,
     GFFE_SHOWN_COLOR = 12,
     GFFE_SHOWN_DEPTH = 14,
-    GFFE_FIRST_OVERLAY = 16
+    GFFE_FIRST_OVERLAY = 16,
+    GFFE_ENGINE_COLOR = 24
 };
 enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
 
@@ -159,6 +170,10 @@ typedef struct gffe_step {
     int time_count;
     double time, alpha, exposure;
     int has[4];                     /* overlays */
+    gffe_format format;             /* of the engine's buffers, for a frame that `converts` */
+    int converts, converts_after;   /* whether they are, and there is a frame before */
+    int has_motion;                 /* whether the frame brings any */
+    double jitter[2], previous_jitter[2]; /* of the geometry, pixels */
     size_t alignment;               /* of parts of buffers, bytes or texels */
 } gffe_step;
 
@@ -175,6 +190,10 @@ struct gffe {
     gffe_place *places;
     cl_mem no_motion;
     cl_mem overlays[4]; /* of the next frame */
+    int has_format, converts[2]; /* color; depth and motion */
+    double jitter[2]; /* of the next frame's geometry */
+    cl_mem converted[2][3]; /* color, depth and motion of two frames in turn */
+    int turn;
     int counts;     /* of a cut: the buffer's reference, or -1 */
     gffe_step step;
     gffe_camera path[GFFE_POSES]; /* display cameras since the last reset, newest first */
@@ -198,10 +217,20 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block);
 
 /* gffe_memory.c */
-gffe_status gffe_allocate(gffe *g, int late); /* 0, GFFE_LATE or GFFE_OF_OVERLAYS: those buffers */
+gffe_status gffe_allocate(gffe *g, int late); /* 0, GFFE_LATE, GFFE_OF_OVERLAYS or GFFE_OF_FORMATS: those buffers */
+gffe_status gffe_check_bytes(gffe *g, cl_mem buffer, const char *name, const int size[2], size_t texel);
 gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int reference);
 int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
 void gffe_swap(gffe *g, int overlays); /* 0 or GFFE_OF_OVERLAYS: those buffers */
+
+/* gffe_format.c */
+gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]);
+/* Gives the buffers of the frame for the stages, converted ones where that is needed. */
+gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]);
+/* Converts the given buffers into the rendered frame's, whose cameras are set. */
+gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous);
+void gffe_fill_given(const gffe_step *step, gffe_frame_block *block);
+void gffe_drop_converted(gffe *g);
 
 /* gffe_overlays.c */
 int gffe_has_overlays(const gffe *g);
@@ -217,6 +246,7 @@ gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 
 /* gffe_device.c */
 gffe_status gffe_open(gffe *g);
+gffe_status gffe_open_late(gffe *g); /* what formats need */
 /* Makes work that is enqueued later wait for the events. Returns GFFE_INVALID for others than the context's. */
 gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events);
 /* Makes an event, unless `done` is NULL, that is complete when all work enqueued so far is. */

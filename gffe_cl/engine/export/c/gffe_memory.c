@@ -134,7 +134,9 @@ gffe_status gffe_allocate(gffe *g, int late) {
         for (number = 0; number < g->plan->buffer_count; ++number) {
             const gffe_buffer *buffer = &g->plan->buffers[number];
             const gffe_place *place = &g->places[number];
-            if (buffer->flags & GFFE_GIVEN || late != (buffer->flags & (GFFE_LATE | GFFE_OF_OVERLAYS))) continue;
+            if (buffer->flags & GFFE_GIVEN
+                || late != (buffer->flags & (GFFE_LATE | GFFE_OF_OVERLAYS | GFFE_OF_FORMATS)))
+                continue;
             if ((place->root >= 0) != parts || !place->bytes) continue;
             for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
                 cl_mem *made = &g->memory[2 * number + k];
@@ -148,18 +150,26 @@ gffe_status gffe_allocate(gffe *g, int late) {
 
 gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int reference) {
     const gffe_buffer *like = &g->plan->buffers[reference / 2];
-    const size_t wanted = gffe_buffer_bytes(&g->step, like);
-    size_t size = 0, sides[2];
+    size_t sides[2];
+    int size[2];
+    gffe_grid_size(&g->step, like->grid, like->level, sides);
+    size[0] = (int)sides[0];
+    size[1] = (int)sides[1];
+    return gffe_check_bytes(g, buffer, name, size, (size_t)like->bytes);
+}
+
+gffe_status gffe_check_bytes(gffe *g, cl_mem buffer, const char *name, const int sides[2], size_t texel) {
+    const size_t wanted = texel * (size_t)sides[0] * (size_t)sides[1];
+    size_t size = 0;
     cl_context context = NULL;
     cl_int error;
     if (!buffer) return gffe_fail(g, GFFE_INVALID, "frame: there is no %s buffer", name);
     error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
     if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_CONTEXT, sizeof context, &context, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, name);
-    gffe_grid_size(&g->step, like->grid, like->level, sides);
     if (size < wanted)
-        return gffe_fail(g, GFFE_INVALID, "frame: %s buffer must hold %lu bytes (%lux%lu), got %lu", name,
-                         (unsigned long)wanted, (unsigned long)sides[0], (unsigned long)sides[1], (unsigned long)size);
+        return gffe_fail(g, GFFE_INVALID, "frame: %s buffer must hold %lu bytes (%dx%d), got %lu", name,
+                         (unsigned long)wanted, sides[0], sides[1], (unsigned long)size);
     if (context != g->context) return gffe_fail(g, GFFE_INVALID, "frame: %s buffer is of another context", name);
     return GFFE_OK;
 }

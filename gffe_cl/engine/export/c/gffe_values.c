@@ -25,7 +25,7 @@ size_t gffe_level_start(const gffe_step *step, int level) {
 
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
     const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS
-                          || grid == GFFE_RESIDUALS || grid == GFFE_LEVEL;
+                          || grid == GFFE_RESIDUALS || grid == GFFE_RUNS || grid == GFFE_LEVEL;
     const int *image = on_source ? step->source : step->target;
     size_t side[2] = {1, 1};
     int k;
@@ -43,6 +43,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
     if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
     if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
+    if (grid == GFFE_RUNS) side[0] = GFFE_RUN_PIXELS;
     if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
     if (grid == GFFE_NETWORK) side[0] = side[1] = (size_t)GFFE_NETWORK_TEXEL << level;
     if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
@@ -148,6 +149,7 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     color_law(step->exposure, block->color_law.s);
     if (block->order > step->time_count - 1) block->order = step->time_count - 1;
     for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
+    if (step->converts) gffe_fill_given(step, block);
     if (!is_new) return;
     gffe_reprojection(source, target, (float *)&block->to_target);
     gffe_reprojection(target, source, (float *)&block->to_source);

@@ -1,0 +1,248 @@
+/* Buffers in an engine's own formats (gffe_cl/engine/frame/frame_format.py). */
+#include <math.h>
+#include <string.h>
+
+#include "gffe_internal.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+enum { COLOR, DEPTH, MOTION, BUFFERS };
+static const char *const NAMES[BUFFERS] = {"color", "depth", "motion"};
+
+gffe_format gffe_default_format(void) {
+    gffe_format made;
+    memset(&made, 0, sizeof made);
+    made.color_type = GFFE_FLOAT16;
+    made.color_channels = 4;
+    made.depth_type = made.motion_type = GFFE_FLOAT32;
+    made.far_z = made.depth_range[1] = 1;
+    made.motion_channels = 2;
+    made.motion_scale[0] = made.motion_scale[1] = 1;
+    made.motion_invalid = NAN;
+    return made;
+}
+
+/* The stored number that stands for 1. */
+static double most_of(int type) {
+    return type == GFFE_UNORM8    ? 255.0
+           : type == GFFE_UNORM16 ? 65535.0
+           : type == GFFE_SNORM16 ? 32767.0
+           : type == GFFE_UNORM24 ? 16777215.0
+                                  : 1.0;
+}
+
+static size_t bytes_of(int type) {
+    return type == GFFE_UNORM8 ? 1 : type == GFFE_FLOAT32 || type == GFFE_UNORM24 ? 4 : 2;
+}
+
+static int type_of(const gffe_format *format, int buffer) {
+    return buffer == COLOR ? format->color_type : buffer == DEPTH ? format->depth_type : format->motion_type;
+}
+
+static size_t channels_of(const gffe_format *format, int buffer) {
+    return (size_t)(buffer == COLOR ? format->color_channels : buffer == DEPTH ? 1 : format->motion_channels);
+}
+
+static int is_color_ours(const gffe_format *format) {
+    return format->color_type == GFFE_FLOAT16 && format->color_channels == 4;
+}
+
+static int is_geometry_ours(const gffe_format *format) {
+    return format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && format->near_z == 0 && format->far_z == 1
+           && format->depth_range[0] == 0 && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32
+           && format->motion_channels == 2 && format->motion_scale[0] == 1 && format->motion_scale[1] == 1
+           && format->motion_offset[0] == 0 && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS
+           && !format->motion_from_previous && !format->motion_y_up && !format->motion_jittered
+           && isnan(format->motion_invalid) && format->camera_motion == GFFE_CAMERA_INCLUDED;
+}
+
+static int is_one_of(int value, const int *allowed, int count) {
+    int k;
+    for (k = 0; k < count; ++k)
+        if (value == allowed[k]) return 1;
+    return 0;
+}
+
+static int is_finite_pair(const double pair[2]) { return fabs(pair[0]) < GFFE_LARGEST && fabs(pair[1]) < GFFE_LARGEST; }
+
+/* Returns the fault of a description, NULL if it has none. */
+static const char *fault_of(const gffe_format *format) {
+    static const int colors[4] = {GFFE_FLOAT16, GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM8};
+    static const int depths[3] = {GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM24};
+    static const int motions[4] = {GFFE_FLOAT32, GFFE_FLOAT16, GFFE_UNORM16, GFFE_SNORM16};
+    const double nearer = format->near_z < format->far_z ? format->near_z : format->far_z;
+    const int finite = fabs(format->near_z) < GFFE_LARGEST && fabs(format->far_z) < GFFE_LARGEST;
+    if (!is_one_of(format->color_type, colors, 4) || !is_one_of(format->depth_type, depths, 3)
+        || !is_one_of(format->motion_type, motions, 4))
+        return "color_type, depth_type or motion_type is none that such buffers can have";
+    if (format->color_channels < 3 || format->color_channels > 4 || format->motion_channels < 2
+        || format->motion_channels > 4)
+        return "color_channels must be 3 or 4, and motion_channels 2 to 4";
+    if (!(format->near_z != format->far_z) || !(format->depth_range[0] != format->depth_range[1]))
+        return "near_z and far_z must differ, and so must depth_range";
+    if (format->depth_is_device ? !(nearer > 0 && nearer < GFFE_LARGEST) : !finite)
+        return "near_z and far_z must be finite or, of device depth, greater than 0, one of them perhaps infinite";
+    if (!is_finite_pair(format->depth_range) || !is_finite_pair(format->motion_offset)
+        || !is_finite_pair(format->motion_scale) || format->motion_scale[0] == 0 || format->motion_scale[1] == 0)
+        return "depth_range, motion_scale and motion_offset must be finite, and motion_scale not 0";
+    if (format->motion_unit < GFFE_PIXELS || format->motion_unit > GFFE_NDC
+        || format->camera_motion < GFFE_CAMERA_INCLUDED || format->camera_motion > GFFE_CAMERA_EXCLUDED)
+        return "motion_unit and camera_motion must be one of their constants";
+    if (format->camera_motion == GFFE_CAMERA_MOVERS_ONLY && isnan(format->motion_invalid))
+        return "GFFE_CAMERA_MOVERS_ONLY needs motion_invalid, the value of pixels without motion";
+    return NULL;
+}
+
+gffe_status gffe_set_format(gffe *g, const gffe_format *format) {
+    const char *fault = format ? fault_of(format) : NULL;
+    gffe_status status = gffe_need(g, g, "gffe");
+    if (status) return status;
+    if (fault) return gffe_fail(g, GFFE_INVALID, "format: %s", fault);
+    g->has_format = format != NULL;
+    if (!format) return GFFE_OK;
+    g->step.format = *format;
+    return g->memory[gffe_reference(g, "upload.bad_pixels")] ? GFFE_OK : gffe_open_late(g);
+}
+
+gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y) {
+    const gffe_status status = gffe_need(g, g, "gffe");
+    if (status) return status;
+    if (!(fabs(x) <= GFFE_MOST_JITTER && fabs(y) <= GFFE_MOST_JITTER))
+        return gffe_fail(g, GFFE_INVALID, "geometry jitter must be in pixels, up to %g, got %g and %g",
+                         GFFE_MOST_JITTER, x, y);
+    g->jitter[0] = x;
+    g->jitter[1] = y;
+    return GFFE_OK;
+}
+
+gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]) {
+    const gffe_step *step = &g->step;
+    int k;
+    for (k = 0; k < BUFFERS; ++k) {
+        const size_t texel = bytes_of(type_of(&step->format, k)) * channels_of(&step->format, k);
+        gffe_status status;
+        if (k == MOTION && !buffers[k]) continue;
+        status = gffe_check_bytes(g, buffers[k], NAMES[k], step->source, texel);
+        if (status) return status;
+    }
+    return GFFE_OK;
+}
+
+/* Rounds a value to the numbers that a type holds, to even. */
+static double stored(double value, int type) {
+    const double most = most_of(type);
+    int exponent;
+    double unit;
+    if (type == GFFE_FLOAT32) return (double)(float)value;
+    if (type != GFFE_FLOAT16) return rint(value * most);
+    frexp(value, &exponent);
+    unit = ldexp(1, exponent - 11 > -24 ? exponent - 11 : -24);
+    value = rint(value / unit) * unit;
+    return fabs(value) > 65504 ? copysign(INFINITY, value) : value;
+}
+
+void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
+    const gffe_format *format = &step->format;
+    const double most = step->has_motion ? most_of(format->motion_type) : 1;
+    const double sign = format->motion_from_previous ? -1 : 1;
+    const int swapped = format->near_z > format->far_z;
+    const double farthest = swapped ? format->near_z : format->far_z,
+                 nearest = swapped ? format->far_z : format->near_z;
+    const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
+    const double depth_most = most_of(format->depth_type);
+    int k;
+    for (k = 0; k < 2; ++k) {
+        const double side = step->source[k];
+        const double unit = format->motion_unit == GFFE_UV ? side : format->motion_unit == GFFE_NDC ? side / 2 : 1;
+        const double factor = sign * unit * (k && format->motion_y_up ? -1 : 1);
+        const double jitter = format->motion_jittered ? step->jitter[k] - step->previous_jitter[k] : 0;
+        block->given_motion.s[k] = (float)(factor * format->motion_scale[k] / most);
+        block->given_motion.s[2 + k] = (float)(factor * format->motion_offset[k] + jitter);
+    }
+    if (format->depth_is_device) {
+        block->given_depth.s[0] = (float)((1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most);
+        block->given_depth.s[1] = block->given_depth.s[3] = (float)(far_value * depth_most);
+        block->given_depth.s[2] = (float)(1 / farthest);
+    } else {
+        block->given_depth.s[0] = (float)((farthest - nearest) / (far_value - near_value) / depth_most);
+        block->given_depth.s[1] = (float)(near_value * depth_most);
+        block->given_depth.s[2] = (float)nearest;
+        block->given_depth.s[3] = NAN;
+    }
+    block->motion_invalid = NAN;
+    if (step->has_motion && !isnan(format->motion_invalid))
+        block->motion_invalid = (float)stored(format->motion_invalid, format->motion_type);
+    block->given_types.s[COLOR] = format->color_type;
+    block->given_types.s[DEPTH] = format->depth_type;
+    block->given_types.s[MOTION] = step->has_motion ? format->motion_type : 0;
+    block->given_types.s[3] = format->camera_motion;
+    block->given_channels.s[0] = format->color_channels;
+    block->given_channels.s[1] = format->motion_channels;
+    block->depth_is_device = format->depth_is_device != 0;
+    block->has_previous = step->converts_after;
+}
+
+/* Makes the buffers of a converted frame: `turn` 0 and 1 have one motion, for nothing reads that of the frame before.
+ */
+static gffe_status need_converted(gffe *g, int turn) {
+    static const size_t texels[BUFFERS] = {8, 4, 8};
+    int k;
+    for (k = 0; k < BUFFERS; ++k) {
+        cl_int error;
+        if (g->converted[turn][k]) continue;
+        if (k == MOTION && g->converted[!turn][k]) {
+            g->converted[turn][k] = g->converted[!turn][k];
+            clRetainMemObject(g->converted[turn][k]);
+            continue;
+        }
+        g->converted[turn][k] =
+            clCreateBuffer(g->context, CL_MEM_READ_WRITE,
+                           texels[k] * (size_t)g->step.source[0] * (size_t)g->step.source[1], NULL, &error);
+        if (!g->converted[turn][k]) return gffe_opencl_failed(g, error, "a buffer for a converted frame");
+    }
+    return GFFE_OK;
+}
+
+gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]) {
+    const int color = !is_color_ours(&g->step.format), geometry = !is_geometry_ours(&g->step.format);
+    int k;
+    g->converts[0] = color;
+    g->converts[1] = geometry;
+    for (k = 0; k < BUFFERS; ++k) frame[k] = given[k];
+    if (!color && !geometry) return GFFE_OK;
+    g->turn = !g->turn;
+    if (need_converted(g, g->turn)) return GFFE_OUT_OF_MEMORY;
+    for (k = 0; k < BUFFERS; ++k)
+        if (k == COLOR ? color : geometry) frame[k] = g->converted[g->turn][k];
+    return GFFE_OK;
+}
+
+gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
+    gffe_step *step = &g->step;
+    gffe_status status = GFFE_OK;
+    int k;
+    step->has_motion = given[MOTION] != NULL;
+    step->converts_after = has_previous;
+    for (k = 0; k < 2; ++k) {
+        step->previous_jitter[k] = has_previous ? step->jitter[k] : g->jitter[k];
+        step->jitter[k] = g->jitter[k];
+    }
+    if (!g->has_format) return GFFE_OK;
+    for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = given[k];
+    if (!given[MOTION]) g->memory[GFFE_ENGINE_COLOR + 2 * MOTION] = g->memory[GFFE_RENDERED_MOTION];
+    step->converts = 1;
+    if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR, 0);
+    if (!status && g->converts[1]) status = gffe_run(g, GFFE_CONVERT_GEOMETRY, 0);
+    step->converts = 0;
+    for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
+    return status;
+}
+
+void gffe_drop_converted(gffe *g) {
+    int turn, k;
+    for (turn = 0; turn < 2; ++turn)
+        for (k = 0; k < BUFFERS; ++k)
+            if (g->converted[turn][k]) clReleaseMemObject(g->converted[turn][k]);
+}

@@ -1,0 +1,161 @@
+"""Sequences whose depth and motion are an engine's: version 2 of the description."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl import FrameEntry, FrameFormat, GffeError, Options, Pipeline, SequenceWriter, named_channels, open_sequence
+from gffe_cl.captures.doctor.opening import open_for_check
+from gffe_cl.captures.formats.importing import import_capture
+from gffe_cl.captures.offline.run import run_sequence
+from gffe_cl.captures.offline.source import Recorded
+from gffe_cl.captures.sequence.encoding import Encoding
+
+W, H = 40, 26
+FORMAT = FrameFormat(
+    depth="device", near_z=0.5, far_z=math.inf, depth_range=(1, 0), motion_unit="ndc", motion_y="up",
+    motion_invalid=9.0, motion_jittered=True, motion_direction="from_previous", motion_type="float16",
+)  # fmt: skip
+MOVERS = replace(FORMAT, camera_motion="movers_only", motion_jittered=False)
+EXCLUDED = replace(FORMAT, camera_motion="excluded", motion_invalid=None)
+JITTERS = (0.0, 0.0), (0.25, -0.5), (-0.375, 0.125)
+
+
+def plain_frames():
+    """In our conventions: a mover before a wall, sky, a camera that turns and moves."""
+    scene = Rects([Rect((0, 0, 8), (5, 3)), Rect((0, 0, 3), (0.6, 0.5), (2, 1, 0))])
+    poses = [(camera(W, H, (0.1 * k, 0.02 * k, 0.05 * k), 0.03 * k, -0.01 * k), k / 30) for k in range(3)]
+    return [scene.frame(*p, W, H, poses[k - 1] if k else None, reset=k == 0) for k, p in enumerate(poses)]
+
+
+def static_motion(frame, before):
+    """Where points at rest were, less where they are; sky turns only."""
+    y, x = np.mgrid[:H, :W] + 0.5
+    px, z = np.stack([x, y], -1), np.where(np.isinf(frame.depth), 1e9, frame.depth)
+    return before.camera.project(frame.camera.unproject(px, z))[0] - px
+
+
+def as_engine_has_them(frames, format):
+    """Depth and motion as a description says."""
+    for k, frame in enumerate(frames):
+        moved = frame.motion.astype(np.float64)
+        if k and format.camera_motion != "included":
+            static = static_motion(frame, frames[k - 1])
+            moved = np.where(np.isinf(frame.depth)[..., None], static, moved)
+            expected = replace(frame, motion=moved)
+            moved = moved - static if format.camera_motion == "excluded" else moved
+            resting = np.abs(moved - static).max(-1) < 1e-3
+        else:
+            expected, resting = frame, np.zeros((H, W), bool)
+        jitter = JITTERS[k] if format.motion_jittered else (0.0, 0.0)
+        before = JITTERS[k - 1] if k and format.motion_jittered else jitter
+        vectors = -(moved + before - np.array(jitter)) / (W / 2, -H / 2)
+        if format.camera_motion == "movers_only":
+            vectors[resting] = 9.0
+        elif format.motion_invalid:
+            vectors[:2] = 9.0
+            expected = replace(expected, motion=np.where(np.arange(H)[:, None, None] < 2, np.nan, expected.motion))
+        stored = replace(frame, depth=0.5 / frame.depth, motion=vectors, geometry_jitter=jitter)
+        yield stored, expected
+
+
+def write(folder, frames, format):
+    with SequenceWriter(folder, W, H, 30, format=format) as writer:
+        for k, frame in enumerate(frames):
+            entry = FrameEntry(f"frame_{k}.exr", frame.time, render_camera=frame.camera)
+            entry.geometry_jitter = frame.geometry_jitter
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+    return open_sequence(folder)
+
+
+def on_device(pipeline):
+    found = np.empty((H, W), np.float32), np.empty((H, W, 2), np.float32)
+    for array, buffer in zip(found, pipeline._current.buffers[1:], strict=True):
+        cl.enqueue_copy(pipeline.device.queue, array, buffer)
+    return found
+
+
+@pytest.mark.parametrize("format", [FORMAT, MOVERS, EXCLUDED], ids=["jittered", "movers only", "without the camera"])
+def test_frames_are_read_in_our_conventions(device, tmp_path, format):
+    """By the reader, and by a pipeline that gets them as they are stored."""
+    stored, expected = zip(*as_engine_has_them(plain_frames(), format), strict=True)
+    sequence = write(tmp_path / "engine", stored, format)
+    assert sequence.format == format and json.loads((tmp_path / "engine/sequence.json").read_text())["version"] == 2
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False), format=sequence.format)
+    for entry, frame, ours in zip(sequence.rendered, sequence, expected, strict=True):
+        np.testing.assert_allclose(frame.depth, ours.depth, rtol=1e-6)
+        np.testing.assert_allclose(frame.motion, ours.motion, atol=2e-4)
+        pipeline.submit(sequence.read_stored(entry))
+        depth, motion = on_device(pipeline)
+        np.testing.assert_allclose(depth, frame.depth, rtol=1e-6)
+        np.testing.assert_allclose(motion, frame.motion, atol=1e-3)
+        assert frame.geometry_jitter == entry.geometry_jitter
+
+
+def test_without_a_description_it_is_version_1(tmp_path):
+    sequence = write(tmp_path / "plain", plain_frames(), None)
+    document = json.loads((tmp_path / "plain/sequence.json").read_text())
+    assert document["version"] == 1 and "frame_format" not in document and sequence.format is None
+    assert not any("geometry_jitter" in frame for frame in document["frames"])
+    jittered = [replace(f, geometry_jitter=j) for f, j in zip(plain_frames(), JITTERS, strict=True)]
+    sequence = write(tmp_path / "jittered", jittered, None)
+    assert [frame.geometry_jitter for frame in sequence] == [*JITTERS]
+
+
+def test_import_and_the_doctor_keep_the_description(tmp_path):
+    stored, expected = zip(*as_engine_has_them(plain_frames(), FORMAT), strict=True)
+    sequence = write(tmp_path / "engine", stored, FORMAT)
+    import_capture(sequence, tmp_path / "copy")
+    copy = open_sequence(tmp_path / "copy")
+    assert copy.format == FORMAT and [e.geometry_jitter for e in copy.rendered] == [*JITTERS]
+    for entry, frame in zip(copy.rendered, stored, strict=True):
+        np.testing.assert_array_equal(copy.read_stored(entry).motion, frame.motion.astype(np.float32))
+    import_capture(sequence, tmp_path / "thinned", 2, encoding=Encoding.parse("half-depth"))
+    thinned = open_sequence(tmp_path / "thinned")
+    assert thinned.format is None
+    np.testing.assert_allclose(thinned.read(thinned.rendered[1]).depth, expected[2].depth, rtol=1e-3)
+    opened, findings = open_for_check(tmp_path / "engine")
+    assert not findings and any('frame_format {"depth": "device"' in note for note in opened.notes)
+
+
+def test_run_leaves_our_conventions_behind(device, tmp_path):
+    stored, expected = zip(*as_engine_has_them(plain_frames(), MOVERS), strict=True)
+    source = Recorded(write(tmp_path / "engine", stored, MOVERS), device)
+    run_sequence(source, tmp_path / "out", device, Options(shading_correction=False), [0.5])
+    made = open_sequence(tmp_path / "out")
+    assert made.format is None and len(made.extrapolated) == 3
+    for frame, ours in zip(made, expected, strict=True):
+        np.testing.assert_allclose(frame.motion, ours.motion, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"version": 1}, "frame_format needs version 2, got 1"),
+        ({"version": 3}, r"unknown version 3 \(expected 1 or 2\)"),
+        ({"frame_format": {"depth": "far"}}, "frame_format: depth must be one of linear, device"),
+        ({"frame_format": {"colour": 1}}, "frame_format: unknown field 'colour'"),
+        ({"frame_format": [1]}, "frame_format: .*must be an object"),
+        ({"frame_format": {"geometry_size": [4, 4], "color_size": [4, 4]}}, r"images are 4×4 \(expected the render"),
+    ],
+)
+def test_wrong_descriptions_are_refused(tmp_path, change, text):
+    write(tmp_path, [replace(plain_frames()[0], geometry_jitter=(0.5, 0))], FORMAT)
+    path = tmp_path / "sequence.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(GffeError, match=text):
+        open_sequence(tmp_path)
+
+
+def test_wrong_jitter_is_refused(tmp_path):
+    write(tmp_path, [replace(plain_frames()[0], geometry_jitter=(0.5, 0))], None)
+    document = json.loads((tmp_path / "sequence.json").read_text())
+    document["frames"][0]["geometry_jitter"] = [99, 0]
+    (tmp_path / "sequence.json").write_text(json.dumps(document))
+    with pytest.raises(GffeError, match=r"frame 0 \(frame_0.exr\): geometry_jitter must be in pixels, up to 16"):
+        open_sequence(tmp_path)
