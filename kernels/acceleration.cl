@@ -43,7 +43,7 @@ INLINE bool is_known(const Tracked f, const int src) {
 }
 
 /* The nearest mover of a cell; depth 0 without one. */
-INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame *frame, const Tracked f) {
+INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame *restrict frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width),
               end_y = min((cell_y + 1) * MOVER_CELL, source_height);
@@ -111,7 +111,7 @@ INLINE float3 carried_on(const float3 acceleration, const float3 before) {
    where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
    has added alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover:
    acceleration and bend are of view space there. `ratio`: of the last two intervals. */
-SPARSE __kernel void track_acceleration(__constant Frame *frame, __global const float *depth,
+SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __global const float *depth,
                                         __global const float2 *motion, __global const uchar *dynamic_mask,
                                         __global const float *met_depth, __global const float4 *velocity_prev,
                                         __global const uint2 *acceleration_prev,

@@ -223,13 +223,13 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
 }
 
 /* Offers the fragments of B'_level. */
-WIDE __kernel void scatter_level(__constant Frame *frame, const int level, const int pass, __global const float *depth,
-                                 __global const uchar *dynamic_mask, __global const uchar *links,
-                                 __global const float *frame_depth, __global const float *old_depth,
-                                 __global const int *old_px, __global const uchar *old_state,
-                                 __global const uchar *taken, __global const float *level_depth,
-                                 __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
-                                 __global uint *push_winners) {
+WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int level, const int pass,
+                                 __global const float *depth, __global const uchar *dynamic_mask,
+                                 __global const uchar *links, __global const float *frame_depth,
+                                 __global const float *old_depth, __global const int *old_px,
+                                 __global const uchar *old_state, __global const uchar *taken,
+                                 __global const float *level_depth, __global Key *fill_keys,
+                                 __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int last_level = frame->levels - 1;
     const Reprojection to_current = frame->from_previous;
@@ -413,7 +413,7 @@ INLINE void settle_run(const int x, const int y, const int collect, __global Key
 }
 
 /* Completes a level. */
-SCAN __kernel void settle_level(__constant Frame *frame, const int level, __global Key *fill_keys,
+SCAN __kernel void settle_level(__constant Frame *restrict frame, const int level, __global Key *fill_keys,
                                 __global uint *fill_winners, __global const half *frame_color,
                                 __global const float *frame_depth, __global const uint *old_color,
                                 __global const float *old_depth, __global const int *old_px,
@@ -444,7 +444,7 @@ SCAN __kernel void settle_level(__constant Frame *frame, const int level, __glob
 }
 
 /* Completes a level, and begins the next one with the fragments pushed down. */
-SCAN __kernel void settle_and_push(__constant Frame *frame, const int level, __global Key *fill_keys,
+SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int level, __global Key *fill_keys,
                                    __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
                                    __global const half *frame_color, __global const float *frame_depth,
                                    __global const uint *old_color, __global const float *old_depth,
@@ -526,7 +526,7 @@ INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int 
 }
 
 /* Offers the remembered fragments of all levels, RUN texels per work-item; texels between two levels are EMPTY. */
-SCAN __kernel void project_levels(__constant Frame *frame, const int pass, __global const float *levels_depth,
+SCAN __kernel void project_levels(__constant Frame *restrict frame, const int pass, __global const float *levels_depth,
                                   __global const int *levels_px, __global const uchar *levels_state,
                                   __global const uchar *disoccluded, __global const uchar *mixed,
                                   __global const float *depth, __global Key *keys, __global uint *winners) {
@@ -581,8 +581,8 @@ SCAN __kernel void project_levels(__constant Frame *frame, const int pass, __glo
    the winner's surface only: within one texel's side; within two where that catches too little, as in the gaps
    between irregular fragments. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height,
-                           const float z_winner, const float2 side, const float2 center, __constant Frame *frame,
-                           const Texels texels) {
+                           const float z_winner, const float2 side, const float2 center,
+                           __constant Frame *restrict frame, const Texels texels) {
     const int level_width = texels.width;
     float3 sum;
     float weight_sum;
@@ -637,7 +637,7 @@ typedef struct {
 } Before;
 
 /* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before,
+INLINE bool shown_before(const float2 center, const float z, __constant Frame *restrict frame, const Before before,
                          float3 *code) {
     const int width = frame->source_width, height = frame->source_height;
     const float3 px_prev = reproject(center, z, frame->target_to_previous);
@@ -660,7 +660,7 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
 /* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame
    before still showed the surface its color comes from there, at full resolution. Of a makeshift and what is
    remembered, two estimates of one surface, the mean is shown. */
-SCAN __kernel void fill_from_levels(__constant Frame *frame, __global const half *color_prev,
+SCAN __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
                                     __global const float *depth_prev, __global const uchar *state_prev,
                                     __global const half *frame_color, __global const float *frame_depth,
                                     __global const uint *levels_color, __global const float *levels_depth,

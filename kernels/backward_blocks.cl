@@ -1,8 +1,9 @@
 /* Blocks: which parts of the new frame need no splatting (for 'Warping').
 
-   A source block is smooth if predicted positions change linearly over it: all of one surface, nothing that folds.
-   Every source block marks the target blocks that its fragments' footprints reach. A target block is warped backward
-   if all that reach it lie side by side and are smooth: then one surface covers it, and nothing can be before it. */
+   A source block is smooth if predicted positions change linearly over it: strictly if it is all of one surface, else
+   loosely, if its surfaces hardly move apart. Every source block marks the target blocks with pixels that its
+   fragments' footprints cover. A target block is warped backward if all that reach it lie side by side and are smooth:
+   then nothing in it hides or uncovers anything. */
 
 #include "frame.h"
 #include "simd.h"
@@ -11,15 +12,19 @@
 #include "nearest.h"
 
 #define FAR_OFF 0x3FFFFFFF        /* more than any block's coordinate */
+#define MARGIN 2                  /* px around a block that must be linear, too: the taps of cubic resampling */
 #define COLUMNS_MOST 3            /* of source blocks that reach a target block which is warped backward */
 #define ROWS_MOST 4
-#define BEND_MOST 0.001953125f    /* 2^-9 px: by how much a smooth block's positions deviate from linear per pixel */
-#define SHEAR_MOST 0.25f          /* of a smooth block, per source pixel and zoom ... */
-#define STRETCH_LOW 0.5f          /* ... and how it is stretched */
+#define STRICT_MOST 0.03125f /* px: by how much the positions of a smooth block of one surface deviate from linear */
+#define LOOSE_MOST 0.109375f      /* px: the same of a smooth block with several surfaces */
+#define SHEAR_MOST 0.25f /* of a smooth block, per source pixel and zoom ... */
+#define STRETCH_LOW 0.5f /* ... and how it is stretched */
 #define STRETCH_HIGH 2.0f
 /* AFFINE_MOST: 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
 #define AFFINE_MOST 0.0009765625f
 #define ALL_LINKS 15
+#define HALF_LEAST 0.5f /* px: a fragment always covers the pixel that it lands on */
+#define ROUNDING 0.01f /* px: more than the footprint's rounding in warp.cl */
 
 /* Box of target pixels. */
 typedef struct {
@@ -67,8 +72,10 @@ INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
             const Floats x = at.x.here, y = at.y.here;
             const Ints lands = (at.z.here > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)f.target_width + reach)
                                & (y < (float)f.target_height + reach);
-            const Floats half_x = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xx) + fabs(flow.yx)), reach);
-            const Floats half_y = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xy) + fabs(flow.yy)), reach);
+            const Floats wide = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xx) + fabs(flow.yx)), reach);
+            const Floats high = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xy) + fabs(flow.yy)), reach);
+            const Floats half_x = wide_greater(wide, (Floats)(HALF_LEAST)),
+                         half_y = wide_greater(high, (Floats)(HALF_LEAST));
             boxes.x0 = wide_lesser(lands ? x - half_x : far_off, boxes.x0);
             boxes.y0 = wide_lesser(lands ? y - half_y : far_off, boxes.y0);
             boxes.x1 = wide_greater(boxes.x1, lands ? x + half_x : -far_off);
@@ -79,69 +86,85 @@ INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
 
 /* Whether the links of all pixels up to two beyond the block are complete. */
 INLINE bool is_one_surface(const Fragments f, const int x0, const int y0) {
-    if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > f.width || y0 + BLOCK_HEIGHT + 2 > f.height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
 #pragma unroll 1
-    for (int k = -2; k < BLOCK_HEIGHT + 2; ++k) {
+    for (int k = -MARGIN; k < BLOCK_HEIGHT + MARGIN; ++k) {
         __global const uchar *row = f.links + (y0 + k) * f.width + x0;
-        common &= vload8(0, row - 2) & vload8(0, row + 2);
-        if (as_ulong(common) != as_ulong((uchar8)(ALL_LINKS))) return false;
+        common &= vload8(0, row - MARGIN) & vload8(0, row + MARGIN);
     }
-    return true;
+    return as_ulong(common) == as_ulong((uchar8)(ALL_LINKS));
 }
 
-/* Whether positions are linear over the block, within BEND_MOST; then *box is its reach. */
-INLINE bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
-    const float2 zoom = f.zoom;
-    const int row = f.width;
-    const Floats far_off = (Floats)(INFINITY);
-    Boxes boxes = {far_off, far_off, -far_off, -far_off};
-    Ints linear = (Ints)(1) == (Ints)(1);
-    for (int x = x0; x < x0 + BLOCK_WIDTH; x += LANES) {
-        Floats before_x = (Floats)(0.0f), before_y = before_x;
+/* The largest deviation of one coordinate from a linear function of the block's pixels and MARGIN more to each side,
+   which passes through their corners; not a number where a fragment goes nowhere. center: its value at the block's
+   center. along, down: its slopes per pixel. */
+INLINE Floats deviation_from_linear(__global const float *p, const int row, float *center, float *along, float *down) {
+    const int last_x = BLOCK_WIDTH - 1 + MARGIN, last_y = (BLOCK_HEIGHT - 1 + MARGIN) * row;
+    const float a = p[-MARGIN * row - MARGIN], b = p[-MARGIN * row + last_x], c = p[last_y - MARGIN],
+                d = p[last_y + last_x];
+    *center = 0.25f * ((a + d) + (b + c));
+    *along = ((b - a) + (d - c)) * (0.5f / (float)(BLOCK_WIDTH - 1 + 2 * MARGIN));
+    *down = ((c - a) + (d - b)) * (0.5f / (float)(BLOCK_HEIGHT - 1 + 2 * MARGIN));
+    Floats worst = (Floats)(0.0f);
+    /* Eight lanes take twelve columns in two overlapping steps. */
+    for (int x = -MARGIN; x <= BLOCK_WIDTH + MARGIN - LANES; x += LANES == 1 ? 1 : 2 * MARGIN) {
+        const Floats across = *center + *along * (row_centers(x) - 0.5f * (float)BLOCK_WIDTH);
 #pragma unroll
-        for (int k = 0; k < BLOCK_HEIGHT; ++k) {
-            const int src = (y0 + k) * row + x;
-            __global const float *p = f.target_position + src;
-            const Floats here_x = load_floats(0, p), left_x = load_floats(0, p - 1), right_x = load_floats(0, p + 1);
-            const Floats up_x = load_floats(0, p - row), down_x = load_floats(0, p + row);
-            p += f.plane;
-            const Floats here_y = load_floats(0, p), left_y = load_floats(0, p - 1), right_y = load_floats(0, p + 1);
-            const Floats up_y = load_floats(0, p - row), down_y = load_floats(0, p + row);
-            const Floats z = load_floats(0, p + f.plane), z_source = load_floats(0, f.depth + src);
-
-            linear &= (z > 0.0f) & (z_source <= STRETCH_HIGH * z) & (z <= STRETCH_HIGH * z_source);
-            linear &= (fabs((right_x - here_x) - (here_x - left_x)) <= BEND_MOST)
-                      & (fabs((right_y - here_y) - (here_y - left_y)) <= BEND_MOST)
-                      & (fabs((down_x - here_x) - (here_x - up_x)) <= BEND_MOST)
-                      & (fabs((down_y - here_y) - (here_y - up_y)) <= BEND_MOST);
-            const Floats xx = 0.5f * (right_x - left_x), xy = 0.5f * (right_y - left_y);
-            const Floats yx = 0.5f * (down_x - up_x), yy = 0.5f * (down_y - up_y);
-            linear &= (xx >= STRETCH_LOW * zoom.x) & (xx <= STRETCH_HIGH * zoom.x) & (fabs(yx) <= SHEAR_MOST * zoom.x)
-                      & (yy >= STRETCH_LOW * zoom.y) & (yy <= STRETCH_HIGH * zoom.y)
-                      & (fabs(xy) <= SHEAR_MOST * zoom.y);
-            if (k > 0) linear &= (fabs(xx - before_x) <= BEND_MOST) & (fabs(xy - before_y) <= BEND_MOST);
-            before_x = xx;
-            before_y = xy;
-            const Floats half_x = FOOTPRINT_HALF * (fabs(xx) + fabs(yx)),
-                         half_y = FOOTPRINT_HALF * (fabs(xy) + fabs(yy));
-            boxes.x0 = wide_lesser(here_x - half_x, boxes.x0);
-            boxes.y0 = wide_lesser(here_y - half_y, boxes.y0);
-            boxes.x1 = wide_greater(boxes.x1, here_x + half_x);
-            boxes.y1 = wide_greater(boxes.y1, here_y + half_y);
+        for (int y = -MARGIN; y < BLOCK_HEIGHT + MARGIN; ++y) {
+            const Floats linear = across + *down * ((float)y + 0.5f - 0.5f * (float)BLOCK_HEIGHT);
+            worst = wide_greater(worst, fabs(load_floats(0, p + y * row + x) - linear));
         }
-        if (!ALL(linear)) return false;
     }
-    *box = box_of(boxes);
-    return true;
+    return worst;
 }
 
-/* One work-item per source block. smooth: whether it is. reach: the target blocks x0, y0, x1, y1 that it reaches, x1
-   < x0 if none. reached_by: for each target block the extent of the source blocks that reach it, as the largest of
-   FAR_OFF - x, FAR_OFF - y, x + 1, y + 1; of blocks that are not smooth, everything. */
-WIDE __kernel void find_reach(__constant Frame *frame, __global const float *depth, __global const uchar *links,
-                              __global const float *target_position, __global uchar *smooth, __global short4 *reach,
-                              __global int *reached_by) {
+/* Whether depth there and here are near enough for flow.h to trust the slopes. */
+INLINE bool keeps_depth(const Fragments f, const int x0, const int y0) {
+    Ints keeps = (Ints)(1) == (Ints)(1);
+    for (int x = x0; x < x0 + BLOCK_WIDTH; x += LANES)
+#pragma unroll
+        for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
+            const int src = y * f.width + x;
+            const Floats z = load_floats(0, f.target_position + 2 * f.plane + src),
+                         z_source = load_floats(0, f.depth + src);
+            keeps &= (z > 0.0f) & (z_source <= STRETCH_HIGH * z) & (z <= STRETCH_HIGH * z_source);
+        }
+    return ALL(keeps);
+}
+
+/* Whether positions are linear over the block: STRICT, LOOSE, RIGID or 0; if so, *box is its reach. */
+INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
+    if (x0 < MARGIN || y0 < MARGIN || x0 + BLOCK_WIDTH + MARGIN > f.width || y0 + BLOCK_HEIGHT + MARGIN > f.height)
+        return 0;
+    __global const float *p = f.target_position + y0 * f.width + x0;
+    float x, y, xx, xy, yx, yy;
+    const Floats off_x = deviation_from_linear(p, f.width, &x, &xx, &yx);
+    if (!ALL(off_x <= LOOSE_MOST)) return 0;
+    const Floats off_y = deviation_from_linear(p + f.plane, f.width, &y, &xy, &yy);
+    if (!ALL(off_y <= LOOSE_MOST)) return 0;
+    const bool flat = xx >= STRETCH_LOW * f.zoom.x && xx <= STRETCH_HIGH * f.zoom.x && fabs(yx) <= SHEAR_MOST * f.zoom.x
+                      && yy >= STRETCH_LOW * f.zoom.y && yy <= STRETCH_HIGH * f.zoom.y
+                      && fabs(xy) <= SHEAR_MOST * f.zoom.y;
+    if (!flat || !keeps_depth(f, x0, y0)) return 0;
+    const bool strict = ALL((off_x <= STRICT_MOST) & (off_y <= STRICT_MOST)) && is_one_surface(f, x0, y0);
+    const bool rigid = !strict && ALL((off_x <= AFFINE_MOST) & (off_y <= AFFINE_MOST));
+    const float most = strict ? STRICT_MOST : LOOSE_MOST;
+    const float half_x = 0.5f * (float)(BLOCK_WIDTH - 1) * xx + 0.5f * (float)(BLOCK_HEIGHT - 1) * fabs(yx) + most
+                         + fmax(FOOTPRINT_HALF * (xx + fabs(yx)), HALF_LEAST);
+    const float half_y = 0.5f * (float)(BLOCK_WIDTH - 1) * fabs(xy) + 0.5f * (float)(BLOCK_HEIGHT - 1) * yy + most
+                         + fmax(FOOTPRINT_HALF * (fabs(xy) + yy), HALF_LEAST);
+    const Box reach = {x - half_x, y - half_y, x + half_x, y + half_y};
+    *box = reach;
+    return strict ? STRICT : rigid ? RIGID : LOOSE;
+}
+
+/* One work-item per source block. smooth: STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach: the
+   target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for each
+   target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y + 1;
+   of blocks that are not smooth, everything. */
+WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const float *depth,
+                              __global const uchar *links, __global const float *target_position,
+                              __global uchar *smooth, __global short4 *reach, __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments fragments = {.depth = depth,
@@ -158,15 +181,17 @@ WIDE __kernel void find_reach(__constant Frame *frame, __global const float *dep
     if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
-    const bool is_smooth = is_one_surface(fragments, x0, y0) && is_linear(fragments, x0, y0, &box);
+    const int is_smooth = smoothness(fragments, x0, y0, &box);
     if (!is_smooth) box = reach_of(fragments, x0, y0);
     smooth[by * source_blocks + bx] = is_smooth;
     const int target_blocks = block_columns(target_width);
+    const float first_x = ceil(box.x0 - (0.5f + ROUNDING)), first_y = ceil(box.y0 - (0.5f + ROUNDING));
+    const float last_x = floor(box.x1 - (0.5f - ROUNDING)), last_y = floor(box.y1 - (0.5f - ROUNDING));
     int4 reached = (int4)(1, 1, 0, 0);
-    if (box.x1 > 0.0f && box.y1 > 0.0f && box.x0 < (float)target_width && box.y0 < (float)target_height)
-        reached = (int4)((int)fmax(box.x0, 0.0f) / BLOCK_WIDTH, (int)fmax(box.y0, 0.0f) / BLOCK_HEIGHT,
-                         (int)fmin(box.x1, (float)(target_width - 1)) / BLOCK_WIDTH,
-                         (int)fmin(box.y1, (float)(target_height - 1)) / BLOCK_HEIGHT);
+    if (last_x >= 0.0f && last_y >= 0.0f && first_x < (float)target_width && first_y < (float)target_height)
+        reached = (int4)((int)fmax(first_x, 0.0f) / BLOCK_WIDTH, (int)fmax(first_y, 0.0f) / BLOCK_HEIGHT,
+                         (int)fmin(last_x, (float)(target_width - 1)) / BLOCK_WIDTH,
+                         (int)fmin(last_y, (float)(target_height - 1)) / BLOCK_HEIGHT);
     reach[by * source_blocks + bx] = convert_short4(reached);
     const int extent[4] = {FAR_OFF - (is_smooth ? bx : 0), FAR_OFF - (is_smooth ? by : 0), is_smooth ? bx + 1 : FAR_OFF,
                            is_smooth ? by + 1 : FAR_OFF};
@@ -200,10 +225,10 @@ INLINE bool find_source(const float2 center, const int4 extent, const int source
     return false;
 }
 
-/* 1 if fragments go to the positions by the inverse of the flow around the block's center: tested at its upper
-   corners, from which the opposite ones hardly differ; else 0. */
-INLINE float is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
-                       __global const float *target_position) {
+/* Whether fragments go to the positions by the inverse of the flow around the block's center: tested at its upper
+   corners, from which the opposite ones hardly differ. */
+INLINE bool is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
+                      __global const float *target_position) {
     bool affine = true;
     for (int k = 0; k < 2; ++k) {
         const float x = (k ? 0.5f : -0.5f) * (float)(BLOCK_WIDTH - 1), y = -0.5f * (float)(BLOCK_HEIGHT - 1);
@@ -215,13 +240,13 @@ INLINE float is_affine(const float2 center, const float8 source, const int sourc
         affine = affine && fabs(*p - (center.x + x + source.s5 * dx - source.s3 * dy)) <= AFFINE_MOST
                  && fabs(*q - (center.y + y + source.s2 * dy - source.s4 * dx)) <= AFFINE_MOST;
     }
-    return affine ? 1.0f : 0.0f;
+    return affine;
 }
 
 /* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the
    block's reach for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens`
    any. */
-SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const float *target_position,
+SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global const float *target_position,
                                      __global const uchar *smooth, __global int *reached_by,
                                      __global uchar *block_class, __global float8 *block_source, __global uchar *marked,
                                      __global Key *keys, __global uint *winners) {
@@ -236,17 +261,25 @@ SPARSE __kernel void classify_blocks(__constant Frame *frame, __global const flo
                                reached_by[4 * block + 2] - 1, reached_by[4 * block + 3] - 1);
     vstore4((int4)(0), block, reached_by);
     if (softens) marked[block] = 0;
-    bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && extent.x <= extent.z && extent.y <= extent.w
-                    && extent.z - extent.x < COLUMNS_MOST && extent.w - extent.y < ROWS_MOST;
+    bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && (by + 1) * BLOCK_HEIGHT <= target_height
+                    && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < COLUMNS_MOST
+                    && extent.w - extent.y < ROWS_MOST;
+    bool loose = false, rigid = false;
     for (int y = extent.y; backward && y <= extent.w; ++y)
-        for (int x = extent.x; x <= extent.z; ++x) backward = backward && smooth[y * source_blocks + x];
+        for (int x = extent.x; x <= extent.z; ++x) {
+            const uchar of_source = smooth[y * source_blocks + x];
+            backward = backward && of_source;
+            loose = loose || of_source == LOOSE;
+            rigid = rigid || of_source == RIGID;
+        }
     if (backward) {
         float8 source;
         const float2 center =
             (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
         backward = find_source(center, extent, source_width, source_width * source_height, target_position, &source);
         if (backward) {
-            source.s7 = is_affine(center, source, source_width, source_height, target_position);
+            const bool affine = !loose && is_affine(center, source, source_width, source_height, target_position);
+            source.s7 = affine ? (rigid ? FLOW_RIGID : FLOW_AFFINE) : loose || rigid ? FLOW_LOOSE : FLOW_SMOOTH;
             block_source[block] = source;
         }
     }

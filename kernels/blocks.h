@@ -3,7 +3,20 @@
 #define BLOCK_WIDTH 8
 #define BLOCK_HEIGHT 4
 #define SPLATTED 0   /* a target block whose pixels are won by the nearest of the fragments that are splatted there */
-#define BACKWARD 1   /* one whose pixels all show one smooth surface: warped backward */
+#define BACKWARD 1   /* one whose pixels' sources are found by the inverse of the block's flow: warped backward */
+
+/* Of a source block over which positions are linear: it is of one surface; of several, which hardly move apart; of
+   several, which do not. */
+#define STRICT 1
+#define LOOSE 2
+#define RIGID 3
+
+/* Of a target block that is warped backward: it comes from STRICT blocks; so, and the inverse of its flow is exact; the
+   inverse is exact, but some blocks are RIGID; else. */
+#define FLOW_SMOOTH 0.0f
+#define FLOW_AFFINE 1.0f
+#define FLOW_RIGID 2.0f
+#define FLOW_LOOSE 3.0f
 
 INLINE int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
 INLINE int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }

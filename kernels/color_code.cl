@@ -11,7 +11,7 @@ INLINE Texels encode_texels(const Texels c, const float offset) {
 }
 
 /* NaN counts as 0, infinities are clamped. */
-WIDE __kernel void encode_colors(__constant Frame *frame, __global const half *color, __global half *codes) {
+WIDE __kernel void encode_colors(__constant Frame *restrict frame, __global const half *color, __global half *codes) {
     const int width = frame->source_width, src_x = get_global_id(0) * LANES, src_y = get_global_id(1),
               count = width - src_x;
     if (src_x >= width || src_y >= frame->source_height) return;

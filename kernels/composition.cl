@@ -11,8 +11,8 @@
 #define APPROACHES 3  /* of the effects' position to where they come from */
 
 /* Depth without overlays that stay in place: no stage splats, collects or meets them. */
-__kernel void leave_out_fixed(__constant Frame *frame, __global const float *depth, __global const uchar *fixed_mask,
-                              __global float *out_depth) {
+__kernel void leave_out_fixed(__constant Frame *restrict frame, __global const float *depth,
+                              __global const uchar *fixed_mask, __global float *out_depth) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
@@ -59,7 +59,7 @@ INLINE float2 effects_origin(const float2 px, const float alpha, __global const 
     return origin;
 }
 
-__kernel void compose(__constant Frame *frame, const int is_rendered, __global const uchar *fixed_mask,
+__kernel void compose(__constant Frame *restrict frame, const int is_rendered, __global const uchar *fixed_mask,
                       __global const half *effects, __global const float2 *effects_motion, __global const half *ui,
                       __global const half *source_color, __global const float *source_depth, __global const half *color,
                       __global half *out_color, __global float *depth, __global float2 *motion, __global uchar *dynamic,

@@ -45,7 +45,7 @@ INLINE Floats trust(__global const float *differences, const int plane, const Ta
 
 /* Chooses, at a quarter of the resolution, the flow to follow (2), in pixels of half the resolution, how far the trend
    lasts, and how far the focus mask is trusted. */
-WIDE __kernel void choose_flow(__constant Frame *frame, __global const float *judgement,
+WIDE __kernel void choose_flow(__constant Frame *restrict frame, __global const float *judgement,
                                __global const float *candidates, __global const float *differences,
                                __global float *chosen) {
     const int width = frame->network_width / 2, height = frame->network_height / 2, plane = width * height;
@@ -93,7 +93,7 @@ INLINE Floats moved_light(__global const float *frame_now, __global const float 
 
 /* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in
    disocclusions, where a change of light is indistinguishable from another surface. */
-WIDE __kernel void judge(__constant Frame *frame, __global const float *frames, __global const float *trends,
+WIDE __kernel void judge(__constant Frame *restrict frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
                          __global const int *changed, __global float *correction) {
     const int width = frame->network_width, height = frame->network_height, plane = width * height, quarter = plane / 4;
@@ -163,7 +163,7 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that
    within the focus mask, the extrapolated color's own bits where the mask is 0. Output that is not finite counts as
    no mask. `refined` is only stored on request; otherwise a run of pixels without mask is a copy. */
-WIDE __kernel void correct(__constant Frame *frame, const int asked, __global const half *color,
+WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __global const half *color,
                            __global const float *frames, __global const float *correction, __global half *refined,
                            __global half *focus_mask, __global half *out_color) {
     const bool within_mask = asked & WITHIN_MASK, with_refined = asked & WITH_REFINED;

@@ -1,6 +1,7 @@
 /* The frame block: the arguments of kernels for a frame, besides its buffers. gffe_cl/engine/stages/frame_block.py
    reads this struct and fills it for each rendered and each extrapolated frame; `gffe export` makes the same struct
-   in C. The widest types come first: nothing is padded. Where there is no frame before, "previous" is the rendered
+   in C. Kernels take it as `restrict`: CPUs then read it once for all work-items of a group, since no store can change
+   it. The widest types come first: nothing is padded. Where there is no frame before, "previous" is the rendered
    frame itself; what is about the target is 0 while stages work on a rendered frame. */
 
 #include "common.h"
@@ -43,6 +44,7 @@ typedef struct {
     int has_overlays; /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion; /* whether motion is estimated */
+    int entering; /* whether movers that enter through the border go on as they came */
     int camera_fixed; /* whether fragments fixed to the camera are distinguished from movers */
     int positions; /* of history, that are kept */
     int levels; /* of the background */

@@ -1,7 +1,8 @@
 /* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background. A mover's part
    in a disocclusion moves like the dynamic fragments next to it, so its place in the rendered frame is known. The
    warp brought nothing from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface
-   there that is not nearer, the mover has no part there, and the hole is left to the background. RUN pixels without
+   there that is not nearer, the mover has no part there, and the hole is left to the background. A mover that enters
+   through the border of the image has parts that no frame has shown: it is continued to that border. RUN pixels without
    a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
 
 #include "frame.h"
@@ -18,6 +19,7 @@
 
 #define LEAST_REACH 8     /* px, in which movers are looked for ... */
 #define REACH_SHARE 48    /* ... or this part of the target's width */
+#define BORDER_SHARE 8    /* part of the target's width: holes no wider may be those of movers that enter */
 
 /* The new frame, and the depth of the rendered one. */
 typedef struct {
@@ -32,7 +34,8 @@ typedef struct {
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
 /* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
+INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *restrict frame,
+                          const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
@@ -52,7 +55,8 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
    0: none. */
-INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
+INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *restrict frame,
+                          const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
     const int t =
@@ -96,7 +100,7 @@ INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     DirectionInts t;
     DirectionFloats z;
@@ -131,6 +135,30 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame 
     f.filled_by[dst] = BY_HIDDEN_PART;
 }
 
+INLINE int border_reach(__constant Frame *restrict frame) { return frame->target_width / BORDER_SHARE; }
+
+/* Fills a hole at the border with the mover that follows straight inward, if that one came from outside of the rendered
+   image there. */
+INLINE void fill_entering(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f) {
+    const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
+    const int from_x = min(dst_x, width - 1 - dst_x), from_y = min(dst_y, height - 1 - dst_y);
+    const int2 d = from_x <= from_y ? (int2)(2 * dst_x < width ? 1 : -1, 0) : (int2)(0, 2 * dst_y < height ? 1 : -1);
+    const int offset = d.y * width + d.x, reach = border_reach(frame);
+    const int most = steps_within(reach, d, dst_x, dst_y, width, height);
+    if (min(from_x, from_y) >= reach) return;
+    int t = 1;
+    while (t <= most && f.disoccluded[dst + t * offset]) ++t;
+    if (t > most || !f.is_dynamic[dst + t * offset]) return;
+    const float2 px_source = moves_along(dst_x + t * d.x, dst_y + t * d.y, -t * d, frame, f);
+    const float along = d.x ? px_source.x : px_source.y;
+    const float end = (float)(d.x ? frame->source_width : frame->source_height);
+    if (d.x + d.y > 0 ? !(along < 0.0f) : !(along >= end)) return;
+    store_code(load_code(f.color, dst + t * offset, frame->code_offset), f.color, dst, frame->code_offset);
+    f.depth[dst] = f.depth[dst + t * offset];
+    f.motion[dst] = px_source - pixel_center(dst_x, dst_y);
+    f.filled_by[dst] = BY_HIDDEN_PART;
+}
+
 /* Whether nothing within `reach` of RUN pixels in the rows from first_y to last_y is dynamic. */
 INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width,
                           const int height, __global const uchar *is_dynamic) {
@@ -143,7 +171,7 @@ INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y
 }
 
 /* RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const float *source_depth,
+SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global const float *source_depth,
                                      __global const uchar *block_class, __global const uchar *disoccluded,
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by) {
@@ -157,16 +185,23 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *frame, __global const flo
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
     if (first_x >= target_width || (int)get_global_id(1) * LANES >= target_height) return;
-    bool looked = false;
+    const int near = border_reach(frame);
+    bool looked = false, moves = false;
     for (int dst_y = (int)get_global_id(1) * LANES; dst_y < end_y; ++dst_y) {
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         const int first = dst_y * target_width + first_x;
         if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;
-        if (!looked
-            && nothing_moves(first_x, dst_y, end_y - 1, reach_of(frame), target_width, target_height, is_dynamic))
-            return;
+        if (!looked)
+            moves = !nothing_moves(first_x, dst_y, end_y - 1, reach_of(frame), target_width, target_height, is_dynamic);
         looked = true;
-        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
-            if (disoccluded[dst_y * target_width + dst_x]) fill_hidden_part(dst_x, dst_y, frame, images);
+        const bool at_border =
+            frame->entering
+            && (first_x < near || first_x + RUN > target_width - near || dst_y < near || dst_y >= target_height - near);
+        for (int dst_x = first_x; (moves || at_border) && dst_x < min(first_x + RUN, target_width); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (!disoccluded[dst]) continue;
+            if (at_border) fill_entering(dst_x, dst_y, frame, images);
+            if (moves && filled_by[dst] != BY_HIDDEN_PART) fill_hidden_part(dst_x, dst_y, frame, images);
+        }
     }
 }

@@ -37,9 +37,9 @@ INLINE float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
-INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *frame, __global const float *depth,
-                            __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x,
-                            Floats *mv_y) {
+INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *restrict frame,
+                            __global const float *depth, __global const float2 *motion, Floats *residual_x,
+                            Floats *residual_y, Floats *mv_x, Floats *mv_y) {
     const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
     const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
@@ -180,7 +180,7 @@ INLINE void take_counts(__local int *counts, const int count, __global int *pend
 
 /* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a
    short distance, and, of every fourth of these pixels, of the steps of motion over that distance. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void count_histograms(__constant Frame *frame,
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void count_histograms(__constant Frame *restrict frame,
                                                                                        __global const float *depth,
                                                                                        __global const float2 *motion,
                                                                                        __global int *pending) {
@@ -236,7 +236,7 @@ INLINE float excess_threshold_squared(__local const int *histogram) {
 
 /* Histograms of the squared excess of residuals over errors of quantization, of one and of two vectors. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-count_excess(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
+count_excess(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
              __global const float *motion_steps, __global int *pending) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
@@ -352,7 +352,7 @@ typedef struct {
 } Frames;
 
 /* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame. */
-INLINE void find_history(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
+INLINE void find_history(const int src_x, const int src_y, __constant Frame *restrict frame, const Frames f) {
     const int source_width = frame->source_width, plane = source_width * frame->source_height;
     const int src = src_y * source_width + src_x, positions = frame->positions;
     const Reprojection to_previous = frame->to_previous, from_previous = frame->from_previous;
@@ -408,7 +408,7 @@ INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x,
 }
 
 /* Whether such a fragment is: the frame before shows its surface there, no nearer and no farther. */
-INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
+INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *restrict frame, const Frames f) {
     const int src = src_y * frame->source_width + src_x;
     const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     const int x = clamp((int)floor(px_prev.x), 0, frame->source_width - 1);
@@ -418,11 +418,11 @@ INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, 
 
 /* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
    0) where P_i is unknown. Static fragments only take the test. */
-WIDE __kernel void track_history(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
-                                 __global const float *depth_prev, __global const uchar *dynamic_prev,
-                                 __global const float4 *history_prev, __global const float *threshold_squared,
-                                 __global const float *quantization_error, __global uchar *dynamic_mask,
-                                 __global float *met_depth, __global float4 *history) {
+WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
+                                 __global const float2 *motion, __global const float *depth_prev,
+                                 __global const uchar *dynamic_prev, __global const float4 *history_prev,
+                                 __global const float *threshold_squared, __global const float *quantization_error,
+                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history) {
     const Frames frames = {.depth = depth,
                            .motion = motion,
                            .depth_prev = depth_prev,

@@ -117,7 +117,7 @@ INLINE float3 static_source(const int dst_x, const int dst_y, const float invers
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
-INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *source_color) {
+INLINE float3 border_code(const float2 px_source, __constant Frame *restrict frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
                 y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
@@ -137,7 +137,7 @@ INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
 }
 
 /* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
-INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame,
+INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *restrict frame,
                         __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
     const float3 border = border_code(px_source.xy, frame, source_color);
@@ -146,7 +146,7 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 
 /* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows
    there. */
-INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
+INLINE bool can_be_at(const float3 px_source, __constant Frame *restrict frame, __global const float *source_depth) {
     const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
@@ -180,7 +180,8 @@ INLINE int surface_behind(const Border *a, const int behind) {
    continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
    theirs, those close by count most. Else it is a disocclusion, and shows the surface behind it. Gives (color,
    inverse depth); false where no direction meets a valid pixel. */
-INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
+INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f,
+                             float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     Border a;
     find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth, &a);
@@ -224,7 +225,7 @@ INLINE float weight_of_far_side(const Border *a, const int far, const float3 mea
 
 /* Mixes the background's fills with the far side. A surface's remembered color may be out of date, so the weighted
    mean with the present color beside it is shown. RUN pixels per work-item. */
-SCAN __kernel void mix_far_side(__constant Frame *frame, __global const uchar *disoccluded,
+SCAN __kernel void mix_far_side(__constant Frame *restrict frame, __global const uchar *disoccluded,
                                 __global const uchar *filled_by, __global const float *depth, __global half *color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
@@ -248,7 +249,7 @@ SCAN __kernel void mix_far_side(__constant Frame *frame, __global const uchar *d
 /* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */
 
 /* Mean (color, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
-__kernel void push_image(__constant Frame *frame, __global const uchar *filled_by, __global const half *color,
+__kernel void push_image(__constant Frame *restrict frame, __global const uchar *filled_by, __global const half *color,
                          __global const float *depth, __global float4 *mean, __global float *weight) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int level_width = level_side(frame->target_width, 1), level_height = level_side(frame->target_height, 1);
@@ -271,7 +272,7 @@ __kernel void push_image(__constant Frame *frame, __global const uchar *filled_b
 }
 
 /* Adds up from one level to the next; weights add up to at most 1. */
-__kernel void push_level(__constant Frame *frame, const int level, __global const float4 *fine_mean,
+__kernel void push_level(__constant Frame *restrict frame, const int level, __global const float4 *fine_mean,
                          __global const float *fine_weight, __global float4 *mean, __global float *weight) {
     const int fine_width = level_side(frame->target_width, level - 1);
     const int fine_height = level_side(frame->target_height, level - 1);
@@ -308,7 +309,7 @@ INLINE float4 upsampled(const int x, const int y, const int level_width, const i
 }
 
 /* Completes a level, in place, where it is not full, from the coarser one. */
-__kernel void pull_level(__constant Frame *frame, const int level, __global const float4 *coarse_mean,
+__kernel void pull_level(__constant Frame *restrict frame, const int level, __global const float4 *coarse_mean,
                          __global float4 *mean, __global const float *weight) {
     const int level_width = level_side(frame->target_width, level),
               level_height = level_side(frame->target_height, level);
@@ -327,8 +328,8 @@ __kernel void pull_level(__constant Frame *frame, const int level, __global cons
 
 /* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image
    (static_source). */
-INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame,
-                            const Images f) {
+INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth,
+                            __constant Frame *restrict frame, const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
     const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
     f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
@@ -337,7 +338,8 @@ INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float invers
 }
 
 /* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
-INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *frame, const Images f) {
+INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *restrict frame,
+                       const Images f) {
     fill_geometry(dst_x, dst_y, mean.w, frame, f);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
@@ -345,7 +347,7 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 #define BEYOND_REACH -1.0f /* depth of pixels that have no far side within reach, until they are filled */
 
 /* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
-SCAN __kernel void fill_far_side(__constant Frame *frame, __global const uchar *block_class,
+SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
                                  __global half *color, __global float *depth, __global float2 *motion) {
@@ -409,7 +411,7 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
 
 /* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the
    rendered frame. */
-INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f,
+INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *restrict frame, const Images f,
                         float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
@@ -432,7 +434,7 @@ INLINE bool asks(const int dst, const Tile tile, const Images f) {
 }
 
 /* Fills a pixel from the four texels around it; out of screen, after the far side, with the image's border too. */
-INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *frame,
+INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *restrict frame,
                                 const Images f) {
     float2 between;
     const int2 first = first_texel(dst_x, dst_y, &between);
@@ -454,7 +456,7 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
 /* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they
    need as asked for. */
 INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile,
-                        __constant Frame *frame, const Images f) {
+                        __constant Frame *restrict frame, const Images f) {
     for (int run_x = first_x; run_x < end_x; run_x += RUN) {
         const int run = dst_y * frame->target_width + run_x;
         if (run_x + RUN <= end_x && !run_has(f.filled_by + run, BY_HOLE_FILLING)) continue;
@@ -476,7 +478,7 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
    texels: it sums up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who
    wants to look at them. */
 SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-fill_from_downsampled(__constant Frame *frame, const int after_far_side, __global const uchar *filled_by,
+fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side, __global const uchar *filled_by,
                       __global const half *source_color, __global const float *source_depth, __global half *color,
                       __global float *depth, __global float2 *motion, __global float4 *downsampled_color,
                       __global float *downsampled_inverse_depth) {
@@ -544,7 +546,7 @@ fill_from_downsampled(__constant Frame *frame, const int after_far_side, __globa
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */
-__kernel void fill_from_pyramid(__constant Frame *frame, __global const uchar *filled_by,
+__kernel void fill_from_pyramid(__constant Frame *restrict frame, __global const uchar *filled_by,
                                 __global const float4 *level_mean, __global half *color, __global float *depth,
                                 __global float2 *motion) {
     const Images images = {.filled_by = filled_by, .color = color, .depth = depth, .motion = motion};

@@ -61,6 +61,14 @@ INLINE uint winner_of(__global const Key *keys, __global const uint *winners, co
 #endif
 }
 
+INLINE uint depth_bits_of(__global const Key *keys, const int c) {
+#ifdef INT64_ATOMICS
+    return (uint)(keys[c] >> 32);
+#else
+    return keys[c];
+#endif
+}
+
 #ifdef LANES
 /* winner_of LANES pixels from c on. */
 INLINE Uints load_winners(__global const Key *keys, __global const uint *winners, const int c) {

@@ -13,7 +13,8 @@
 #define MAX_INVERSE_DEPTH 8.0f
 
 /* Counts how often each bin of finite depth occurs in some of the rows. */
-WIDE __kernel void depth_histogram(__constant Frame *frame, __global const float *depth, __global uint *histogram) {
+WIDE __kernel void depth_histogram(__constant Frame *restrict frame, __global const float *depth,
+                                   __global uint *histogram) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
     if (dst_x >= target_width) return;
@@ -92,11 +93,12 @@ INLINE void store_colors(const Products products, const float4 law, const int pl
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-WIDE __kernel void network_input(__constant Frame *frame, __global const half *color, __global const float *depth,
-                                 __global const float2 *out_motion, __global const uchar *is_dynamic,
-                                 __global const uchar *disoccluded, __global const float2 *motion,
-                                 __global const half *color_prev, __global const float *depth_prev,
-                                 __global const float *median_depth, __global float *planes) {
+WIDE __kernel void network_input(__constant Frame *restrict frame, __global const half *color,
+                                 __global const float *depth, __global const float2 *out_motion,
+                                 __global const uchar *is_dynamic, __global const uchar *disoccluded,
+                                 __global const float2 *motion, __global const half *color_prev,
+                                 __global const float *depth_prev, __global const float *median_depth,
+                                 __global float *planes) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int network_width = frame->network_width, network_height = frame->network_height;

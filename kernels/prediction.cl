@@ -1,14 +1,19 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
    through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed to the
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
-   to in the frame before, at the depth met there. The trusted part of a mover's acceleration (acceleration.cl) is
-   added to the linear prediction. */
+   to in the frame before, at the depth met there. Where a mover enters through the border of the image that depth
+   changes as it does for the mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration
+   (acceleration.cl) is added to the linear prediction. */
 
 #include "frame.h"
 #include "simd.h"
 #include "mover_grid.h"
 
 #define NOWHERE -1.0e9f  /* px: far off any image */
+#define ENTERS_FROM 0.5f /* of the image's width: motion vectors from farther outside are not believed */
+#define INWARD_STEP 4    /* px: between fragments that are looked at from the border inward ... */
+#define INWARD_STEPS 60
+#define ONE_MOVER 0.1f   /* relative change of depth between them, within which they are of one mover */
 
 /* The rendered frame, and the known motion of its fragments; `velocity` and `bend` are of the movers' grid. */
 typedef struct {
@@ -21,12 +26,36 @@ typedef struct {
 } Tracked;
 
 /* Displacement of a fragment by acceleration after alpha intervals. */
-INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
+INLINE float3 bent(const int cell, __constant Frame *restrict frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
+/* The depth in the frame before of a dynamic fragment that was at px_prev, outside of that frame's image; 0: it was
+   inside, or so far out that its motion is not believed. It is the fragment's own depth times the ratio that the
+   nearest known fragment of its mover has, straight inward from that border; of a static surface without any. */
+INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, __constant Frame *restrict frame,
+                            const Tracked f) {
+    const int width = frame->source_width, height = frame->source_height, src = src_y * width + src_x;
+    const float out_x = fmax(-px_prev.x, px_prev.x - (float)width), out_y = fmax(-px_prev.y, px_prev.y - (float)height);
+    const float out = fmax(out_x, out_y), most = ENTERS_FROM * (float)width;
+    if (!(out > 0.0f && out <= most) || isnan(out_x) || isnan(out_y)) return 0.0f;
+    const int dx = out_x < out_y ? 0 : px_prev.x < 0.0f ? 1 : -1, dy = out_x < out_y ? (px_prev.y < 0.0f ? 1 : -1) : 0;
+    const float z = f.depth[src];
+    float z_before = z;
+    for (int k = 1; k <= INWARD_STEPS; ++k) {
+        const int x = src_x + k * INWARD_STEP * dx, y = src_y + k * INWARD_STEP * dy, i = y * width + x;
+        if (!inside(x, y, width, height) || f.dynamic_mask[i] != DYNAMIC) break;
+        const float z_there = f.depth[i];
+        if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before)) break;
+        if (f.met_depth[i] > 0.0f) return z * divide(f.met_depth[i], z_there);
+        z_before = z_there;
+    }
+    const float z_static = reproject(pixel_center(src_x, src_y), z, frame->to_previous).z;
+    return z_static > 0.0f ? z_static : 0.0f;
+}
+
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *frame, const Tracked f) {
+INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *restrict frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
@@ -38,7 +67,10 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
     const float3 p0 = unproject(pixel_center(src_x, src_y), z, frame->to_target.source_inverse);
     if (f.dynamic_mask[src] == FIXED_TO_CAMERA) return (float3)(project(p0, frame->to_target.target), z);
     const int order = frame->order;
-    int known = order > 0 && f.met_depth[src] > 0.0f;
+    const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
+    float met = f.met_depth[src];
+    if (frame->entering && !(met > 0.0f)) met = entering_depth(src_x, src_y, px_prev, frame, f);
+    int known = order > 0 && met > 0.0f;
     while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
     float8 weights = frame->polynomial[0];
 #pragma unroll
@@ -47,8 +79,7 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
     const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
     float3 predicted = p0;
     if (known > 0) {
-        const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
-        const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
+        const float3 p1_prev = unproject(px_prev, met, frame->from_previous.source_inverse);
         const int cell = mover_cell_of(src_x, src_y, frame->source_width);
         const bool of_cell = frame->bends && is_of_cell(z, f.velocity[cell].w);
         if (of_cell && is_trusted(f.view_velocity[cell])) {  /* the camera carries it */
@@ -66,7 +97,7 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
 }
 
 /* target_position: planes of x, y and depth. */
-WIDE __kernel void predict_positions(__constant Frame *frame, __global const float *depth,
+WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
                                      __global const float4 *velocity, __global const uint2 *bend,

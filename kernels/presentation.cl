@@ -20,7 +20,7 @@ INLINE float2 mapped(const float2 px, const float4 mapping) { return px * mappin
 
 /* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between. Beyond the image its
    border is repeated. */
-__kernel void present_color(__constant Frame *frame, __global const uint2 *color, __global half *out_color) {
+__kernel void present_color(__constant Frame *restrict frame, __global const uint2 *color, __global half *out_color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const float4 to_render = frame->to_render;
@@ -55,8 +55,8 @@ __kernel void present_color(__constant Frame *frame, __global const uint2 *color
 
 /* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface
    was on the previous display. */
-__kernel void present_geometry(__constant Frame *frame, __global const float *depth, __global const float2 *motion,
-                               __global float *out_depth, __global float2 *out_motion) {
+__kernel void present_geometry(__constant Frame *restrict frame, __global const float *depth,
+                               __global const float2 *motion, __global float *out_depth, __global float2 *out_motion) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const float4 to_render = frame->to_render;

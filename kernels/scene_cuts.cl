@@ -66,7 +66,7 @@ INLINE void compare_depth(const float2 px_prev, const float expected, const int 
 
 /* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; it has passed nearer surfaces. */
 __kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1))) void
-compare_samples(__constant Frame *frame, __global const half *color, __global const float *depth,
+compare_samples(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
                 __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
                 __global int *counts) {
     const int source_width = frame->source_width, source_height = frame->source_height;

@@ -10,11 +10,12 @@
 
 /* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from
    warped_previous.h. */
-WIDE __kernel void prepare_inputs(__constant Frame *frame, __global const half *color, __global const float *depth,
-                                  __global const float2 *out_motion, __global const uchar *is_dynamic,
-                                  __global const uchar *disoccluded, __global const float2 *motion,
-                                  __global const half *color_prev, __global const float *depth_prev,
-                                  __global half *warped_previous, __global half *input_mask) {
+WIDE __kernel void prepare_inputs(__constant Frame *restrict frame, __global const half *color,
+                                  __global const float *depth, __global const float2 *out_motion,
+                                  __global const uchar *is_dynamic, __global const uchar *disoccluded,
+                                  __global const float2 *motion, __global const half *color_prev,
+                                  __global const float *depth_prev, __global half *warped_previous,
+                                  __global half *input_mask) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous;

@@ -21,7 +21,7 @@
 #define CANDIDATES 16
 
 /* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2). */
-WIDE __kernel void halve_frames(__constant Frame *frame, __global const float *frames, __global float *colors,
+WIDE __kernel void halve_frames(__constant Frame *restrict frame, __global const float *frames, __global float *colors,
                                 __global float *brightness) {
     const int fine = frame->network_width, width = fine / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
@@ -38,7 +38,7 @@ WIDE __kernel void halve_frames(__constant Frame *frame, __global const float *f
 }
 
 /* Makes both frames' brightness at `level`, from the level above. */
-WIDE __kernel void halve_brightness(__constant Frame *frame, const int level, __global const float *fine,
+WIDE __kernel void halve_brightness(__constant Frame *restrict frame, const int level, __global const float *fine,
                                     __global float *brightness) {
     const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
@@ -49,7 +49,7 @@ WIDE __kernel void halve_brightness(__constant Frame *frame, const int level, __
 }
 
 /* The flow at `level` to begin with, from that of the level below. */
-WIDE __kernel void double_flow(__constant Frame *frame, const int level, __global const float *coarse,
+WIDE __kernel void double_flow(__constant Frame *restrict frame, const int level, __global const float *coarse,
                                __global float *flow) {
     const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1);
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, plane = width * height;
@@ -62,7 +62,7 @@ WIDE __kernel void double_flow(__constant Frame *frame, const int level, __globa
 }
 
 /* The previous frame's brightness at `level`, moved along the flow. */
-WIDE __kernel void warp_brightness(__constant Frame *frame, const int level, __global const float *brightness,
+WIDE __kernel void warp_brightness(__constant Frame *restrict frame, const int level, __global const float *brightness,
                                    __global const float *flow, __global float *warped) {
     const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
@@ -83,7 +83,7 @@ INLINE Floats both_at(__global const float *now, __global const float *warped, c
 }
 
 /* Makes the means over 2x2 pixels of products of gradients and differences: xx, xy, yy, xr, yr. */
-WIDE __kernel void sum_products(__constant Frame *frame, const int level, __global const float *brightness,
+WIDE __kernel void sum_products(__constant Frame *restrict frame, const int level, __global const float *brightness,
                                 __global const float *warped, __global float *products) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), cells_width = width / 2,
@@ -126,7 +126,7 @@ INLINE Floats mean_around(__global const float *plane, const int width, const in
 }
 
 /* One step of the flow at `level`, by least squares. */
-WIDE __kernel void step_flow(__constant Frame *frame, const int level, __global const float *products,
+WIDE __kernel void step_flow(__constant Frame *restrict frame, const int level, __global const float *products,
                              __global float *flow) {
     const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1),
               plane = width * height;
@@ -147,7 +147,7 @@ WIDE __kernel void step_flow(__constant Frame *frame, const int level, __global 
 
 /* Makes squared differences at level 2: means over 2x2 pixels of level 1 of the brightness of both frames, in place and
    along the flow; and of its change from the previous interval's, in place and along the flow. */
-WIDE __kernel void sum_differences(__constant Frame *frame, __global const float *brightness,
+WIDE __kernel void sum_differences(__constant Frame *restrict frame, __global const float *brightness,
                                    __global const float *warped, __global const float *coarser,
                                    __global const float *flow, __global const float *trends, __global float *products) {
     const int fine = frame->network_width / 2, width = fine / 2, height = frame->network_height / 4,
@@ -176,7 +176,7 @@ WIDE __kernel void sum_differences(__constant Frame *frame, __global const float
 }
 
 /* Blurs the squared differences. */
-WIDE __kernel void blur_differences(__constant Frame *frame, __global const float *products,
+WIDE __kernel void blur_differences(__constant Frame *restrict frame, __global const float *products,
                                     __global float *differences) {
     const int width = frame->network_width / 4, height = frame->network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
@@ -206,7 +206,7 @@ INLINE void know_trends(__global const float *trends, const int plane, Floats *k
    difference in place and along the flow, and their ratio; change of color along the flow until t + alpha (3);
    trends (3) and the mean of the earlier one; difference of brightness; agreement of the trends; their share of
    valid samples; alpha. */
-WIDE __kernel void find_candidates(__constant Frame *frame, __global const float *colors,
+WIDE __kernel void find_candidates(__constant Frame *restrict frame, __global const float *colors,
                                    __global const float *brightness, __global const float *flow,
                                    __global const float *differences, __global const float *trends,
                                    __global float *candidates) {

@@ -42,7 +42,7 @@ INLINE Floats factor_of(const Floats now, const Floats before, const Ints known,
 }
 
 /* The change of the pixels (x, y). */
-INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const Frames f, Change *c) {
+INLINE void change_at(const Ints x, const int y, __constant Frame *restrict frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
     const Ints in_image = (x < width) & ((Ints)(y) < height);
@@ -79,10 +79,10 @@ INLINE Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | 
 
 /* Planes of the summed change of encoded color of a cell's samples, and of the share that is known, over the number
    of samples; and how many samples move or change by more than noise. */
-WIDE __kernel void measure_changes(__constant Frame *frame, __global const half *color, __global const float *depth,
-                                   __global const uchar *dynamic_mask, __global const half *color_prev,
-                                   __global const float *depth_prev, __global float *changes,
-                                   __global uchar *changed_samples) {
+WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global const half *color,
+                                   __global const float *depth, __global const uchar *dynamic_mask,
+                                   __global const half *color_prev, __global const float *depth_prev,
+                                   __global float *changes, __global uchar *changed_samples) {
     const Frames frames = {.color = color,
                            .depth = depth,
                            .dynamic_mask = dynamic_mask,
@@ -117,7 +117,7 @@ WIDE __kernel void measure_changes(__constant Frame *frame, __global const half 
 
 /* Whether more than a FEW samples change in any tile of TILE x TILE cells. One work-group. */
 __kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void
-find_change(__constant Frame *frame, __global const uchar *changed_samples, __global int *changed) {
+find_change(__constant Frame *restrict frame, __global const uchar *changed_samples, __global int *changed) {
     const int part = get_local_id(0), cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int columns = (cells_width + TILE - 1) / TILE, rows = (cells_height + TILE - 1) / TILE;
     __local int found[SCANNERS];
@@ -137,7 +137,7 @@ find_change(__constant Frame *frame, __global const uchar *changed_samples, __gl
 
 /* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond
    the image there is nothing. */
-__kernel void blur_rows(__constant Frame *frame, __global const float *changes, __global float *blurred) {
+__kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
@@ -152,7 +152,7 @@ __kernel void blur_rows(__constant Frame *frame, __global const float *changes, 
 }
 
 /* Blurs along columns, and takes the mean of known values. */
-__kernel void find_trend(__constant Frame *frame, __global const float *blurred, __global float *trend) {
+__kernel void find_trend(__constant Frame *restrict frame, __global const float *blurred, __global float *trend) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
@@ -201,9 +201,9 @@ INLINE Floats trend_at(__global const float *plane, const Cells *c) {
 
 /* The trends of the last two intervals, continued to t + alpha, each looked up at the static surface's position
    then, and the valid share of the last one; and the change of brightness nearby in the interval before. */
-WIDE __kernel void carry_trends(__constant Frame *frame, __global const float *depth, __global const float *trend,
-                                __global const float *trend_prev, __global const float *changes_prev,
-                                __global float *trends) {
+WIDE __kernel void carry_trends(__constant Frame *restrict frame, __global const float *depth,
+                                __global const float *trend, __global const float *trend_prev,
+                                __global const float *changes_prev, __global float *trends) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int width = frame->network_width / 2, height = frame->network_height / 2;
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;

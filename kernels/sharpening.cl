@@ -17,7 +17,7 @@ INLINE Floats luma_of(const Strip *s) {
     return 0.25f * (c[0] + c[2]) + 0.5f * c[1];
 }
 
-WIDE __kernel void sharpen(__constant Frame *frame, __global const half *color, __global half *out_color) {
+WIDE __kernel void sharpen(__constant Frame *restrict frame, __global const half *color, __global half *out_color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float upscale_sharpening = frame->upscale_sharpening;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;

@@ -162,9 +162,11 @@ INLINE void mark_around(const float2 px, const int width, const int height, __gl
     }
 }
 
-/* Finds which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's
-   `share` of the pixel. Marks the target blocks where they go; they come unmarked. */
-WIDE __kernel void find_layers(__constant Frame *frame, __global const float *depth, __global const uchar *links,
+/* Finds which layer each pixel belongs to, outside of smooth blocks, in which nothing moves apart; where it does, the
+   color of the far layer, `behind`, and the near one's `share` of the pixel. Marks the target blocks where they go;
+   they come unmarked. */
+WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const float *depth,
+                               __global const uchar *links, __global const uchar *smooth,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked) {
     const int source_width = frame->source_width, source_height = frame->source_height;
@@ -183,6 +185,7 @@ WIDE __kernel void find_layers(__constant Frame *frame, __global const float *de
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     Floats shares = 0.0f;
     Floats colors[3] = {0.0f, 0.0f, 0.0f};
+    if (ANY(part) && smooth[block_of(src_x, src_y, source_width)]) part = (Ints)(0);
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
@@ -429,11 +432,12 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
 
 /* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share.
    Unmarked blocks are skipped. */
-WIDE __kernel void soften(__constant Frame *frame, __global const uchar *marked, __global const float *target_position,
-                          __global const half *codes, __global const uchar *layer, __global const uint *behind,
-                          __global const uchar *share, __global const half *color, __global const float *depth,
-                          __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
-                          __global uchar *coverage, __global uint *softened) {
+WIDE __kernel void soften(__constant Frame *restrict frame, __global const uchar *marked,
+                          __global const float *target_position, __global const half *codes,
+                          __global const uchar *layer, __global const uint *behind, __global const uchar *share,
+                          __global const half *color, __global const float *depth, __global const float2 *motion,
+                          __global const uchar *filled_by, __global const uchar *mixed, __global uchar *coverage,
+                          __global uint *softened) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
@@ -483,8 +487,8 @@ WIDE __kernel void soften(__constant Frame *frame, __global const uchar *marked,
 }
 
 /* The new colors go to the frame, RUN pixels per work-item. */
-SCAN __kernel void apply_softened(__constant Frame *frame, __global const uchar *marked, __global const uchar *coverage,
-                                  __global const uint *softened, __global half *color) {
+SCAN __kernel void apply_softened(__constant Frame *restrict frame, __global const uchar *marked,
+                                  __global const uchar *coverage, __global const uint *softened, __global half *color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;

@@ -126,7 +126,7 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
 
 /* Writes, for each rendered pixel, where its surroundings were, and the distance of its color from the history there.
  */
-WIDE __kernel void compare(__constant Frame *frame, __global const half *color, __global const float *depth,
+WIDE __kernel void compare(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
                            __global const float2 *motion, __global const float *previous_depth,
                            __global const half *history, __global half *out_compressed, __global float2 *out_dilated,
                            __global half *out_surprise) {
@@ -201,8 +201,8 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
 
 /* Colors around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
    which is compensated; the rest is its error. */
-WIDE __kernel void survey(__constant Frame *frame, __global const half *compressed, __global const half *surprise,
-                          __global half *out_mean, __global half *out_deviation) {
+WIDE __kernel void survey(__constant Frame *restrict frame, __global const half *compressed,
+                          __global const half *surprise, __global half *out_mean, __global half *out_deviation) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (x >= source_width || y >= source_height) return;
@@ -270,7 +270,7 @@ typedef struct {
 
 /* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around
    `src`, within their colors; less where it moved, from there to `px`. `seen`: by depth. */
-INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, const Ints known,
+INLINE void recall(__constant Frame *restrict frame, const Past past, const Floats *px, const Ints known,
                    const Floats *px_previous, const Ints src, const Floats seen, Recalled *r) {
     const int width = frame->target_width, height = frame->target_height;
     const Floats at_x = known ? px_previous[0] : (Floats)(0.0f), at_y = known ? px_previous[1] : (Floats)(0.0f);
@@ -290,10 +290,10 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
 }
 
 /* The rendered frame into the history. */
-WIDE __kernel void accumulate(__constant Frame *frame, __global const half *compressed, __global const float2 *dilated,
-                              __global const half *mean, __global const half *deviation, __global const half *history,
-                              __global const uchar *lock, __global half *out_history, __global uchar *out_lock,
-                              __global uchar *rejected) {
+WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const half *compressed,
+                              __global const float2 *dilated, __global const half *mean, __global const half *deviation,
+                              __global const half *history, __global const uchar *lock, __global half *out_history,
+                              __global uchar *out_lock, __global uchar *rejected) {
     const Past past = {mean, deviation, history, lock};
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
@@ -351,7 +351,7 @@ WIDE __kernel void accumulate(__constant Frame *frame, __global const half *comp
 
 /* A generated frame: the history where its own fragments are seen, with the change by shading correction; else its own
    color. */
-WIDE __kernel void generate(__constant Frame *frame, const int corrected, __global const float *depth,
+WIDE __kernel void generate(__constant Frame *restrict frame, const int corrected, __global const float *depth,
                             __global const float2 *motion, __global const uchar *disoccluded, __global const half *gae,
                             __global const half *color, __global const half *history, __global half *out_color) {
     const int target_width = frame->target_width, target_height = frame->target_height;

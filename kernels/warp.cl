@@ -117,7 +117,7 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
 }
 
 /* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. */
-WIDE __kernel void splat(__constant Frame *frame, const int pass, __global const float *depth,
+WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const uchar *links, __global const float *target_position,
                          __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
                          __global uint *winners) {
@@ -409,11 +409,11 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     }
 }
 
-/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`; `smooth`: in blocks
-   without silhouettes. */
+/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`. `smooth`: those in blocks
+   where nothing moves apart, `strict`: all are in such of one surface. */
 typedef struct {
-    Ints x, y, use;
-    bool smooth;
+    Ints x, y, use, smooth;
+    bool strict;
 } WideWinners;
 
 /* resolve_pixel of LANES pixels. Gives the lanes that are done: those in use that stay where they are at
@@ -434,13 +434,14 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     /* Their flow; those beside a silhouette that may step off it are left to `resolve_pixel`. */
     WideFlow f;
     Ints done = won.use;
-    if (won.smooth) {
+    const bool all_smooth = ALL(won.smooth | !won.use);
+    if (won.strict) {
         smooth_flow(at, &f);
     } else {
         Cross depth;
         load_cross(from.depth, from.width, places, &depth);
         wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
-        done &= stays(at, depth, f);
+        if (!all_smooth) done &= won.smooth | stays(at, depth, f);
     }
 
     /* The place within each fragment that lands on the pixel's center. */
@@ -453,7 +454,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     /* The taps around that place. */
     Samples samples;
     samples_at(src, dx, dy, from.width, &samples);
-    if (!won.smooth) samples.alike = taps_alike(from, at, src, floor(dx), floor(dy), f);
+    if (!all_smooth) samples.alike = won.smooth ? samples.alike : taps_alike(from, at, src, floor(dx), floor(dy), f);
 
     /* The pixel: depth, motion, labels, color. */
     const Floats out_z = z + f.xz * dx + f.yz * dy;
@@ -476,6 +477,15 @@ INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_
     return source.s0 + source.s2 * from_x + source.s3 * from_y;
 }
 
+/* The fragments at those places. */
+INLINE void winners_of_block(const float8 source, const int dst_x, const int dst_y, const int width, const int height,
+                             Ints *x, Ints *y) {
+    Floats px_y;
+    const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
+    *x = clamp(to_ints(floor(px_x)), (Ints)(2), (Ints)(width - 3));
+    *y = clamp(to_ints(floor(px_y)), (Ints)(2), (Ints)(height - 3));
+}
+
 /* LANES pixels, but for their color, of a block in which that is exact. */
 INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source,
                            const int dst_x, const int dst_y, Samples *samples) {
@@ -494,9 +504,14 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
 
     Cross z;
     load_cross(from.target_position + 2 * from.plane, from.width, places, &z);
-    const Ints sky = isinf(z.here);
-    const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f,
-                 down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
+    Ints level_x = isinf(z.here), level_y = level_x;
+    if (source.s7 == FLOW_RIGID) {
+        const Ints bits = to_ints(bytes_at(from.links, places));
+        level_x |= (bits & (LINK_LEFT | LINK_RIGHT)) != (LINK_LEFT | LINK_RIGHT);
+        level_y |= (bits & (LINK_UP | LINK_DOWN)) != (LINK_UP | LINK_DOWN);
+    }
+    const Floats across = level_x ? (Floats)(0.0f) : (z.right - z.left) * 0.5f,
+                 down = level_y ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
     store_floats(out_z > 0.0f ? out_z : z.here, 0, to.depth + dst);
     store_xy(src_center_x + dx - row_centers(dst_x), src_center_y + dy - ((float)dst_y + 0.5f), to.motion + dst);
@@ -506,11 +521,17 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     samples_at(src, dx, dy, from.width, samples);
 }
 
+/* Whether fragment `src` lies in a block where nothing moves apart. */
+INLINE bool is_smooth(const uint src, const int width, __global const uchar *source_smooth) {
+    return src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)];
+}
+
 /* LANES pixels per work-item. */
-WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __global const uchar *block_class,
-                           __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
-                           __global uint *winners, __global const half *color, __global const half *codes,
-                           __global const float *depth, __global const uchar *dynamic_mask, __global const uchar *links,
+WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
+                           __global const uchar *block_class, __global const float8 *block_source,
+                           __global const uchar *source_smooth, __global Key *keys, __global uint *winners,
+                           __global const half *color, __global const half *codes, __global const float *depth,
+                           __global const uchar *dynamic_mask, __global const uchar *links,
                            __global const float *target_position, __global half *out_color, __global float *out_depth,
                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
                            __global uchar *filled_by, __global uchar *mixed) {
@@ -540,7 +561,7 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     const int block = block_of(dst_x, dst_y, target_width);
     const bool backward = block_class[block] == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
-    const bool affine = backward && source.s7 != 0.0f;
+    const bool affine = backward && (source.s7 == FLOW_AFFINE || source.s7 == FLOW_RIGID);
 #if LANES == 1
     Sample sample;
     if (affine) {
@@ -548,14 +569,13 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     } else {
         uint src;
         if (backward) {
-            float px_y;
-            const float px_x = px_from_block(source, dst_x, dst_y, &px_y);
-            src = (uint)((int)floor(px_y) * width + (int)floor(px_x));
+            int src_x, src_y;
+            winners_of_block(source, dst_x, dst_y, width, height, &src_x, &src_y);
+            src = (uint)(src_y * width + src_x);
         } else {
             src = winner_of(keys, winners, dst_y * target_width + dst_x);
         }
-        const bool smooth =
-            backward || (src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)]);
+        const bool smooth = backward || is_smooth(src, width, source_smooth);
         if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
     }
     store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
@@ -568,25 +588,20 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
     }
     Ints done = (Ints)(0);
     if (backward || dst_x + LANES <= target_width) {
-        WideWinners won = {(Ints)(0), (Ints)(0), ALL_LANES, backward};
+        WideWinners won = {.use = ALL_LANES, .smooth = ALL_LANES, .strict = backward && source.s7 == FLOW_SMOOTH};
         if (backward) {
-            Floats px_y;
-            won.x = to_ints(floor(px_from_block(source, dst_x, dst_y, &px_y)));
-            won.y = to_ints(floor(px_y));
+            winners_of_block(source, dst_x, dst_y, width, height, &won.x, &won.y);
         } else {
             const Uints src = load_winners(keys, winners, dst_y * target_width + dst_x);
             wide_column_and_row(to_ints(src), width, &won.x, &won.y);
             won.use = (src != NOBODY) & (won.x >= 2) & (won.y >= 2) & (won.x < width - 2) & (won.y < height - 2);
-            won.smooth = ALL(won.use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
-                         && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)]
-                         && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)];
+            won.x = won.use ? won.x : (Ints)(2);
+            won.y = won.use ? won.y : (Ints)(2);
+            const Ints blocks = won.y / BLOCK_HEIGHT * block_columns(width) + won.x / BLOCK_WIDTH;
+            const Ints smooth = to_ints(gather_bytes(source_smooth, blocks));
+            won.smooth = smooth != 0;
+            won.strict = ALL(won.use & (smooth == STRICT));
         }
-        if (won.smooth) {
-            resolve_lanes(from, shown, to, won, dst_x, dst_y);
-            return;
-        }
-        won.x = won.use ? won.x : (Ints)(2);
-        won.y = won.use ? won.y : (Ints)(2);
         if (ANY(won.use)) done = resolve_lanes(from, shown, to, won, dst_x, dst_y);
     }
     if (ALL(done)) return;
@@ -596,8 +611,9 @@ WIDE __kernel void resolve(__constant Frame *frame, const int unfilled_label, __
         if (lane_done[k]) continue;
         const int dst = dst_y * target_width + dst_x + k;
         Sample sample;
-        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, winner_of(keys, winners, dst), false,
-                          unfilled_label, &sample))
+        const uint src = winner_of(keys, winners, dst);
+        const bool smooth = is_smooth(src, width, source_smooth);
+        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, src, smooth, unfilled_label, &sample))
             store_color(resample(sample, width, shown), out_color, dst);
     }
 #endif

@@ -16,7 +16,7 @@ from pages import DOCS, table, with_all
 
 from gffe_cl.captures.formats import FORMATS
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
-from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, Option
+from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, PRESETS, Option
 from gffe_cl.engine.pipeline.pipeline import STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
@@ -37,6 +37,15 @@ def options_table() -> str:
         (f"`{o.name}`", f"`{o.flag}`" if o.flag else "", _values(o), _default(o), o.sentence) for o in OPTIONS.values()
     ]
     return table(("in Python", "command line", "values", "default", "what it does"), rows)
+
+
+def presets_table() -> str:
+    """Every preset: its name, its sentence, and the options that it sets."""
+    rows = [
+        (f"`{name}`", preset.sentence, ", ".join(f"`{option}={value!r}`" for option, value in preset.values.items()))
+        for name, preset in PRESETS.items()
+    ]
+    return table(("`--preset`", "what it does", "`Options.preset`"), rows)
 
 
 def fillings_table() -> str:
@@ -91,6 +100,7 @@ def formats_table() -> str:
 
 TABLES: dict[str, Callable[[], str]] = {
     "options": options_table,
+    "presets": presets_table,
     "fillings": fillings_table,
     "stages": stages_table,
     "buffers": buffers_table,

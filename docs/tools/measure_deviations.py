@@ -127,6 +127,7 @@ GAE: dict[str, Change] = {
 }
 # Beyond the paper, each a module with an option of its own.
 PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
+ENTERING = Change({"entering": False})
 CARRIED = Change(constants={"acceleration.cl": {"IN_VIEW": "0.0f", "STILL_IN_VIEW": "0.0f"}})
 CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on "cab" and "wipers"
 PAPER = CAMERA_FIXED
@@ -149,6 +150,7 @@ NO_NETWORK = Change({"shading_correction": False})
 PREDICTED = Change(camera=False)
 FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "bars": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
+    "entering": ("entering movers", ENTERING, "movers"),
     "ropes": ("soft silhouettes", GAE["silhouettes stay antialiased"], "movers"),
     "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),

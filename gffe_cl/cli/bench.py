@@ -69,8 +69,8 @@ def bench(
         bool,
         typer.Option(
             "--methods",
-            help="Comparison of time and PSNR with methods of OpenCV and PyTorch, in turns on the same frames"
-            " [dim](default size: 1920x1080)[/].",
+            help="Comparison of time and PSNR with other methods, of OpenCL, OpenCV and PyTorch, in turns on the same"
+            " frames [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
     io: Annotated[

@@ -59,8 +59,8 @@ def evaluate(
     methods: Annotated[
         str | None,
         typer.Option(
-            help="Methods or groups, separated by commas: gffe, ablation, deviation, baseline, filling, window,"
-            " upscaling, library [dim](default: the first four)[/]."
+            help="Methods or groups, separated by commas: gffe, preset, ablation, deviation, baseline, filling, window,"
+            " upscaling, library [dim](default: the first five)[/]."
         ),
     ] = None,
     onnx: Annotated[

@@ -10,14 +10,16 @@ from typing import Annotated, Any
 import typer
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.options import OPTIONS, Option, Options
+from gffe_cl.engine.core.validation import require_choice
+from gffe_cl.engine.options import OPTIONS, PRESETS, Option, Options
 
 SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # options of the commands that only measure
 
 
 def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
     """Return a decorator that gives a command the options `names` (all that have a flag if none are named) in place of
-    its parameter `options`, an `Options`; `fixed` are values of others."""
+    its parameter `options`, an `Options`; `fixed` are values of others. A command with all that a preset sets has
+    `--preset`, too."""
 
     def decorate(command: Callable) -> Callable:
         chosen = [OPTIONS[name] for name in names or OPTIONS if OPTIONS[name].flag and name not in fixed]
@@ -28,12 +30,19 @@ def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
             for name, hint in hints.items()
         }
         made = [parameter for option in chosen for parameter in _parameters(option)]
+        if {name for preset in PRESETS.values() for name in preset.values} <= {option.name for option in chosen}:
+            made.insert(0, _PRESET)
         parameters = [p.replace(annotation=resolved[p.name]) for p in own] + made
 
-        def with_options(**given: Any) -> Any:
+        def with_options(context: typer.Context, **given: Any) -> Any:
             values = {p.name: given.pop(p.name) for p in made}
-            return command(**given, options=_options(chosen, values, fixed))
+            preset = values.pop(_PRESET.name, _PRESET.default)
+            require_choice(preset, PRESETS, "--preset")
+            sources = {name: context.get_parameter_source(name) for name in values}
+            said = {name for name, source in sources.items() if source is not None and source.name != "DEFAULT"}
+            return command(**given, options=_options(chosen, values, said, fixed, PRESETS[preset].values))
 
+        parameters.append(_CONTEXT)
         with_options.__signature__ = inspect.Signature(
             [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
         )
@@ -99,9 +108,26 @@ def _parameter(name: str, kind: Any, default: Any, flag: str, text: str) -> insp
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def _options(chosen: list[Option], values: dict[str, Any], fixed: dict[str, Any]) -> Options:
+_CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+_PRESET = _parameter(
+    "preset",
+    str,
+    "balanced",
+    "--preset",
+    f"Preset of all options that are not given: {', '.join(PRESETS)}; balanced are the defaults.",
+)
+
+
+def _options(
+    chosen: list[Option], values: dict[str, Any], said: set[str], fixed: dict[str, Any], preset: dict[str, Any]
+) -> Options:
+    """Return the options from the `values` of parameters, of which those `said` stand on the command line, and those of
+    a preset where nothing is said."""
     made = dict(fixed)
     for option in chosen:
+        if option.name in preset and not {option.name, f"no_{option.name}"} & said:
+            made[option.name] = preset[option.name]
+            continue
         value = values[option.name]
         if values.get(f"no_{option.name}"):
             value = option.off

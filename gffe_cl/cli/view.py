@@ -83,7 +83,13 @@ def view(
             callback=output_file("--screenshot"),
         ),
     ] = None,
-    frame: Annotated[int, typer.Option(help="Index of the frame in the screenshot, generated frames counted.")] = 0,
+    frame: Annotated[
+        str,
+        typer.Option(
+            help="Frame in the screenshot: its number on the timeline, generated frames counted (9), or a rendered"
+            " frame's number and the part of the way to the next (4+1/2)."
+        ),
+    ] = "0",
     layer: Annotated[
         str,
         typer.Option(
@@ -145,7 +151,7 @@ def view(
     from gffe_cl.viewer.automation.measuring import measure as measure_playback
     from gffe_cl.viewer.automation.screenshot import Look, Shot, take_screenshot
     from gffe_cl.viewer.automation.scripting import play_script, require_film
-    from gffe_cl.viewer.automation.steps import parse
+    from gffe_cl.viewer.automation.steps import parse, read_place
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.shell.start import leaving, require_display
     from gffe_cl.viewer.shell.start import view as run_viewer
@@ -187,7 +193,7 @@ def view(
         raise GffeError(f"--window-size must be at least {LEAST_WINDOW} pixels each way, got '{window_size}'")
     look, shot = Look(layer, compare, other), None
     if screenshot is not None:
-        shot = Shot(screenshot, frame, look, _pixel(pixel), overview)
+        shot = Shot(screenshot, read_place(frame, "--frame"), look, _pixel(pixel), overview)
     asked = options.shading_correction, options.scn_model, options.scn_provider
     remark = ""
     if options.corrects_shading and asked != (None, None, "cpu"):

@@ -123,8 +123,34 @@ def _option(default: Any, label: str, sentence: str, **about: Any) -> Any:
 
 
 @dataclass(frozen=True)
+class Preset:
+    """Named choice of quality against cost: `sentence`, for help texts, and `values` of options by name; all others
+    have their defaults."""
+
+    sentence: str
+    values: dict[str, Any]
+
+
+PRESETS = {
+    "quality": Preset("Everything is splatted, so that edges hardly moving apart are exact, too.", {"blocks": False}),
+    "balanced": Preset("The defaults.", {}),
+    "performance": Preset(
+        "Straight paths, edges as the warp leaves them, holes continued from beside; no background, no shading"
+        " correction.",
+        {
+            "acceleration": False,
+            "hidden_parts": False,
+            "levels": 0,
+            "soft_silhouettes": False,
+            "shading_correction": False,
+        },
+    ),
+}
+
+
+@dataclass(frozen=True)
 class Options:
-    """Settings of the pipeline; the defaults are recommended. `OPTIONS` describes each field.
+    """Settings of the pipeline; the defaults are recommended. `OPTIONS` describes each field, `PRESETS` choices.
 
     Raises GffeError for invalid values.
     """
@@ -163,6 +189,14 @@ class Options:
         " acceleration, of those that move evenly there, such as wipers and hands; off: they are predicted in"
         " world space, as in the paper.",
         flag="--no-camera-fixed",
+        needs="motion",
+    )
+    entering: bool = _option(
+        True,
+        "entering movers",
+        "Movers that enter through the border of the image: they go on as they came, and are continued to the border;"
+        " off: as in the paper, they stay where they are until their place in the frame before is known.",
+        flag="--no-entering",
         needs="motion",
     )
     acceleration: bool = _option(
@@ -215,7 +249,7 @@ class Options:
     blocks: bool = _option(
         True,
         "backward blocks",
-        "Backward warping of blocks that show one smooth surface; off: everything is splatted.",
+        "Backward warping of blocks where nothing moves apart; off: everything is splatted.",
         flag="--no-blocks",
         needs="crack_closing",
     )
@@ -327,6 +361,27 @@ class Options:
             )
         if self.order >= self.history:
             raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
+
+    @classmethod
+    def preset(cls, name: str, **values: Any) -> Options:
+        """Return the options of a preset, "quality", "balanced" or "performance", with `values` of single options in
+        place of its own. Raises GffeError for an unknown preset or option, or an invalid value."""
+        require_choice(name, PRESETS, "options: preset")
+        for given in values:
+            require_choice(given, OPTIONS, "options: name")
+        return cls(**PRESETS[name].values | values)
+
+    @property
+    def preset_name(self) -> str | None:
+        """The preset that these options are, whatever those that no preset sets; None if they are none of them."""
+        usual = {option: OPTIONS[option].default for preset in PRESETS.values() for option in preset.values}
+        for name, preset in PRESETS.items():
+            made = replace(self, **usual | preset.values)
+            if replace(made, shading_correction=made.corrects_shading) == replace(
+                self, shading_correction=self.corrects_shading
+            ):
+                return name
+        return None
 
     def changed(self, name: str, value: Any) -> Options:
         """Return these options with another value of one field. If history and order conflict, the other one is

@@ -204,6 +204,19 @@ def test_dump_stages(gffe, scene, tmp_path):
     assert all(dumped[name] == made[name] for name in "RGB")
 
 
+def test_presets(gffe, tmp_path):
+    """A preset sets what is not given, also where a given value is the default."""
+    report = tmp_path / "r.json"
+    stages = {}
+    for words in ((), ("--preset", "performance"), ("--preset", "performance", "--background-levels", 1)):
+        given = ("--size", "32x18", "--frames", 2, "--no-scn", *words)
+        assert gffe("run", "plaza", tmp_path / str(len(words)), *given, "--json", report)[0] == 0
+        stages[len(words)] = set(json.loads(report.read_text())["milliseconds"])
+    assert stages[0] - stages[2] == {"background", "silhouettes", "hidden_parts", "acceleration"}
+    assert stages[4] - stages[2] == {"background"}
+    assert "--preset must be one of quality, balanced" in gffe("run", "plaza", tmp_path / "x", "--preset", "best")[2]
+
+
 def test_shading_correction(gffe, tmp_path):
     """Off without weights; with a model the color changes and nothing else, within the focus mask or everywhere."""
     scene = tmp_path / "in"

@@ -15,7 +15,7 @@ class Canvas:
     def __init__(self):
         self.frame, self.layers = None, {}
 
-    def upload(self, name, image, spec):
+    def upload(self, name, image, spec, frame=None):
         self.layers[name] = image
 
     def forget(self, names):

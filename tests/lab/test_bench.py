@@ -107,7 +107,8 @@ def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
 
 
 def test_bench_of_methods(gffe, tmp_path):
-    """On the same frames: gffe on every device, the rest on the host, all with figures; the first is the reference."""
+    """On the same frames: gffe and dilate-splat on every device, the rest on the host, all with figures; the first is
+    the reference."""
     options = ("--sizes", "64x48", "--repeats", 7, "--scn-model", constant_model(tmp_path / "m.onnx"))
     code, text, _ = gffe("bench", "--methods", *options, "--json", tmp_path / "m.json")
     assert code == 0 and "PSNR, dB, by region" in text
@@ -115,17 +116,19 @@ def test_bench_of_methods(gffe, tmp_path):
     rows = {(row["method"], row["platform"]): row for row in report["methods"]}
     assert (report["width"], report["height"], report["turns"]) == (64, 48, 12)  # whole rounds of the six new frames
     assert len(rows) == len(report["methods"]) and sum(report["share"].values()) == pytest.approx(1, abs=1e-3)
+    on_devices = {"gffe", "no-scn", "dilate-splat"}
     first, repeat = report["methods"][0], rows["repeat", None]
     assert first["method"] == "gffe" and first["ratio"] == 1 and repeat["milliseconds"] < first["milliseconds"]
     assert {row["method"] for row in report["methods"]} | set(report["skipped"]) == {
-        *("gffe", "no-scn", "repeat"), *(name for name, method in METHODS.items() if method.group == LIBRARY)
+        *on_devices, "repeat", *(name for name, method in METHODS.items() if method.group == LIBRARY)
     }  # fmt: skip
     for row in report["methods"]:
-        assert row["milliseconds"] >= 0 and (row["platform"] is None) == (row["method"] not in ("gffe", "no-scn"))
+        assert row["milliseconds"] >= 0 and (row["platform"] is None) == (row["method"] not in on_devices)
         total = sum(share * 10 ** (-row["regions"][name] / 10) for name, share in report["share"].items() if share)
         assert total == pytest.approx(10 ** (-row["psnr"] / 10), rel=0.01)  # regions are parts of the whole
-    same = [row["psnr"] for row in report["methods"] if row["method"] == "no-scn"]
-    assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
+    for name in ("no-scn", "dilate-splat"):
+        same = [row["psnr"] for row in report["methods"] if row["method"] == name]
+        assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
 
 
 def test_bench_of_arrays(gffe, tmp_path):
@@ -168,7 +171,7 @@ def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
     code, text, _ = gffe("bench", tmp_path / "in", "--methods", *options)
     assert code == 0 and "needs torch: pip install" in text
     (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
-    assert [row["method"] for row in report["methods"]] == ["gffe", "repeat"] and report["of"] == "in"
+    assert [row["method"] for row in report["methods"]] == ["gffe", "dilate-splat", "repeat"] and report["of"] == "in"
 
 
 @pytest.mark.parametrize(

@@ -176,7 +176,7 @@ def test_another_layer_is_computed_and_then_kept_beside(computed, session):
     model.show_layer("frame.depth")
     filled(session)
     computed.clear()
-    for layer, slot in (("final", 2), ("frame.depth", 2), ("frame.depth", 6), ("final", 6)):
+    for layer, slot in (("final", 3), ("frame.depth", 3), ("frame.depth", 7), ("final", 7)):
         model.show_layer(layer)
         model.playback.seek(slot)
         session.settle()

@@ -21,6 +21,7 @@ from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
+from gffe_cl.viewer.picture.invalid import RENDERED, SHOWN, bad_values
 from gffe_cl.viewer.picture.textures import texels_of
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.shell.picture_frames import uncovered
@@ -223,6 +224,64 @@ def test_bad_color_is_seen(canvas, bad):
     magenta = (made == (1, 0, 1)).all(-1)
     assert magenta[4:12, 4:12].sum() == 32 and magenta.sum() == 32
     close(made[0], to_display(np.full(3, 0.5)))
+
+
+def is_checkered(pixels):
+    return ((pixels == (1, 0, 1)).all(-1) | (np.abs(pixels - 0.05) < 0.01).all(-1)).reshape(pixels.shape[:2])
+
+
+@pytest.mark.parametrize("spec", [COLOR, DEPTH, MOTION, SCALAR], ids=lambda spec: spec.view)
+def test_bad_values_are_counted_where_they_are_drawn(canvas, spec):
+    image = RNG.uniform(0.5, 3, (12, 10, max(len(spec.components), 1))).astype(np.float32)
+    image[RNG.uniform(size=(12, 10)) < 0.2, 0] = np.nan
+    image[RNG.uniform(size=(12, 10)) < 0.2, -1 if spec is MOTION else 0] = -np.inf
+    bad = bad_values(spec, image)
+    made = shown(canvas, spec, image[..., 0] if spec in (SCALAR, DEPTH) else image)
+    if spec is DEPTH:
+        bad &= np.isnan(image[..., 0])  # below 0 is hatched
+    assert (is_checkered(made) == bad).all() and 0 < bad.sum() < bad.size
+
+
+def with_masks(canvas, rendered, seen, generated=True):
+    canvas.frame = replace(canvas.frame, display_size=seen.shape[::-1], generated=generated)
+    for name, mask, grid in ((RENDERED, rendered, "source"), (SHOWN, seen, "target")):
+        canvas.upload(name, (255 * mask).astype(np.uint8), replace(MASK, grid=grid))
+
+
+def test_invalid_pixels_of_the_input_are_marked_in_every_layer(canvas):
+    rendered, seen = np.zeros((12, 16), bool), np.zeros((12, 16), bool)
+    rendered[3:5, 4:7], seen[6, 9:12] = True, True
+    with_masks(canvas, rendered, seen)
+    layers = {"final": seen, "frame.depth": seen, "rendered.depth": rendered, "truth": np.zeros_like(seen)}
+    for name, mask in layers.items():
+        spec = LayerSpec(name, name, "frame", "scalar", grid="source" if name.startswith("rendered") else "target")
+        canvas.upload(name, np.full((12, 16), 0.5, np.float32), spec)
+        view = View(name, Display(), center=(8, 6), zoom=3.0)
+        checkered = is_checkered(drawn(canvas, view, (48, 36)))
+        assert (checkered == mask.repeat(3, 0).repeat(3, 1)).all()
+        assert not is_checkered(drawn(canvas, replace(view, mark_invalid=False), (48, 36))).any()
+    view = View("final", Display(), "frame.depth", Display(), "difference", center=(8, 6), zoom=3.0)
+    assert (is_checkered(drawn(canvas, view, (48, 36))) == seen.repeat(3, 0).repeat(3, 1)).all()
+
+
+def test_a_single_invalid_pixel_is_seen_in_a_small_picture(canvas):
+    seen = np.zeros((256, 256), bool)
+    seen[101, 77] = True
+    with_masks(canvas, seen, seen)
+    canvas.upload("final", np.full((256, 256), 0.5, np.float32), replace(SCALAR, name="final"))
+    made = drawn(canvas, View("final", Display(), center=(128, 128), zoom=0.125), (32, 32))
+    at = np.argwhere(is_checkered(made))
+    assert 4 <= len(at) <= 64 and np.abs(at.mean(0) + 0.5 - np.array((101, 77)) / 8).max() < 2
+
+
+def test_two_layers_with_nan_do_not_agree(canvas):
+    image = np.full((8, 8, 3), 0.5, np.float16)
+    image[2:4, 2:6] = np.nan
+    canvas.frame = FrameInfo((8, 8))
+    for name in "ab":
+        canvas.upload(name, image, replace(COLOR, name=name))
+    made = drawn(canvas, View("a", Display(), "b", Display(), "difference", center=(4, 4)), (8, 8))
+    assert (is_checkered(made) == np.isnan(image[..., 0])).all()
 
 
 def test_color_is_averaged_when_small_and_masks_are_not(canvas):

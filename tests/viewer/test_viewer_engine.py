@@ -269,10 +269,50 @@ def test_rendered_slots_and_the_frames_own_layers(device):
             assert (result.images[name][..., :3] == frame.color).all()
         assert (result.images["rendered.depth"] == frame.depth).all()
         assert (result.images["rendered.motion"] == frame.motion).all()
+        generated = {spec.name for spec in result.specs.values() if spec.of_generated}
+        stepped_here = [ask(engine, slot, setup, "all").images.keys() for slot in (7, 8)]
+        assert generated - {"focus_truth"} <= stepped_here[0], "all of them at a generated slot"
+        assert not generated & stepped_here[1], "and at a rendered one not those that are left of the one before"
+        engine.inspect(3, 4)
+        assert not generated & wait_for(engine.poll_inspection).values.keys()
         result = ask(engine, 9, setup, ("truth",))
         np.testing.assert_array_equal(result.images["truth"][..., :3], Clip().truth(4, 0.5).astype(np.float16))
         again = ask(engine, 9, setup, ("truth", "final"))
         assert not np.shares_memory(again.images["truth"], result.images["truth"])
+
+
+class SpoiltClip(Clip):
+    """The same with NaN in one color, and without a depth, from frame 4 on."""
+
+    def rendered(self, k):
+        frame = super().rendered(k)
+        if k >= 4:
+            color, depth = frame.color.copy(), frame.depth.copy()
+            color[10, 20], depth[12, 30] = np.nan, -1.0
+            frame = replace(frame, color=color, depth=depth)
+        return frame
+
+
+def test_invalid_pixels_of_the_input_are_named(device):
+    setup = Setup(n=1)
+    with running(device, SpoiltClip()) as engine:
+        assert ask(engine, 7, setup).invalid is None, "all is valid up to frame 4"
+        result = ask(engine, 8, setup)
+        assert np.argwhere(result.invalid.rendered).tolist() == [[10, 20], [12, 30]]
+        assert (result.invalid.shown == result.invalid.rendered).all()
+        engine.inspect(20, 10)
+        seen = wait_for(engine.poll_inspection)
+        assert "color is NaN" in seen.fault and seen.fault in seen.story.sentences[0]
+        assert not any("as it is" in sentence for sentence in seen.story.sentences)
+        result = ask(engine, 9, setup, ("frame.motion",))
+        y, x = np.argwhere(result.invalid.shown)[0]
+        lead = np.floor(result.images["frame.motion"][y, x] + (x + 0.5, y + 0.5)).astype(int).tolist()
+        assert lead == [20, 10]
+        engine.inspect(int(x), int(y))
+        assert "color is NaN" in wait_for(engine.poll_inspection).story.sentences[0]
+        engine.inspect(2, 2)
+        seen = wait_for(engine.poll_inspection)
+        assert seen.fault == "" and not any("Invalid" in sentence for sentence in seen.story.sentences)
 
 
 def test_options_change_what_they_should(device):

@@ -18,16 +18,19 @@ from gffe_cl.lab.metrics.regions import REGIONS as TABLE
 from gffe_cl.lab.table.labels import find_labels
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
-from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.invalid import seen_at, seen_through
+from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec
 from gffe_cl.viewer.engine.messages import Recipe, Request, Setup
 from gffe_cl.viewer.engine.slot_metrics import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
 from gffe_cl.viewer.picture.disocclusions import Disocclusions
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.invalid import InvalidPixels
 from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
-from gffe_cl.viewer.picture.legends import legend
+from gffe_cl.viewer.picture.legends import Legend, legend
 from gffe_cl.viewer.picture.selection import statistics
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.picture.worst_pixels import worst_pixels
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Survey
 
@@ -234,14 +237,77 @@ def test_the_survey_finds_the_worst_frames():
     survey.quantity = "flicker"
     xs, ys = survey.curve(survey.a)
     assert survey.next() == int(xs[ys.argmax()]), "more flicker is worse; another quantity starts anew"
-    assert survey.mean(survey.a, "psnr") == pytest.approx(np.mean(list(a.values())))
+    means, count = survey.means("psnr")
+    assert count == 7 and means["A"] == pytest.approx(np.mean(list(a.values())))
     survey.close()
+
+
+def test_invalid_pixels_are_seen_where_the_motion_leads():
+    rng = np.random.default_rng(3)
+    mask, motion = rng.integers(0, 8, (9, 14), np.uint8), rng.normal(0, 4, (7, 11, 2)).astype(np.float32)
+    motion[2, 3], motion[4, 5] = np.nan, np.inf
+    seen = seen_through(mask, motion)
+    for y, x in np.ndindex(seen.shape):
+        to = np.floor(motion[y, x] + (x + 0.5, y + 0.5))
+        inside = np.isfinite(to).all() and (to >= 0).all() and to[0] < 14 and to[1] < 9
+        assert seen[y, x] == (mask[int(to[1]), int(to[0])] if inside else 0)
+    seen = seen_at(mask, (5, 4), lambda x, y: (2 * x + 1, 2 * y - 2))
+    assert (seen[1:] == mask[1:6:2, 2:11:2]).all() and not seen[0].any(), "the row above the image is empty"
+
+
+def test_the_next_invalid_pixel_is_in_another_group():
+    view, contents = View("final", Display()), SimpleNamespace(result=None)
+    pixels = InvalidPixels(view, contents)
+    assert pixels.next(None) is None and pixels.text() == ""
+    pixels.places = np.array([(4, 1), (5, 1), (3, 2), (9, 2), (0, 7)])
+    assert [pixels.next(at) for at in (None, (4, 1), (9, 2), (0, 7))] == [(4, 1), (9, 2), (0, 7), (4, 1)]
+    assert pixels.text() == "5 invalid pixels"
+    pixels.close()
+
+
+def test_means_of_both_are_over_the_slots_that_both_have():
+    _, survey = surveyed()
+    known = survey.figures(survey.b)
+    for slot in (1, 3, 7):
+        del known[slot]
+    common = [9, 11, 13, 15]
+    means, count = survey.means("psnr")
+    assert count == len(common)
+    for name, side in (("A", survey.a), ("B", survey.b)):
+        values = [survey.figures(side)[slot].values["psnr"] for slot in common]
+        assert means[name] == pytest.approx(np.mean(values))
+    parts, count = survey.parts()
+    assert count == len(common)
+    shares = [survey.figures(survey.a)[slot].parts["dynamic"].pixels for slot in common]
+    assert parts["A"]["dynamic"].pixels == pytest.approx(np.mean(shares))
+    known.clear()
+    assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
+    survey.close()
+
+
+def test_worst_pixels_are_apart_and_in_order():
+    rng = np.random.default_rng(5)
+    true = rng.uniform(0.2, 0.6, (40, 60, 4)).astype(np.float16)
+    shown = true.copy()
+    for (x, y), error in (((50, 30), 0.4), ((52, 31), 0.3), ((5, 6), 0.2), ((30, 10), 0.1)):
+        shown[y, x, :3] += np.float16(error)
+    found = worst_pixels(FRAME_LAYERS["final"], shown, true, (60, 40), 1.0)
+    assert [worst.pixel for worst in found] == [(50, 30), (5, 6), (30, 10)], "(52, 31) belongs to the first"
+    assert [worst.rank for worst in found] == [1, 2, 3]
+    expected = np.abs(to_display(shown[..., :3], 1.0) - to_display(true[..., :3], 1.0)).mean(-1)[30, 50]
+    assert found[0].error == pytest.approx(expected)
+    depth = np.full((20, 30), 3.0, np.float32)
+    other = depth.copy()
+    depth[0, 0] = other[0, 0] = np.inf
+    other[7, 9], other[15, 20] = 3.5, np.nan
+    found = worst_pixels(FRAME_LAYERS["rendered.depth"], depth, other, (60, 40), 1.0)
+    assert [worst.pixel for worst in found] == [(41, 31), (19, 15)], "display pixels; NaN is the worst, sky is equal"
 
 
 def test_the_survey_sums_up_its_regions():
     _, survey = surveyed()
     figures = [figures for figures in survey.figures(survey.a).values() if figures.parts]
-    parts = survey.parts(survey.a)
+    parts = survey.parts()[0]["A"]
     for name in REGIONS:
         assert parts[name].pixels == pytest.approx(np.mean([of.parts[name].pixels for of in figures]))
     assert sum(part.error for part in parts.values()) == pytest.approx(1)
@@ -334,3 +400,5 @@ def test_legends_under_saved_pictures():
         assert {tuple(round(255 * c) for c in color) for color in LABEL_COLORS[:2]} <= colors
         assert {(255, 0, 0), (128, 255, 0)} & colors, "directions of motion"
         assert len(found) > len(with_legends(picture, more[:1])) > 30
+        lines = [with_legends(picture, [Entry("wide words " * count, Legend("none"))]) for count in (1, 30)]
+        assert lines[1].shape[1] == lines[0].shape[1] and len(lines[1]) > len(lines[0]), "long lines are broken"

@@ -24,8 +24,12 @@ from gffe_cl.engine.stages.shading import ShadingInputs
 from gffe_cl.engine.stages.shading_flow import ShadingFlow
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.display_settings import Looks
 from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, area_of, default_display, fitted, shown_as
+from gffe_cl.viewer.picture.histogram import BINS, Histogram, counted
 from gffe_cl.viewer.picture.legends import legend, value_text
+from gffe_cl.viewer.picture.view import View
 
 DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rendered.motion", "final"))
 STAGES: tuple[type[Stage], ...] = (
@@ -48,6 +52,49 @@ CAMERA = Camera(np.eye(4), 100.0, 110.0, 32.0, 24.0)
 
 def ranged(spec, image, display=None, **known):
     return fitted(spec, np.asarray(image, np.float32), display or default_display(spec), **known)
+
+
+def test_histograms_count_what_is_shown():
+    rng = np.random.default_rng(2)
+    color = rng.uniform(0, 1, (40, 50, 4)).astype(np.float16)
+    color[0, 0] = np.nan
+    frame = FrameInfo((50, 40))
+    counts = counted(FINAL, color, Display(), frame, None, 2.0)
+    assert counts.channels == ("R", "G", "B") and counts.pixels.shape == (3, BINS)
+    assert (counts.pixels.sum(1) == 40 * 50 - 1).all() and 1.9 < counts.edges[-1] <= 2.0, "exposed, without NaN"
+    counts = counted(FINAL, color, Display(channel="G"), frame, None, 1.0)
+    expected = np.histogram(color[..., 1][np.isfinite(color[..., 1])].astype(float), counts.edges)[0]
+    assert counts.channels == ("G",) and (counts.pixels[0, 1:-1] == expected[1:-1]).all()
+    depth = np.full((40, 50), 3.0, np.float32)
+    depth[:, :10], depth[:, 10:20], depth[:, 20:25] = np.inf, 0, 7
+    counts = counted(DEPTH, depth, Display(), frame, None, 1.0)
+    assert counts.pixels.sum() == 40 * 30 and counts.pixels[0, 0] == 40 * 25 and counts.pixels[0, -1] == 40 * 5
+    motion = np.tile(np.float32((3, 4)), (40, 50, 1))
+    counts = counted(MOTION, motion, Display(), frame, None, 1.0)
+    assert counts.edges[0] == pytest.approx(5) and counts.pixels[0, 0] == 2000, "lengths"
+    assert counted(BY_NAME["frame.filled_by"], np.zeros((4, 5), np.uint8), Display(), frame, None, 1.0) is None
+
+
+@pytest.mark.parametrize(
+    "spec, handles, dragged, changed",
+    [
+        (FINAL, {"white": 0.5}, ("white", 0.25), {"exposure": 2.0}),
+        (DEPTH, {"low": 1.0, "high": 100.0}, ("low", 5.0), {"low": 5.0, "high": 100.0}),
+        (DEPTH, {"low": 1.0, "high": 100.0}, ("high", 0.5), {"low": 1.0, "high": 1.0}),
+        (MOTION, {"full length": 16.0}, ("full length", -3.0), {"motion_scale": 0.01}),
+    ],
+)
+def test_handles_of_the_histogram_change_the_display(spec, handles, dragged, changed):
+    contents = Contents()
+    contents.layers = [spec]
+    looks = Looks(contents, {})
+    if spec is FINAL:
+        looks.change(spec.name, exposure=1.0)
+    histogram = Histogram(View(spec.name, Display()), contents, looks)
+    assert histogram.handles() == handles
+    histogram.drag(*dragged)
+    assert {name: getattr(looks.of(spec.name), name) for name in changed} == pytest.approx(changed)
+    histogram.close()
 
 
 def test_stage_buffers_become_layers():

@@ -19,6 +19,7 @@ from PIL import Image
 
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.viewer.automation.steps import read_place
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.panels.picture import short
 from gffe_cl.viewer.panels.plot import scale_of
@@ -224,7 +225,7 @@ def test_every_frame_keeps_the_pace_between_ticks_but_does_not_catch_up():
 @given(st.floats(-1e6, 1e6), st.floats(0, 1e6) | st.floats(0, 1e-9))
 def test_axis_of_the_plot_has_room_and_a_few_round_numbers(least, more):
     low, high, levels, texts = scale_of(least, least + more)
-    assert low < least <= least + more < high and 1 <= len(levels) <= 5
+    assert low < least <= least + more < high and 2 <= len(levels) <= 6
     assert all(low <= level <= high for level in levels) and len(set(texts)) == len(texts)
 
 
@@ -952,3 +953,16 @@ def test_timings_count_the_network_to_shading_correction():
 )  # fmt: skip
 def test_numbers_in_pixels_have_room(value, letters, written):
     assert short(value, letters) == written
+
+
+def test_frames_are_written_as_slots_or_as_parts_of_the_way():
+    playback = Playback(count=6, n=3)
+    written = {"0": 0, "23": 23, "4+1/4": 17, "4 + 1/2": 18, "4+3/4": 19, "4+2/8": 17}
+    assert {text: read_place(text, "--frame").slot(playback, "--frame") for text in written} == written
+    for text, message in (("24", r"--frame must be 0 to 23 \(0 to 5\+3/4\), got 24"), ("6+1/4", "got 6"),
+                          ("4+1/3", r"4\+1/3: generated frames are at 4\+1/4")):  # fmt: skip
+        with pytest.raises(GffeError, match=message):
+            read_place(text, "--frame").slot(playback, "--frame")
+    for text in ("4+", "-1", "1.5", "4+1", "4+0/2", "4+2/2", "4+1/0", "", "x", "٣"):
+        with pytest.raises(GffeError, match=r"generated ones counted \(9\)"):
+            read_place(text, "--frame")

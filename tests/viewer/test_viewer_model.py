@@ -15,13 +15,16 @@ from scn_models import constant_model
 from viewer_session import PATIENCE, Canvas, Session
 
 from gffe_cl import OPTIONS, Options
+from gffe_cl.captures.doctor.findings import FAULT, NOTE, Finding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import Option
 from gffe_cl.lab.fault_injection import broken
+from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.panels.doctor import offers_repair
 from gffe_cl.viewer.panels.palette import stepped
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
@@ -59,6 +62,46 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     model.pointing.hover((7.5, 5.5))
     session.settle()
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
+
+
+def test_a_layer_is_never_compared_with_itself(session):
+    model, comparison = session.model, session.model.comparison
+    comparison.toggle_truth()
+    comparison.toggle("error")
+    assert (model.view.a, model.view.b) == ("truth", "final") and not comparison.nothing
+    comparison.with_layer("truth")
+    assert comparison.nothing and comparison.shown().compare == "off", "no black map as of a perfect result"
+    assert "same layer" in comparison.scale_text()
+    comparison.set("flip error")
+    assert model.view.b == "final" and not comparison.nothing
+
+
+def test_settings_compared_with_themselves_are_named(session):
+    model, comparison = session.model, session.model.comparison
+    model.keep_as_b()
+    comparison.set("difference")
+    session.settle()
+    assert "same settings" in comparison.scale_text() and comparison.shown().compare == "off"
+    model.parameters.switch("motion", False)
+    session.settle()
+    assert comparison.scale_text() == "|A − B| × 4" and comparison.shown().compare == "difference"
+
+
+def test_cuts_found_in_computing_ahead_are_marked(session, monkeypatch):
+    submit = Seeker._submit
+
+    def cutting(self, m, last):
+        submit(self, m, last)
+        self.cuts |= {m} & {2}
+
+    monkeypatch.setattr(Seeker, "_submit", cutting)
+    model = session.model
+    assert model.slot == 0 and not model.contents.resets
+    model.set("levels", 2)  # so that everything is computed anew
+    session.settle()
+    session.until(lambda: 5 in model.filling.cached)
+    session.frame()
+    assert model.slot == 0 and model.contents.resets == {2: "a cut was found here"}
 
 
 def test_layers_of_another_slot_are_not_on_the_canvas(session):
@@ -251,6 +294,11 @@ def test_modules_and_parameters_come_from_the_descriptions(session):
     parameters.set("n", 3)
     parameters.set("order", 3)
     assert parameters.setup.n == 3 and parameters.options.history == 4
+    parameters.use_preset("performance")
+    assert parameters.options.levels == 0 and parameters.options.order == 3  # which no preset sets
+    assert parameters.options.preset_name == "performance"
+    parameters.use_preset("balanced")
+    assert parameters.options.levels == 1
     parameters.use_defaults()
     assert parameters.options == Options(**ALWAYS) and session.model.n == 1
     assert "no trained weights" in parameters.why_not("shading_correction") == parameters.why_not("focus_mask")
@@ -369,3 +417,64 @@ def test_the_doctor_marks_frames_in_the_wrong_place():
     assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
     assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
     assert told[1].marks
+
+
+def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
+    model = session.model
+    assert "rendered frame" in model.worst.why_not()
+    model.playback.seek(1)
+    model.show_layer("frame.motion")
+    session.settle()
+    picked = []
+    for _ in range(2):
+        model.worst.due = True
+        session.settle()
+        picked.append(model.pointing.picked)
+        assert f"number {len(picked)} of the slot" in model.messages[-1].text
+    assert len(set(picked)) == len(picked)
+    model.show_layer("final")
+    model.comparison.with_layer("truth")
+    model.comparison.set("error")
+    session.settle()
+    images = (to_display(model.contents.image(name)[..., :3], 1.0) for name in ("final", "truth"))
+    error = np.abs(np.subtract(*images)).mean(-1)
+    assert error[picked[0][1], picked[0][0]] == error.max()
+    model.keep_as_b()
+    session.settle()
+    model.worst.due = True
+    session.settle()
+    assert model.messages[-1].text == "A and B are equal here"
+
+
+def test_saved_pictures_name_frame_layers_and_settings(session):
+    model = session.model
+    model.playback.seek(3)
+    model.parameters.switch("crack_closing", False)
+    model.keep_as_b()
+    model.parameters.switch("crack_closing", True)
+    model.show_layer("frame.depth")
+    session.settle()
+
+    def titles():
+        return [entry.title for entry in model._subject.legends()]
+
+    name = model.source.name
+    assert titles()[:2] == [f"{name}   generated: frame 1 + 1/2", "frame: Depth   defaults"]
+    model.comparison.set("error")
+    assert titles()[1:3] == ["A  frame: Depth   defaults", "B  frame: Depth   no crack closing"]
+    assert model.legends()[0].legend.unit == "world units"
+    model.show_layer("final")
+    model.comparison.with_layer("truth")
+    assert titles()[1:3] == ["A  frame: Final   defaults", "B  frame: Ground truth"]
+    assert model.legends()[0].legend.unit == "of display values"
+    model.comparison.set("flip error")
+    assert model.legends()[0].legend.unit.startswith("FLIP")
+    model.settings.legends = False
+    assert titles() == []
+
+
+def test_only_faults_are_offered_for_repair():
+    note = Finding(NOTE, "color", "display values", "looks like display values", "colors are made linear")
+    fault = Finding(FAULT, "motion", "y flipped", "y points up", "y is turned round")
+    assert not offers_repair([note]) and offers_repair([note, fault])
+    assert not offers_repair([Finding(FAULT, "camera", "fov", "the field of view is wrong")])

@@ -65,6 +65,24 @@ def overview(gui: Gui):
 
 
 @case
+def color_bars(gui: Gui):
+    """Beside a map stands its ramp, with numbers."""
+    model, values = gui.model, gui.values
+    covers, colors = {}, {}
+    for name in ("final", "rendered.depth", "rendered.motion"):
+        model.show_layer(name)
+        gui.settle()
+        gui.frames(2)
+        covers[name] = len(gui.app.spot.covers)
+        if covers[name] > 2:
+            left, top, right, bottom = gui.app.spot.covers[-1]
+            x, y = gui.app.spot.origin
+            bar = gui.window()[y + top : y + bottom, x + left : x + right]
+            colors[name] = len(np.unique(bar.reshape(-1, 3), axis=0))
+    values["covers"], values["colors"] = covers, colors
+
+
+@case
 def overlays(gui: Gui):
     plain = gui.picture()
     for name in ("edges", "residual motion"):

@@ -248,7 +248,7 @@ def rectangle(gui: Gui):
 
 @case
 def legends_in_saved_pictures(gui: Gui):
-    """A saved picture says what its colors mean; one without false colors is the picture alone."""
+    """A saved picture names its frame, layers and settings, and says what its colors mean."""
     from pathlib import Path
 
     from PIL import Image

@@ -14,7 +14,7 @@ from ..picture.files import save_png
 from ..shell.app import App
 from ..shell.start import require_display
 from ..state.model import Model
-from .steps import found_layer
+from .steps import FIRST, Place, found_layer
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
 PATIENCE = 120.0  # seconds
@@ -34,6 +34,8 @@ class Look:
         model.show_layer(found_layer(model, self.layer))
         if self.other:
             model.view.b = found_layer(model, self.other)
+            if model.view.b == model.view.a:
+                raise GffeError(f"--with {self.other}: the layer is compared with itself (expected another one)")
         if self.compare != "off":
             reason = model.comparison.why_not(self.compare)
             if reason:
@@ -43,10 +45,10 @@ class Look:
 
 @dataclass(frozen=True)
 class Shot:
-    """A screenshot to take: `look` at the slot `frame`, with the story of `pixel`; `overview`: of all layers."""
+    """A screenshot to take: `look` at `frame`, with the story of `pixel`; `overview`: of all layers."""
 
     path: Path
-    frame: int = 0
+    frame: Place = FIRST
     look: Look = Look()
     pixel: tuple[int, int] | None = None
     overview: bool = False
@@ -105,14 +107,11 @@ class _Photographer:
 
     def _arrange(self, model: Model) -> str | None:
         shot = self.shot
-        if not 0 <= shot.frame < model.playback.slots:
-            return f"--frame must be 0 to {model.playback.slots - 1}, got {shot.frame}"
-        model.playback.pause()
-        model.playback.seek(shot.frame)
         width, height = model.source.width, model.source.height
         if shot.pixel is not None and not (0 <= shot.pixel[0] < width and 0 <= shot.pixel[1] < height):
             return f"--pixel must be inside {width}×{height}, got {shot.pixel[0]},{shot.pixel[1]}"
         try:
+            model.playback.seek(shot.frame.slot(model.playback, "--frame"))
             shot.look.take(model)
         except GffeError as error:
             return str(error)

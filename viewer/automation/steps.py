@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from ..state.comparing import WAYS
 from ..state.model import Model
 from ..state.navigation import Flight
 from ..state.parameters import ALL, parsed
+from ..state.playback import Playback
 from ..state.settings import Settings
 
 _MOST_BYTES = 1 << 20  # of a script
@@ -117,17 +120,44 @@ def perform(app: App, command: str, value: Any) -> None:
 # ---- places and names ----------------------------------------------------------------------------------------
 
 
-def _slot(text: str, _app: App) -> int:
-    slot = number(text)
-    if slot < 0 or slot != int(slot):
-        raise GffeError(f"seek must be a whole number, 0 or more, got '{text}'")
-    return int(slot)
+@dataclass(frozen=True)
+class Place:
+    """Place on the timeline as it is `written`: slot `number`, or the frame generated `part` of the way after rendered
+    frame `number`."""
+
+    written: str
+    number: int
+    part: Fraction | None = None
+
+    def slot(self, playback: Playback, name: str) -> int:
+        """Return the slot. Raises GffeError, beginning with `name`, if there is none."""
+        slot, parts = Fraction(self.number), playback.n + 1
+        if self.part is not None:
+            slot = (slot + self.part) * parts
+        if slot.denominator != 1:
+            raise GffeError(f"{name} {self.written}: generated frames are at {self.number}+1/{parts} and so on")
+        if slot >= playback.slots:
+            least = f" (0 to {playback.count - 1}+{playback.n}/{parts})"
+            raise GffeError(f"{name} must be 0 to {playback.slots - 1}{least}, got {self.written}")
+        return int(slot)
 
 
-def _slot_fits(app: App, slot: int) -> None:
-    slots = app.model.playback.slots
-    if slot >= slots:
-        raise GffeError(f"seek must be 0 to {slots - 1}, got {slot}")
+FIRST = Place("0", 0)
+
+
+def read_place(text: str, name: str) -> Place:
+    """Return the place written as "9", the number of a slot, or "4+1/2". Raises GffeError, beginning with `name`."""
+    found = re.fullmatch(r"(\d+)(?:\s*\+\s*(\d+)/(\d+))?", text.strip(), re.ASCII)
+    if found is None or (found[3] and not 0 < int(found[2]) < int(found[3])):
+        raise GffeError(
+            f"{name} must be a frame's number on the timeline, generated ones counted (9), or a rendered frame's and a"
+            f" part of the way to the next (4+1/2), got '{text}'"
+        )
+    return Place(text, int(found[1]), Fraction(int(found[2]), int(found[3])) if found[3] else None)
+
+
+def _seek(app: App, place: Place) -> None:
+    app.model.playback.seek(place.slot(app.model.playback, "seek"))
 
 
 def found_layer(model: Model, name: str) -> str:
@@ -350,7 +380,8 @@ def _text(text: str, _app: App) -> str:
 
 COMMANDS: dict[str, Command] = {
     "seek": Command(
-        "seek SLOT: a frame, generated ones counted", _slot, lambda app, slot: app.model.playback.seek(slot), _slot_fits
+        "seek FRAME: its number on the timeline, generated ones counted, as 9, or as 4+1/2",
+        lambda text, app: read_place(text, "seek"), _seek, lambda app, place: place.slot(app.model.playback, "seek"),
     ),
     "layer": Command("layer NAME: the displayed layer", _text, _layer, _layer_fits),
     "with": Command("with NAME: the layer to compare with", _text, _with, _layer_fits),

@@ -106,15 +106,15 @@ class DeviceLayer:
 
 
 def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
-    """Return all images of the slot by the layers' names.
-
-    At a rendered slot the stages after `submit` still hold the extrapolated frame before it, but for what is transient.
-    """
-    images = {name: (FRAME_BUFFERS[name], buffer) for name, buffer in shot.buffers.items()} | named_images(pipeline)
+    """Return all images of the slot by the layers' names. A rendered slot has none of those that are made for generated
+    frames only: their buffers hold another slot's, or nothing."""
+    generated = shot.moment.alpha > 0
+    images = {name: (FRAME_BUFFERS[name], buffer) for name, buffer in shot.buffers.items()}
+    images |= named_images(pipeline, generated)
     layers = {
         name: DeviceLayer(buffer, spec, spec.size(pipeline.sizes))
         for name, (spec, buffer) in images.items()
-        if shot.moment.alpha or not spec.transient
+        if generated or not spec.transient
     }
     for name, layer in layers.items():
         if layer.spec.known_where:

@@ -52,6 +52,8 @@ class Engine(Exchange):
         Why the kernels on disk do not build, with file and line, in one line; the last good ones go on.
     build_log : str
         All that the compiler said of that, in its lines.
+    cuts : dict
+        Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
     traffic : dict
         Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
@@ -68,6 +70,7 @@ class Engine(Exchange):
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error, self.build_log = 0, None, ""
         self.traffic: dict[str, dict[str, float]] = {}
+        self.cuts: dict[Recipe, frozenset[int]] = {}
         self._thread = threading.Thread(target=self._run, name="gffe-viewer-engine", daemon=True)
         self._device: Device | None = None
         self._problem = ""  # of opening the device
@@ -158,6 +161,7 @@ class Engine(Exchange):
         self._makers, self._last = {}, None
         self._scorer.clear()
         self.cache.clear()
+        self.cuts = {}
         self._opened += 1
         self._give_up(source)
         self._notify()
@@ -251,7 +255,7 @@ class Engine(Exchange):
     def _do_survey(self, request: Request) -> None:
         recipe, result = self.recipe(request.setup), None
         try:
-            result = self._maker("ahead").make(request)
+            result = self._noted(recipe, self._maker("ahead").make(request))
         except Interrupted:
             with self._news:
                 self._surveys.appendleft(request)
@@ -268,9 +272,16 @@ class Engine(Exchange):
         """Return the computed slot. It is stored in the cache if the request wants that and its dependencies did not
         change meanwhile."""
         before = self.recipe(request.setup)
-        result = self._maker(request.role).make(request)
+        result = self._noted(before, self._maker(request.role).make(request))
         if self.cache.most and request.keep and before == self.recipe(request.setup):
             self.cache.put(FrameKey(before, request.slot), result)
+        return result
+
+    def _noted(self, recipe: Recipe, result: Result) -> Result:
+        """Note the cuts that were found on the way to a slot, and return the slot."""
+        known = self.cuts.get(recipe, frozenset())
+        if not result.cuts <= known:
+            self.cuts[recipe] = known | result.cuts
         return result
 
     def _maker(self, role: str) -> SlotMaker | RemoteSlots:

@@ -27,7 +27,7 @@ class LayerSpec:
     `name` is "final", "rendered.color" … or "<stage>.<buffer>"; `group` heads it in lists. `view`, `components`,
     `planes`, `labels`, `grid` are those of `BufferSpec`. The positions of a "place" are `places_in` pixels of the
     "rendered" or the "target" image. `limits`: of a scalar's usual range; None: fitted to the picture.
-    `of_generated`: made for generated frames only; for a rendered one it holds what was there before.
+    `of_generated`: made for generated frames only; a rendered one has none.
     """
 
     name: str
@@ -75,12 +75,13 @@ _LABELS = {
 }
 
 
-def named_images(pipeline: Pipeline) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
-    """Return every image that the pipeline holds, by its layer's name."""
+def named_images(pipeline: Pipeline, generated: bool = True) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
+    """Return every image that the pipeline holds, by its layer's name; without `generated` only those that it makes for
+    rendered frames, too."""
     return {
         f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name])
         for owner, spec in pipeline.named_buffers()
-        if spec.grid != "once"
+        if spec.grid != "once" and (generated or not _only_for_generated(owner))
     }
 
 
@@ -130,4 +131,4 @@ def _only_for_generated(owner: Owner) -> bool:
     """Return whether a rendered frame changes none of the owner's buffers."""
     if isinstance(owner, Stage) and not isinstance(owner, Presentation):
         return type(owner).rendered is Stage.rendered
-    return isinstance(owner, ExtrapolatedBuffers)
+    return isinstance(owner, (ExtrapolatedBuffers, Output))

@@ -10,6 +10,7 @@ from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.options import Options
 from .buffers import Moment
 from .explain.pixel_explain_types import Story
+from .invalid import Invalid
 from .layers import LayerSpec
 
 
@@ -71,8 +72,8 @@ class Result:
         What was asked for, and what it shows.
     images : dict
         The layers asked for that exist: (planes?, H, W, channels?), the receiver's own; colors (H, W, 4) float16.
-        At a rendered slot the stages' layers after `submit` still hold the extrapolated frame before it, if they are
-        there, and "truth" is the rendered frame's display part.
+        A rendered slot has none of the layers of generated frames, and its "truth" is the rendered frame's display
+        part.
     specs : dict
         All layers that can be asked for.
     kernels : dict
@@ -82,6 +83,8 @@ class Result:
     warnings : tuple of str
     bad_pixels : BadPixels
         Of rendered frame k.
+    invalid : Invalid or None
+        Where those of them are that the pipeline cannot use; None if there are none, or if that is not known.
     metrics : dict
         Of "final" by name, those that are known already; for the others see `Engine.poll_metrics`.
     cuts : frozenset of int
@@ -99,6 +102,7 @@ class Result:
     readback_ms: float
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
+    invalid: Invalid | None = None
     metrics: dict[str, float] = field(default_factory=dict)
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
@@ -124,7 +128,8 @@ class Inspection:
     """Values of the slot last computed at display pixel `pixel`.
 
     `values` are (planes?, channels) by layer: on grid "target" those of the pixel, on "source" and "level l" those of
-    `source`, the position in the rendered image (pixels) that the warp's motion points to.
+    `source`, the position in the rendered image (pixels) that the warp's motion points to. `fault`: why the pixel there
+    is invalid; empty if it is not.
     """
 
     pixel: tuple[int, int]
@@ -132,6 +137,7 @@ class Inspection:
     source: tuple[float, float] | None
     values: dict[str, np.ndarray]
     story: Story
+    fault: str = ""
 
 
 class Closing(Exception):

@@ -24,6 +24,7 @@ from gffe_cl.engine.timing import traffic
 from . import names
 from .buffers import Moment, Shot
 from .explain.motion_trail import Passed
+from .invalid import invalid_pixels
 from .messages import Setup
 from .sources.source import FrameSource
 
@@ -48,6 +49,7 @@ class Seeker:
         self.shot: Shot | None = None
         self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
         self.bad_pixels = BadPixels()
+        self.invalid: np.ndarray | None = None  # pixels of the frame submitted last: a mask, see `invalid_pixels`
         self._at: int | None = None  # the frame submitted last
         self._frame: RenderedFrame | None = None
         self._before: Camera | None = None  # render camera of the frame before
@@ -176,3 +178,4 @@ class Seeker:
             )
         )  # fmt: skip
         self.bad_pixels = self._upload.take_bad_pixels() if host else BadPixels()
+        self.invalid = invalid_pixels(host) if host and last and self.bad_pixels else None

@@ -14,8 +14,9 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.timing import traffic
 from . import names
-from .buffers import device_layers, pixel_values, read_layers
+from .buffers import Shot, device_layers, moved, pixel_values, read_layers, source_position
 from .explain.pixel_explain import pixel_story
+from .invalid import Invalid, fault_at, seen_at, seen_through
 from .layers import layers_of
 from .messages import Inspection, Interrupted, Metrics, Request, Result
 from .metric_worker import Scorer
@@ -109,10 +110,22 @@ class SlotMaker:
             readback_ms=readback_ms,
             warnings=(*source.warnings(), *notes),
             bad_pixels=seeker.bad_pixels,
+            invalid=self._invalid(shot),
             metrics=known.values,
             cuts=frozenset(seeker.cuts),
             render_size=source.render_size,
         )
+
+    def _invalid(self, shot: Shot) -> Invalid | None:
+        """Return where invalid pixels of the input are seen, None if there are none."""
+        mask, pipeline, moment = self._seeker.invalid, self._seeker.pipeline, shot.moment
+        if mask is None or pipeline is None:
+            return None
+        if moment.alpha:
+            motion = read_layers(pipeline, device_layers(pipeline, shot), [names.MOTION])[names.MOTION]
+            return Invalid(mask, seen_through(mask, motion))
+        place = lambda x, y: moved((x, y), moment.display_camera, moment.render_camera)  # noqa: E731
+        return Invalid(mask, seen_at(mask, (self.source.width, self.source.height), place))
 
     def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:
         """Return the ground truth, None if there is none. A fault of it becomes a warning in `notes`, because the slot
@@ -139,12 +152,13 @@ class SlotMaker:
         pipeline, shot = seeker.pipeline, seeker.shot
         assert pipeline is not None and self.last is not None  # as there is a shot
         values = pixel_values(pipeline, shot, x, y)
-        story = pixel_story(pipeline, shot, x, y, values, seeker.passed)
+        fault = fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
+        story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
             values[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
         if layers is not None:
             values = {name: value for name, value in values.items() if name in layers}
-        return Inspection((x, y), self.last.slot, story.source, values, story)
+        return Inspection((x, y), self.last.slot, story.source, values, story, fault)
 
 
 def weights_of(options: Options) -> str:

@@ -156,7 +156,7 @@ def _plot(model: Model) -> None:
             if known:
                 xs, ys = (np.array(values, np.float64) for values in zip(*known, strict=True))
                 implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1 if metric.unit else implot.ImAxis_.y2)
-                implot.plot_line(metric.label, xs, ys)
+                implot.plot_line(metric.label if metric.unit else f"{metric.label} (right)", xs, ys)
         implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1)
         implot.plot_inf_lines("###now", np.array([float(model.slot)]))
         implot.end_plot()

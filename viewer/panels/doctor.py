@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
-from imgui_bundle import imgui
 
 from gffe_cl.engine.core.errors import printable
+from ..state.model import Model
 from . import widgets
 from .interface import Interface
 
-_RED, _AMBER, _GRAY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
+_AMBER, _GRAY = ImVec4(0.9, 0.7, 0.3, 1.0), ImVec4(0.6, 0.6, 0.62, 1.0)
 
 
 def draw(app: Interface) -> None:
@@ -24,12 +25,12 @@ def draw(app: Interface) -> None:
         widgets.hint("examining motion, depth, cameras and colors …")
     elif doctor.problem:
         widgets.hint("could not be examined")
-        _colored(_RED, doctor.problem)
+        widgets.colored(widgets.RED, doctor.problem)
     elif not doctor.findings:
         widgets.hint("everything fits")
     else:
         widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
-    _findings(doctor)
+    _findings(model, doctor)
     if model.marks:
         widgets.heading("Frames in the wrong place")
         with widgets.in_rows() as row:
@@ -38,23 +39,29 @@ def draw(app: Interface) -> None:
                 if imgui.text_link(f"{frame}###mark {frame}"):
                     model.playback.seek(frame * (model.n + 1))
                 widgets.tooltip(f"rendered frame {frame} {reason}")
-    if any(finding.fix for finding in doctor.findings):
+    if offers_repair(doctor.findings):
         imgui.separator()
-        widgets.hint(printable(f"gffe check {model.source.target} --fix OUT  repairs it"))
+        widgets.hint(printable(f"gffe check {model.source.target} --fix OUT  repairs the faults"))
 
 
-def _findings(doctor) -> None:
+def offers_repair(findings) -> bool:
+    """Return whether `gffe check --fix` repairs one of the faults; notes are not repaired without being asked for."""
+    return any(finding.kind == "fault" and finding.fix for finding in findings)
+
+
+def _findings(model: Model, doctor) -> None:
     if not doctor.findings:
         return
     from gffe_cl.captures.doctor.findings import FAULT, NOTE  # loaded by now
 
-    colors = {FAULT: _RED, NOTE: _AMBER}
+    colors = {FAULT: widgets.RED, NOTE: _AMBER}
     for finding in doctor.findings:
-        _colored(colors.get(finding.kind, _GRAY), finding.kind)
+        widgets.colored(colors.get(finding.kind, _GRAY), finding.kind)
         imgui.text_wrapped(str(finding))
-
-
-def _colored(color, text: str) -> None:
-    imgui.push_style_color(imgui.Col_.text, color)
-    imgui.text_wrapped(text)
-    imgui.pop_style_color()
+        with widgets.in_rows() as row:
+            for name, (frame, x, y) in finding.places.items():
+                text = f"{name} in frame {frame}"
+                row(imgui.calc_text_size(text).x)
+                if imgui.text_link(f"{text}###place {finding.id} {name}"):
+                    model.go_to_input(frame, (x, y))
+                widgets.tooltip(f"rendered frame {frame}, pixel ({x}, {y}) of the input")

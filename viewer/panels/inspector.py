@@ -11,6 +11,8 @@ from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..engine.explain.pixel_explain_types import Story
+from ..engine.layers import LayerSpec
+from ..picture.invalid import bad_values
 from ..picture.legends import value_text
 from ..state.model import Model
 from . import widgets
@@ -20,13 +22,14 @@ _LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest
 
 
 class Row(NamedTuple):
-    """A layer's value: `group` is its stage, `description` the layer's."""
+    """A layer's value: `group` is its stage, `description` the layer's; `is_bad`: NaN or infinite."""
 
     group: str
     label: str
     description: str
     value: str
     is_color: bool
+    is_bad: bool
 
 
 def draw(app: Interface) -> None:
@@ -47,6 +50,8 @@ def draw(app: Interface) -> None:
     if inspection.source is not None:
         at += f"   from ({inspection.source[0]:.2f}, {inspection.source[1]:.2f}) of the rendered frame"
     imgui.text_wrapped(at)
+    if inspection.fault:
+        widgets.colored(widgets.RED, f"invalid in the input: {inspection.fault}")
     _values(app, inspection)
 
 
@@ -74,10 +79,11 @@ def _table(group: str, rows: list[Row], names: float) -> None:
     for row in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text(widgets.shortened(row.label, names))
+        imgui.text(widgets.cut(row.label, names))
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
-        imgui.text_wrapped(row.value)
+        text_color = widgets.RED if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
+        widgets.colored(text_color, row.value)
     imgui.end_table()
 
 
@@ -87,12 +93,17 @@ def _rows(app: Interface, inspection) -> list[Row]:
     if known is not inspection:
         rows = [
             Row(spec.group, spec.label, spec.description, value_text(spec, inspection.values[spec.name]),
-                spec.view == "color")
+                spec.view == "color", _is_bad(spec, inspection.values[spec.name]))
             for spec in app.model.contents.layers
             if spec.name in inspection.values
         ]  # fmt: skip
         app.inspected = inspection, rows
     return rows
+
+
+def _is_bad(spec: LayerSpec, values: np.ndarray) -> bool:
+    """Return whether the values (planes?, channels) of a pixel hold NaN or infinity."""
+    return bool(bad_values(spec, np.reshape(values, (-1, 1, np.shape(values)[-1]))).any())
 
 
 def _story(model: Model, story: Story) -> None:

@@ -52,7 +52,7 @@ def _row(app: Interface, spec) -> None:
     shown = spec.name == model.view.a
     reason = model.contents.why_not(spec.name)
     imgui.begin_disabled(reason is not None)
-    if imgui.selectable(f"{widgets.shortened(spec.label, imgui.get_content_region_avail().x)}###{spec.name}", shown)[0]:
+    if imgui.selectable(f"{widgets.cut(spec.label, imgui.get_content_region_avail().x)}###{spec.name}", shown)[0]:
         model.show_layer(spec.name)
     imgui.end_disabled()
     if shown and spec.name != app.row_seen:

@@ -7,7 +7,7 @@ from functools import partial
 
 from imgui_bundle import imgui
 
-from gffe_cl.engine.options import Option
+from gffe_cl.engine.options import PRESETS, Option
 from ..state.model import Model
 from ..state.parameters import by_hand
 from . import widgets
@@ -18,6 +18,10 @@ def draw(app: Interface) -> None:
     model = app.model
     offered = model.parameters.offered()
     with widgets.compact():
+        names = {name: preset.sentence for name, preset in PRESETS.items()}
+        preset = model.parameters.options.preset_name or "own settings"
+        widgets.choice("preset", preset, list(names), model.parameters.use_preset, names)
+        widgets.tooltip("Quality against cost.")
         _modules(model, {name: option for name, option in offered.items() if option.is_module})
         widgets.heading("Parameters")
         for name, option in offered.items():

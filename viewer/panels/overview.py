@@ -52,7 +52,7 @@ def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
     spec = model.contents.spec(place.name)
     if spec is None:
         return
-    name = widgets.shortened(f"{spec.group}: {spec.label}", place.width)
+    name = widgets.cut(f"{spec.group}: {spec.label}", place.width)
     marks.add_text(ImVec2(left, bottom + 1), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), name)
     inside = left <= at.x < right and top <= at.y < bottom
     if inside and model.pointing.enabled and imgui.is_item_hovered():

@@ -116,7 +116,7 @@ class Palette:
 def _at_right(text: str) -> None:
     """Draw as much of the text as the line has room for, at its end."""
     room = imgui.get_content_region_avail().x
-    text = widgets.shortened(text, room)
+    text = widgets.cut(text, room)
     imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - imgui.calc_text_size(text).x)
     imgui.text_disabled(text)
 

@@ -11,7 +11,7 @@ from ..engine import names
 from ..engine.sources.preview import Preview
 from ..picture.canvas import Rectangle
 from ..picture.view import View
-from ..state.captions import frame_text
+from ..state.captions import layer_text
 from ..state.model import Model
 from ..state.presets import told
 from . import overview, widgets
@@ -29,7 +29,6 @@ _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
-_USUAL_LETTERS = 15.0  # screen pixels
 
 
 def draw(app: Interface) -> None:
@@ -52,7 +51,7 @@ def draw(app: Interface) -> None:
         overview.draw(app, (width, height))
         return
     view = model.comparison.shown()
-    view.line = _LINE * _unit()
+    view.line = _LINE * widgets.mark_unit()
     texture = app.drawn(view, (width, height))
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
     imgui.set_cursor_screen_pos(origin)
@@ -71,6 +70,7 @@ def draw(app: Interface) -> None:
     _rectangle(model, place, marks)
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
+    covers += _bars(model, origin, width, height, marks)
     if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
         app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
@@ -105,7 +105,7 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
     marks = imgui.get_window_draw_list()
     text = f"rendered frame 0   {model.engine.activity or 'opening'} …"
-    _label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
+    widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
 def _mouse(app: Interface, place) -> None:
@@ -121,7 +121,8 @@ def _mouse(app: Interface, place) -> None:
         after = place.to_display(at)
         view.center = (view.center[0] + before[0] - after[0], view.center[1] + before[1] - after[1])
     line = place.origin.x + view.split * place.size[0]
-    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP * _unit()
+    near = abs(at.x - line) < _GRIP * widgets.mark_unit()
+    on_line = view.compare == "split" and not model.comparison.flipped and near
     if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
         imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew.value)
     if imgui.is_item_activated():
@@ -206,7 +207,7 @@ def _numbers(model: Model, place, marks) -> bool:
     lines = min(image[0, 0].size, _VALUES)
     wide, high = (along * place.view.zoom for along in scale)
     size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
-    if size < _LEAST_LETTERS * _unit():
+    if size < _LEAST_LETTERS * widgets.mark_unit():
         return False
     left, top = place.to_display(place.origin)
     right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
@@ -240,7 +241,7 @@ def _trajectory(model: Model, place, marks) -> None:
     if model.pointing.picked is None:
         return
     x, y = model.pointing.picked
-    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), _unit()
+    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), widgets.mark_unit()
     half = max(model.view.zoom / 2, 4 * unit)
     middle = place.to_screen(x + 0.5, y + 0.5)
     corners = ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half)
@@ -261,7 +262,7 @@ def _way(model: Model, place, marks) -> None:
     story = model.pointing.story
     if story is None or len(story.way) < 2:
         return
-    line, rim, unit = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8)), _unit()
+    line, rim, unit = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8)), widgets.mark_unit()
     points = [place.to_screen(*point.px) for point in story.way]
     for a, b in zip(points, points[1:], strict=False):
         marks.add_line(a, b, rim, 3.5 * unit)
@@ -275,11 +276,6 @@ def _way(model: Model, place, marks) -> None:
             imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
 
 
-def _unit() -> float:
-    """Return the size of marks in screen pixels: 1 at the usual size of letters."""
-    return imgui.get_font_size() / _USUAL_LETTERS
-
-
 def _rectangle(model: Model, place, marks) -> None:
     """Draw the rectangle whose statistics the inspector shows."""
     if model.selection.rectangle is None:
@@ -287,8 +283,8 @@ def _rectangle(model: Model, place, marks) -> None:
     left, top, right, bottom = model.selection.rectangle
     corners = place.to_screen(left, top), place.to_screen(right, bottom)
     marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
-    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * _unit())
-    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * _unit())
+    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * widgets.mark_unit())
+    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * widgets.mark_unit())
 
 
 def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
@@ -297,33 +293,54 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     view, covers = model.view, []
 
     def label(text: str, x: float, y: float, right: bool = False) -> None:
-        left, top, end, bottom = _label(marks, text, origin.x + x, origin.y + y, right)
+        left, top, end, bottom = widgets.label(marks, text, origin.x + x, origin.y + y, right)
         inside = left - origin.x, top - origin.y, end - origin.x + 1, bottom - origin.y + 1
         covers.append(tuple(map(int, inside)))
 
     if model.comparison.flipped and view.b:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
-        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
-        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
-        a, b = (widgets.shortened(text, width / 2 - 24) for text in texts)
+        settings = f"   {told(model.setup)}" if model.comparison.by_settings else ""
+        texts = (f"A  {_layer_text(model, view.a)}{settings}", f"B  {_layer_text(model, view.b)}")
+        a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
         label(a, 10, 8)
         label(b, width - 10, 8, right=True)
     else:
         label(_layer_text(model, view.a), 10, 8)
-    k, j = divmod(model.slot, model.n + 1)
-    kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
-    if model.follows and model.contents.result is not None:
-        kind = frame_text(model.contents.result.moment)
-    kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    kind, line = f"{model.frame_text}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    if found := model.invalid.text():
+        kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):
         state = "computing …"
     if state:
-        state = widgets.shortened(state, width - 24)
+        state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
         label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
+    return covers
+
+
+def _bars(model: Model, origin, width: int, height: int, marks) -> list[Rectangle]:
+    """Draw a color bar with numbers and unit for each map, at the picture's right edge, of A in a wipe at its left one.
+    Returns their rectangles, in the picture's pixels."""
+    em, covers = hello_imgui.em_size(), []
+    top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
+    if high < 4 * em or width < 20 * em:
+        return covers
+    for entry in model.legends():
+        shown = entry.legend
+        left = entry.title.startswith("A  ")
+        at = origin.x + (0.3 * em if left else width - 0.3 * em), origin.y + top
+        draw = {"ramp": widgets.vertical_bar, "wheel": widgets.small_wheel}.get(shown.kind)
+        if draw is None:
+            continue
+        x0, y0, x1, y1 = draw(marks, shown, at, high, right=not left)
+        covers.append(tuple(map(int, (x0 - origin.x, y0 - origin.y, x1 - origin.x + 1, y1 - origin.y + 1))))
+        top += 0 if left else y1 - y0 + 0.5 * em
+        high = min(high, height - top - 4 * em)
+        if high < 4 * em:
+            break
     return covers
 
 
@@ -332,26 +349,12 @@ def _layer_text(model: Model, name: str) -> str:
     spec = model.contents.spec(name)
     if spec is None:
         return f"{names.plain(name)}: not made with these options"
-    text, display = f"{spec.group}: {spec.label}", model.looks.of(name)
+    text = layer_text(spec, model.looks.of(name))
     if names.is_second(name) and model.kept.b is not None:
-        text = f"{model.kept.b.name}   {text}"
+        text += f"   {model.kept.b.name}"
         if model.second.fault:
             return f"{model.kept.b.name}: {model.second.fault}"
-    if spec.view == "color" and display.exposure:
-        text += f"   {display.exposure:+.1f} EV"
     result = model.contents.second if names.is_second(name) else model.contents.result
     if result and names.plain(name) in result.request.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
-    elif result and not result.moment.alpha and spec.of_generated:
-        text += "   (of the generated frame before)"
     return text
-
-
-def _label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[float, float, float, float]:
-    """Write text on a dark ground; return the ground's left, top, right and bottom, window's pixels."""
-    size = imgui.calc_text_size(text)
-    x = x - size.x if right else x
-    ground = x - 5, y - 3, x + size.x + 5, y + size.y + 3
-    marks.add_rect_filled(ImVec2(*ground[:2]), ImVec2(*ground[2:]), imgui.get_color_u32((0, 0, 0, 0.6)), 4)
-    marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
-    return ground

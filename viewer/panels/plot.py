@@ -57,7 +57,7 @@ def _why_empty(model: Model) -> str:
 
 def _plot(model: Model, curves: list[tuple], height: float) -> None:
     slots = max(model.playback.slots, 1)
-    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves]), height)
+    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves]), height, QUANTITIES[model.survey.quantity].unit)
     for name, xs, ys, weight in curves:
         _curve(name, xs, ys, COLORS[name], weight, xs.size <= _FEW)
     implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
@@ -65,35 +65,39 @@ def _plot(model: Model, curves: list[tuple], height: float) -> None:
         _hovered(model, [curve[:3] for curve in reversed(curves)], QUANTITIES[model.survey.quantity])
 
 
-def _axes(slots: int, values: np.ndarray, height: float) -> None:
-    """Set up the axes: slots as the timeline below has them, and a range for these values, whose numbers stand inside;
-    `height`: of the curves, pixels."""
+def _axes(slots: int, values: np.ndarray, height: float, unit: str) -> None:
+    """Set up the axes: slots as the timeline below has them, and a range for these values, whose numbers stand inside,
+    with their `unit`; `height`: of the curves, pixels."""
     hidden = implot.AxisFlags_.no_label.value
     implot.setup_axes("frame", "value", hidden, hidden | implot.AxisFlags_.no_tick_labels.value)
     implot.setup_axis_limits(implot.ImAxis_.x1, 0, slots, imgui.Cond_.always.value)
     marks = range(0, slots, _step(slots, imgui.get_content_region_avail().x / hello_imgui.em_size(4)))
     implot.setup_axis_ticks(implot.ImAxis_.x1, [slot + 0.5 for slot in marks], [str(slot) for slot in marks])
-    low, high, levels, texts = scale_of(float(values.min()), float(values.max()))
+    line = imgui.get_text_line_height()
+    low, high, levels, texts = scale_of(float(values.min()), float(values.max()), height / (1.2 * line))
+    texts = [f"{text} {unit}".rstrip() for text in texts]
     implot.setup_axis_limits(implot.ImAxis_.y1, low, high, imgui.Cond_.always.value)
     implot.setup_axis_ticks(implot.ImAxis_.y1, levels, texts)
     for level, text in zip(levels, texts, strict=True):
         size = imgui.calc_text_size(text)
-        if (high - level) / (high - low) * height > size.y:  # there is room for it above
-            implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, -size.y / 2))
+        below = (high - level) / (high - low) * height < size.y  # there is no room for it above
+        implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, size.y / 2 if below else -size.y / 2))
 
 
-def scale_of(least: float, most: float) -> tuple[float, float, list[float], list[str]]:
-    """Return the range of an axis on which these values have some room, round numbers in it, and how they are
-    written."""
+def scale_of(least: float, most: float, count: float = 5.0) -> tuple[float, float, list[float], list[str]]:
+    """Return the range of an axis on which these values have some room, two to five round numbers in it, and how they
+    are written. `count`: as many have room: of more, the first and the last are left, or none where they collide."""
     room = max(0.1 * (most - least), 1e-3 * abs(most), 1e-3)
     low, high = least - room, most + 2 * room
     step = next(
         factor * 10.0**power
         for power in range(math.floor(math.log10(high - low)) - 1, 400)
         for factor in (1, 2, 5)
-        if (high - low) / (factor * 10.0**power) <= 4
+        if (high - low) / (factor * 10.0**power) <= 5
     )
     levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    if len(levels) > count:
+        levels = [levels[0], levels[-1]] if (levels[-1] - levels[0]) / (high - low) * count >= 1 else []
     digits = max(-math.floor(math.log10(step)), 0)
     return low, high, levels, [f"{level:.{digits}f}" for level in levels]
 
@@ -129,18 +133,21 @@ def _controls(app: Interface) -> None:
         ):
             row(em(2.2))
             widgets.action_button(app.actions, name, icon)
-        for label, side in (("A", survey.a), ("B", survey.b)):
-            mean = survey.mean(side, survey.quantity)
-            if mean is not None:
-                text = QUANTITIES[survey.quantity].text(mean)
-                row(imgui.calc_text_size(f"{label} {text}").x)
-                imgui.text_colored(COLORS[label], label)
-                imgui.same_line(0, em(0.3))
-                imgui.text(text)
+        means, count = survey.means(survey.quantity)
+        for label, mean in means.items():
+            text = QUANTITIES[survey.quantity].text(mean)
+            row(imgui.calc_text_size(f"{label} {text}").x)
+            imgui.text_colored(COLORS[label], label)
+            imgui.same_line(0, em(0.3))
+            imgui.text(text)
+        if means:
+            text = f"mean of {count} frame{'s' * (count != 1)}" + " of both" * (len(means) > 1)
+            row(imgui.calc_text_size(text).x)
+            imgui.text_disabled(text)
         text = _progress(model)
         if text:
             row(min(imgui.calc_text_size(text).x, em(8)))
-            imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x))
+            imgui.text(widgets.cut(text, imgui.get_content_region_avail().x))
 
 
 def _progress(model: Model) -> str:
@@ -153,9 +160,11 @@ def _progress(model: Model) -> str:
 
 def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, marked: bool) -> None:
     spec = implot.Spec()
-    spec.line_color, spec.line_weight = color, weight
+    unit = widgets.mark_unit()
+    spec.line_color, spec.line_weight = color, weight * unit
     if marked:
-        spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 1 + weight / 2, color
+        spec.marker, spec.marker_fill_color = implot.Marker_.circle.value, color
+        spec.marker_size = (1 + weight / 2) * unit
     implot.plot_line(label, xs + 0.5, ys, spec=spec)
 
 

@@ -26,17 +26,17 @@ def draw(app: Interface) -> None:
     if regions.only:
         imgui.same_line()
         text = f"only {regions.only}: click again for all"
-        imgui.text_disabled(widgets.shortened(text, imgui.get_content_region_avail().x))
+        imgui.text_disabled(widgets.cut(text, imgui.get_content_region_avail().x))
     if not regions.on:
         widgets.hint(reason or "Switch them on to see where the error of this frame lies")
     elif reason:
         widgets.hint(f"This frame: {reason}")
     elif regions.map is not None:
         _table(regions, "frame", "this frame" + ("" if regions.ready else " …"), regions.map.a, regions.map.b)
-    whole = model.survey.parts(model.survey.a)
-    if whole:
-        count = len(model.survey.with_parts(model.survey.a))
-        _table(regions, "all", f"all {count} frames", whole, model.survey.parts(model.survey.b) or None)
+    whole, count = model.survey.parts()
+    if "A" in whole:
+        of = f"{count} frame{'s' * (count != 1)}" + " of both" * ("B" in whole)
+        _table(regions, "all", of, whole["A"], whole.get("B"))
 
 
 def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
@@ -58,7 +58,7 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
         imgui.table_next_column()
         widgets.swatch(f"color {number}", region_colors()[region], 0.8)
         spans = imgui.SelectableFlags_.span_all_columns.value
-        text = widgets.shortened(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
+        text = widgets.cut(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
         if imgui.selectable(f"{text}###{name} {region}", regions.only == region, spans)[0]:
             regions.see_only(region)
         widgets.tooltip(f"{region}: {meaning}; {_share(part.pixels)} of the pixels")
@@ -76,11 +76,12 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
 
 
 def _bar(share: float) -> None:
-    """Draw a share as a bar with its number in it."""
+    """Draw a share as its number over a bar."""
     draw, at = imgui.get_window_draw_list(), imgui.get_cursor_screen_pos()
     width, height = imgui.get_content_region_avail().x, imgui.get_text_line_height()
-    color = imgui.get_color_u32((0.85, 0.35, 0.3, 0.55))
-    draw.add_rect_filled(at, ImVec2(at.x + max(width * share, 1.0), at.y + height), color, 2)
+    color = imgui.get_color_u32((0.85, 0.35, 0.3, 0.9))
+    foot, unit = at.y + height + widgets.mark_unit(), widgets.mark_unit()
+    draw.add_rect_filled(ImVec2(at.x, foot - 3 * unit), ImVec2(at.x + max(width * share, unit), foot), color)
     imgui.text(_share(share))
 
 

@@ -11,7 +11,7 @@ from ..state.model import Model
 from . import widgets
 from .interface import Interface
 
-RED, BLUE = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.36, 0.62, 0.95, 1.0)
+_BLUE = ImVec4(0.36, 0.62, 0.95, 1.0)
 _SECONDS = {"error": 30.0, "note": 8.0}  # that a message stands there, by its kind
 _KERNEL_SHARE = 0.7  # of the bar, at most, if there is another message
 
@@ -25,9 +25,9 @@ def draw(app: Interface) -> None:
     if shown:
         last = shown[-1]
         _beside(told)
-        imgui.text_colored(RED if last.error else BLUE, _icon(last.error))
+        imgui.text_colored(widgets.RED if last.error else _BLUE, _icon(last.error))
         imgui.same_line()
-        imgui.text(widgets.shortened(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
+        imgui.text(widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
         widgets.tooltip("\n".join(message.text for message in shown))
         told = True
     _beside(told)
@@ -40,9 +40,9 @@ def draw(app: Interface) -> None:
 
 def _kernel_error(log: str, share: float) -> None:
     """Draw the compiler's first error with file and line; a click copies the whole log."""
-    imgui.text_colored(RED, f"{_icon(True)} kernels do not build:")
+    imgui.text_colored(widgets.RED, f"{_icon(True)} kernels do not build:")
     imgui.same_line()
-    imgui.push_style_color(imgui.Col_.text_link, RED)
+    imgui.push_style_color(imgui.Col_.text_link, widgets.RED)
     text = widgets.cut(first_error(log), share * imgui.get_content_region_avail().x)
     if imgui.text_link(f"{text}###kernel_error"):
         imgui.set_clipboard_text(log)

@@ -18,7 +18,7 @@ GENERATED = (0.96, 0.66, 0.28, 1.0)
 DOUBT = (0.98, 0.85, 0.25, 1.0)
 RESET = (0.93, 0.30, 0.30, 1.0)
 CACHED = (0.35, 0.80, 0.45, 1.0)
-_CACHED_HEIGHT = 3.0  # screen pixels
+_CACHED_HEIGHT = 3.0  # pixels at the usual size of letters
 _NARROW = 2.5  # screen pixels
 _LEAST_STATUS = 4.5  # em: with less room it has a row of its own
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
@@ -85,7 +85,7 @@ def _transport(app: Interface) -> None:
         imgui.align_text_to_frame_padding()
         long, short = _status(app.model)
         room = imgui.get_content_region_avail().x
-        imgui.text(long if imgui.calc_text_size(long).x <= room else widgets.shortened(short, room))
+        imgui.text(long if imgui.calc_text_size(long).x <= room else widgets.cut(short, room))
         widgets.tooltip(long)
 
 
@@ -120,7 +120,7 @@ def _bar(model: Model) -> None:
     origin = imgui.get_cursor_screen_pos()
     imgui.invisible_button("###scrub", ImVec2(width, height))
     _scrub(model, origin.x, width, count)
-    draw = imgui.get_window_draw_list()
+    draw, unit = imgui.get_window_draw_list(), widgets.mark_unit()
     step = width / count
     shades = [imgui.get_color_u32((*c[:3], 0.85)) for c in (RENDERED, GENERATED)]
     outside = [imgui.get_color_u32((*c[:3], 0.25)) for c in (RENDERED, GENERATED)]
@@ -142,22 +142,25 @@ def _bar(model: Model) -> None:
     marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.marks]
     for frame, color in marked:
         x, ink = round(origin.x + frame * (model.n + 1) * step), imgui.get_color_u32(color)
-        draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2.0)
-        draw.add_triangle_filled(ImVec2(x, origin.y), ImVec2(x + 7, origin.y + 3), ImVec2(x, origin.y + 6), ink)
+        draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2 * unit)
+        flag = ImVec2(x + 7 * unit, origin.y + 3 * unit), ImVec2(x, origin.y + 6 * unit)
+        draw.add_triangle_filled(ImVec2(x, origin.y), *flag, ink)
     at = round(origin.x + (playback.slot + 0.5) * step)
     ink = imgui.get_color_u32(imgui.Col_.text)
-    draw.add_line(ImVec2(at, origin.y), ImVec2(at, origin.y + height), ink, 2.0)
-    draw.add_triangle_filled(ImVec2(at - 5, origin.y), ImVec2(at + 5, origin.y), ImVec2(at, origin.y + 7), ink)
+    draw.add_line(ImVec2(at, origin.y), ImVec2(at, origin.y + height), ink, 2 * unit)
+    top = ImVec2(at - 5 * unit, origin.y), ImVec2(at + 5 * unit, origin.y)
+    draw.add_triangle_filled(*top, ImVec2(at, origin.y + 7 * unit), ink)
+    green = imgui.get_color_u32((0.4, 0.9, 0.5, 0.9))
     for slot in (first, last + 1):
         x = round(origin.x + slot * step)
-        draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), imgui.get_color_u32((0.4, 0.9, 0.5, 0.9)), 2.0)
+        draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), green, 2 * unit)
 
 
 def _cached(model: Model, draw, origin, step: float, height: float) -> None:
     """Draw the cached slots that the picture can use: a line below the slots."""
     ink, bottom = imgui.get_color_u32(CACHED), origin.y + height
     for start, end in runs(model.filling.cached):
-        corner = ImVec2(origin.x + end * step, bottom + _CACHED_HEIGHT)
+        corner = ImVec2(origin.x + end * step, bottom + _CACHED_HEIGHT * widgets.mark_unit())
         draw.add_rect_filled(ImVec2(origin.x + start * step, bottom), corner, ink)
 
 

@@ -35,7 +35,9 @@ def draw(app: Interface) -> None:
             color = implot.get_colormap_color(index)
             imgui.table_next_column()
             flags = imgui.TreeNodeFlags_.span_avail_width.value | imgui.TreeNodeFlags_.no_tree_push_on_open.value
-            is_open = imgui.tree_node_ex(f"{name}###stage {name}", flags)
+            room = imgui.get_content_region_avail().x - imgui.get_tree_node_to_label_spacing()
+            is_open = imgui.tree_node_ex(f"{widgets.cut(name, room)}###stage {name}", flags)
+            widgets.tooltip(name if name != "correction" else "")
             if name == "correction":
                 network, copies = model.timings.network(), model.timings.copies()
                 widgets.tooltip(f"of this {network:.2f} ms in the network, {copies:.2f} ms in copies to it and back")
@@ -100,7 +102,7 @@ def _kernels(model: Model, stage: str, longest: float, color) -> None:
     for kernel, milliseconds in model.timings.of_stage(stage).items():
         imgui.table_next_column()
         imgui.indent(hello_imgui.em_size(2))
-        imgui.text(widgets.shortened(kernel, imgui.get_content_region_avail().x))
+        imgui.text(widgets.cut(kernel, imgui.get_content_region_avail().x))
         widgets.tooltip(kernel)
         imgui.unindent(hello_imgui.em_size(2))
         _cost(model, milliseconds, longest, color, must_move.get(kernel))

@@ -7,12 +7,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 
-from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..picture.colors import Rgb, wheel_color
 from ..picture.legends import Legend
 
+RED = ImVec4(0.97, 0.5, 0.45, 1.0)
+_GRABS = imgui.Col_.slider_grab.value, imgui.Col_.slider_grab_active.value
+_USUAL_LETTERS = 15.0  # screen pixels
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
 
@@ -70,11 +73,15 @@ def slider(
     needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
     written = imgui.calc_text_size(text % value).x + 2 * imgui.get_style().frame_padding.x
     _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed), written)
+    for grab in _GRABS:
+        imgui.push_style_color(grab, ImVec4(0, 0, 0, 0))  # it would lie over the number
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:
         changed, new = imgui.slider_float(f"###{label}", value, low, high, text)
+    imgui.pop_style_color(len(_GRABS))
     tooltip(help_text)
+    _level((new - low) / (high - low), _GRABS[imgui.is_item_active()])
     if changed:
         change(min(max(new, low), high))
     imgui.same_line()
@@ -86,10 +93,24 @@ def slider(
     beside(label)
 
 
+def _level(share: float, color: int) -> None:
+    """Draw how far a slider is, at the foot of the item drawn last."""
+    first, last, unit = imgui.get_item_rect_min(), imgui.get_item_rect_max(), mark_unit()
+    right = first.x + min(max(share, 0.0), 1.0) * (last.x - first.x)
+    corner = ImVec2(max(right, first.x + 3 * unit), last.y)
+    marks = imgui.get_window_draw_list()
+    marks.add_rect_filled(ImVec2(first.x, last.y - 3 * unit), corner, imgui.get_color_u32(color), 1.5 * unit)
+
+
+def mark_unit() -> float:
+    """Return the size of marks in screen pixels: 1 at the usual size of letters."""
+    return imgui.get_font_size() / _USUAL_LETTERS
+
+
 def beside(label: str) -> None:
     """Draw the label of the last item, as much of it as has room."""
     imgui.same_line()
-    text = shortened(label, imgui.get_content_region_avail().x)
+    text = cut(label, imgui.get_content_region_avail().x)
     imgui.text(text)
     tooltip("" if text == label else label)
 
@@ -138,21 +159,14 @@ def choice(
 
 def hint(text: str) -> None:
     """Draw text that is less important than the rest, in as many lines as it takes."""
-    imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
+    colored(imgui.get_style_color_vec4(imgui.Col_.text_disabled), text)
+
+
+def colored(color, text: str) -> None:
+    """Draw text in a color, in as many lines as it takes."""
+    imgui.push_style_color(imgui.Col_.text, color)
     imgui.text_wrapped(text)
     imgui.pop_style_color()
-
-
-def shortened(text: str, width: float) -> str:
-    """Return as much of a text as has room in `width` pixels, without its middle; a few letters in any case."""
-    shorter = text
-    if imgui.calc_text_size(text).x <= width:
-        return text
-    for kept in range(len(text) - 1, 2, -1):
-        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
-        if imgui.calc_text_size(shorter).x <= width:
-            break
-    return shorter
 
 
 def cut(text: str, width: float) -> str:
@@ -200,14 +214,8 @@ def show_legend(shown: Legend) -> None:
         _ticks(shown.ticks, origin, width)
         imgui.dummy(ImVec2(width, 2.2 * em))
     elif shown.kind == "wheel":
-        radius, parts = 1.6 * em, 24
-        middle = ImVec2(origin.x + radius, origin.y + radius)
-        for part in range(parts):
-            start, end = (2 * math.pi * (part + side) / parts for side in (-0.5, 0.55))
-            first, last = (
-                ImVec2(middle.x + radius * math.cos(a), middle.y + radius * math.sin(a)) for a in (start, end)
-            )
-            draw.add_triangle_filled(middle, first, last, imgui.get_color_u32((*wheel_color(part / parts, 1.0), 1.0)))
+        radius = 1.6 * em
+        _wheel(draw, ImVec2(origin.x + radius, origin.y + radius), radius)
         imgui.dummy(ImVec2(2 * radius, 2 * radius))
         imgui.same_line()
     if shown.unit:
@@ -245,3 +253,63 @@ def _swatches(labels) -> None:
         used += width
         swatch(f"swatch {text}", color, 0.9)
         imgui.text(text)
+
+
+def label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[float, float, float, float]:
+    """Write text on a dark ground; return the ground's left, top, right and bottom, window's pixels."""
+    size = imgui.calc_text_size(text)
+    x = x - size.x if right else x
+    ground = _ground(marks, x, y, size.x, size.y)
+    marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
+    return ground
+
+
+def _ground(marks, x: float, y: float, width: float, height: float) -> tuple[float, float, float, float]:
+    """Draw a dark ground behind what has this place; return its left, top, right and bottom."""
+    unit = mark_unit()
+    ground = x - 5 * unit, y - 3 * unit, x + width + 5 * unit, y + height + 3 * unit
+    marks.add_rect_filled(ImVec2(*ground[:2]), ImVec2(*ground[2:]), imgui.get_color_u32((0, 0, 0, 0.6)), 4 * unit)
+    return ground
+
+
+def vertical_bar(marks, shown: Legend, at, high: float, right: bool) -> tuple[float, float, float, float]:
+    """Draw a ramp from low, at its foot, to high, `high` pixels with its unit above it, whose right or left upper
+    corner is `at`. Returns the left, top, right and bottom of its ground."""
+    em, line = hello_imgui.em_size(), imgui.get_text_line_height()
+    sizes = [imgui.calc_text_size(text) for _, text, _ in shown.ticks]
+    unit = imgui.calc_text_size(shown.unit).x if shown.unit else 0.0
+    width = max(max(size.x for size in sizes) + 1.3 * em, unit)
+    x, y = at[0] - width - 5 if right else at[0] + 5, at[1] + 3
+    ground = _ground(marks, x, y, width, high)
+    ink, top = imgui.get_color_u32((1, 1, 1, 0.95)), y + (1.8 * line if unit else 0.5 * line)
+    if unit:
+        marks.add_text(ImVec2(x + (width - unit if right else 0), y), ink, shown.unit)
+    length, left = y + high - 0.5 * line - top, x + width - 0.8 * em if right else x
+    for (a, _, lower), (b, _, upper) in pairwise(shown.ticks):
+        colors = [imgui.get_color_u32((*color, 1.0)) for color in (upper, upper, lower, lower)]
+        corners = ImVec2(left, top + (1 - b) * length), ImVec2(left + 0.8 * em, top + (1 - a) * length)
+        marks.add_rect_filled_multi_color(*corners, *colors)
+    steps = 1 if length >= 1.3 * line * (len(sizes) - 1) else 2 if length >= 1.3 * line * 2 else len(sizes) - 1
+    for (position, text, _), size in list(zip(shown.ticks, sizes, strict=True))[::steps]:
+        place = left - 0.4 * em - size.x if right else left + 1.2 * em
+        marks.add_text(ImVec2(place, top + (1 - position) * length - line / 2), ink, text)
+    return ground
+
+
+def small_wheel(marks, shown: Legend, at, high: float, right: bool) -> tuple[float, float, float, float]:
+    """Draw the wheel of directions with its unit, as `vertical_bar`. Returns the same."""
+    radius, size = min(1.6 * hello_imgui.em_size(), high / 3), imgui.calc_text_size(shown.unit)
+    width = max(2 * radius, size.x)
+    x, y = at[0] - width - 5 if right else at[0] + 5, at[1] + 3
+    ground = _ground(marks, x, y, width, 2 * radius + 1.3 * size.y)
+    _wheel(marks, ImVec2(x + width - radius if right else x + radius, y + radius), radius)
+    marks.add_text(ImVec2(x, y + 2 * radius + 0.2 * size.y), imgui.get_color_u32((1, 1, 1, 0.95)), shown.unit)
+    return ground
+
+
+def _wheel(marks, middle: ImVec2, radius: float) -> None:
+    parts = 24
+    for part in range(parts):
+        start, end = (2 * math.pi * (part + side) / parts for side in (-0.5, 0.55))
+        first, last = (ImVec2(middle.x + radius * math.cos(a), middle.y + radius * math.sin(a)) for a in (start, end))
+        marks.add_triangle_filled(middle, first, last, imgui.get_color_u32((*wheel_color(part / parts, 1.0), 1.0)))

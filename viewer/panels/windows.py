@@ -10,7 +10,6 @@ from gffe_cl.captures.scenes import scene_names
 from gffe_cl.engine.core.errors import printable
 from . import widgets
 from .interface import Interface
-from .status import RED
 
 _HELP_COLUMNS = 3
 _OVER_PICTURE = {"error": 6.0, "title": 8.0}  # seconds that a message stands there, by its kind
@@ -127,7 +126,7 @@ def messages(app: Interface) -> None:
     imgui.push_text_wrap_pos(hello_imgui.em_size(36))
     for message in shown[-4:]:
         if message.error:
-            imgui.text_colored(RED, "error")
+            imgui.text_colored(widgets.RED, "error")
             imgui.same_line()
         imgui.text_unformatted(message.text)
     imgui.pop_text_wrap_pos()

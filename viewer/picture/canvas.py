@@ -15,23 +15,27 @@ from typing import Any
 import moderngl
 import numpy as np
 
+from gffe_cl.engine.stages.buffers import lies_on_source
 from gffe_cl.engine.stages.frame_block import reprojection
 from ..engine import names
 from ..engine.layers import VIEWS, LayerSpec
-from . import colors
+from . import colors, invalid
 from .colors import Rgb
 from .displays import TONE_MAPS, Display, FrameInfo, shown_as
 from .textures import PixelBuffers, Texture, texels_of
 from .view import COMPARISONS, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
-_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")  # of display.frag
+# of display.frag
+_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID", "MARKED")
 _MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
 _REGIONS = "regions"
 _LABELED = (_REGIONS, "disocclusions")  # overlays of a layer of their name
-_SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rendered_color", _REGIONS, "color_maps")
+_SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rendered_color", _REGIONS,
+             "mask_a", "mask_b", "color_maps")  # fmt: skip
+_MARK = 3.0  # screen pixels that a mark is wide at least
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
 
@@ -51,11 +55,12 @@ class Tile:
 
 @dataclass(frozen=True)
 class _Shown:
-    """A layer as the shader takes it; `variant`: its _OF_LAYER."""
+    """A layer as the shader takes it; `variant`: its _OF_LAYER; `mask`: name of the mask of its invalid pixels."""
 
     texture: Texture
     variant: tuple[int, int, int, int]
     uniforms: dict[str, Any]
+    mask: str = ""
 
 
 class _Program:
@@ -265,14 +270,20 @@ class Canvas:
         shown = [self._shown(name, display, view.zoom) for name, display in layers]
         contrast = self._grid_contrast(view, shown[0])
         compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
+        masks = [self._layers.get(layer.mask) if view.mark_invalid else None for layer in shown]
         program = self._program(
-            *(n for layer in shown for n in layer.variant), compare, OVERLAYS.index(view.overlay), int(contrast > 0)
-        )
+            *(n for layer in shown for n in layer.variant), compare, OVERLAYS.index(view.overlay), int(contrast > 0),
+            int(any(masks)),
+        )  # fmt: skip
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
         regions = self._layers.get(view.overlay) if view.overlay in _LABELED else None
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions)):
+        level = max(math.ceil(math.log2(_MARK / max(view.zoom, 1e-6))), 0)
+        for mask in filter(None, masks):
+            level = min(level, int(math.log2(max(mask.size))))
+            mask.have_mipmaps(level)
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions, *masks)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
@@ -288,6 +299,7 @@ class Canvas:
             "residual_scale": max(view.residual_scale, 1e-6),
             "region": view.region,
             "has_regions": regions is not None,
+            "mark_level": level,
         }
         program.set("", values)
         return program
@@ -356,10 +368,12 @@ class Canvas:
             "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
             "tint": display.tint,
             "label_flip": colors.label_flip(spec),
+            "mask_area": frame.source_area if lies_on_source(spec.grid) else frame.target_area,
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
         variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
-        return _Shown(layer, variant, uniforms)
+        mask = "" if frame.is_true(spec) else invalid.RENDERED if lies_on_source(spec.grid) else invalid.SHOWN
+        return _Shown(layer, variant, uniforms, mask)
 
 
 def read(texture: moderngl.Texture) -> np.ndarray:

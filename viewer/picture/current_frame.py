@@ -25,6 +25,8 @@ class Contents:
         Of the same slot by other settings, where these are compared; its layers are named by `names.of_second`.
     layers : list of LayerSpec
         All that can be shown.
+    cuts : frozenset of int
+        Rendered frames that were found to be cuts so far, in computing ahead, too.
     changes : int
         How often there were other images.
     """
@@ -34,6 +36,7 @@ class Contents:
         self.result: Result | None = None
         self.second: Result | None = None
         self.layers: list[LayerSpec] = []
+        self.cuts: frozenset[int] = frozenset()
         self.changes = 0
 
     def open(self, source: FrameSource) -> None:
@@ -53,8 +56,7 @@ class Contents:
     def resets(self) -> dict[int, str]:
         """Rendered frames that start without history, with the reason: those marked in the input, and cuts found so
         far."""
-        found = self.result.cuts if self.result is not None else ()
-        return dict.fromkeys(sorted(found), "a cut was found here") | dict.fromkeys(self.source.resets[1:], "reset")
+        return dict.fromkeys(sorted(self.cuts), "a cut was found here") | dict.fromkeys(self.source.resets[1:], "reset")
 
     @property
     def asked(self) -> frozenset[str]:
@@ -98,4 +100,7 @@ class Contents:
         source, moment, rendered = self.source, result.moment, result.render_size
         area = area_of(moment.render_camera, rendered, moment.display_camera, self.size)
         cameras = moment.render_camera, moment.previous_camera
-        return FrameInfo(self.size, rendered, self.size, source.exposure, *cameras, source_area=area)
+        generated = moment.alpha > 0
+        return FrameInfo(
+            self.size, rendered, self.size, source.exposure, *cameras, source_area=area, generated=generated
+        )

@@ -5,7 +5,7 @@
 
    What the canvas shows is chosen by macros, because llvmpipe runs both sides of every branch. Of each layer: VIEW
    (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP; and COMPARE, OVERLAY,
-   GRID (1: there are lines between pixels). All else is uniforms. */
+   GRID (1: there are lines between pixels), MARKED (1: pixels of the input are invalid). All else is uniforms. */
 
 /* Order of VIEWS (layers.py), TONE_MAPS (displays.py), COLOR_MAPS (colors.py), COMPARISONS and OVERLAYS (view.py). */
 #define COLOR 0
@@ -49,10 +49,13 @@ struct Layer {
     float motion_scale;   /* negative: reversed */
     vec3 tint;
     int label_flip;       /* 15: the usual label is 15, not 0 */
+    vec4 mask_area;       /* as `area`, of the mask of invalid pixels */
 };
 
 uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
+uniform sampler2DArray mask_a, mask_b;  /* invalid pixels of the input */
+uniform int mark_level;         /* of their mipmaps, which make single pixels as large as can be seen */
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_center;
@@ -212,8 +215,18 @@ vec3 show(const int i, const vec2 uv) {
     return mapped(ramp_position(view, l, view == WORLD ? length(v.xyz) : v.x), l.color_map);
 }
 
+/* Whether layer i holds NaN or infinity there; depth may be infinite. */
+bool holds_bad(const int i, const vec2 uv) {
+    vec4 texel = load(i, uv_of(i, uv));
+    if (view_of(i) == COLOR) return is_bad(texel.rgb) && !(layer[i].weighted && texel.a == 0.0);
+    if (view_of(i) == LABEL || view_of(i) == MASK) return false;
+    vec4 v = vector_of(i, uv_of(i, uv), texel);
+    return v.w != 0.0 && is_bad(v.xyz) && !(view_of(i) == DEPTH && is_sky(v.x));
+}
+
 vec3 show_difference(const vec2 uv) {
     if (!covers(0, uv) || !covers(1, uv)) return background;
+    if (holds_bad(0, uv) || holds_bad(1, uv)) return checker();
     return abs(show(0, uv) - show(1, uv)) * difference_gain;
 }
 
@@ -298,6 +311,12 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
     return mix(dimmed, hue_of(residual), share_of(residual, residual_scale));
 }
 
+/* Whether layer i shows an invalid pixel of the input. */
+bool marked(sampler2DArray mask, const int i, const vec2 uv) {
+    vec2 at = mix(layer[i].mask_area.xy, layer[i].mask_area.zw, uv);
+    return inside(at) && texelFetch(mask, ivec3(texel_at(at, textureSize(mask, mark_level).xy), 0), mark_level).r > 0.0;
+}
+
 vec3 with_grid(const vec3 c, const vec2 uv) {
     if (GRID == 0 || !covers(0, uv)) return c;
     vec2 from_line = fract(uv_of(0, uv) * size_of(0)) * layer[0].texel;
@@ -315,7 +334,9 @@ void main() {
         if (COMPARE == DIFFERENCE) c = show_difference(uv);
         else if (COMPARE == ERROR) c = show_error(uv);
         else c = show(0, uv);
-        c = with_grid(overlaid(c, uv), uv);
+        c = overlaid(c, uv);
+        if (MARKED == 1 && (marked(mask_a, 0, uv) || (COMPARE != 0 && marked(mask_b, 1, uv)))) c = checker();
+        c = with_grid(c, uv);
     }
     pixel = vec4(c, 1.0);
 }

@@ -11,6 +11,7 @@ import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.stages.buffers import Sizes, lies_on_source, texel_of
+from ..engine import names
 from ..engine.layers import NATIVE, LayerSpec
 from .colors import COLOR_MAPS, Rgb
 
@@ -94,6 +95,7 @@ class FrameInfo:
     target_size : of the extrapolated frame; None: as the display
     exposure : of the sequence
     source, previous : render cameras of the rendered frame shown and of the one before it, where known
+    generated : the slot is a generated frame, whose ground truth is another picture than what is shown
     source_area, target_area : the part (x0, y0, x1, y1) of the rendered and of the extrapolated image that covers the
         display, in fractions of their sides (see `area_of`)
     """
@@ -106,6 +108,11 @@ class FrameInfo:
     previous: Camera | None = None
     source_area: Area = (0.0, 0.0, 1.0, 1.0)
     target_area: Area = (0.0, 0.0, 1.0, 1.0)
+    generated: bool = False
+
+    def is_true(self, spec: LayerSpec) -> bool:
+        """Return whether a layer shows ground truth, on which invalid pixels of the input have no effect."""
+        return self.generated and spec.name in (names.TRUTH, names.FOCUS_TRUTH)
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         area = self.source_area if lies_on_source(spec.grid) else self.target_area
@@ -174,12 +181,37 @@ def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = N
     `image`: (planes?, H, W, channels?). A "place" needs `frame` where its sizes differ; a "world" needs `depth` (H, W)
     of the rendered frame and `frame.source`, or it stays as it is.
     """
-    view, channel = shown_as(spec, display)
-    if view in ("color", "mask", "label") or not np.size(image):
+    view, _ = shown_as(spec, display)
+    if view in ("color", "mask", "label"):
         return display
+    values = shown_values(spec, image, display, frame, depth)
+    if values is None:
+        return display
+    values = values[:, 0]
+    if view == "world":
+        return replace(_with_range(display, values), low=0.0)
+    if view in ("motion", "place"):
+        scale = float(np.quantile(values, 0.99)) if values.size else display.motion_scale
+        return replace(display, motion_scale=max(scale, 0.01))
+    codes = np.unique(values) if view == "scalar" else np.empty(0)
+    if 0 < len(codes) <= _FEW:
+        low, high = min(float(codes[0]), 0.0), max(float(codes[-1]), 0.0)
+        return replace(display, low=low, high=max(high, low + 1e-6))
+    return _with_range(display, values, view == "depth")
+
+
+def shown_values(
+    spec: LayerSpec, image, display: Display, frame: FrameInfo | None = None, depth=None, most: int = _SAMPLES
+) -> np.ndarray | None:
+    """Return the finite values that colors are made of, of about `most` pixels: (N, 3) of all channels of a color, else
+    (N, 1): of one channel (depths > 0), or lengths. None if there are none: of masks and labels, of an empty image, and
+    of a "world" without `depth` (H, W) of the rendered frame and `frame.source`."""
+    view, channel = shown_as(spec, display)
+    if view in ("mask", "label") or not np.size(image):
+        return None
     plane = image[min(display.plane, len(image) - 1)] if spec.planes > 1 else image
     height, width = plane.shape[:2]
-    step = math.ceil(height * width / _SAMPLES)
+    step = math.ceil(height * width / most)
     while math.gcd(step, width) > 1:  # or only some columns would be seen
         step += 1
     at = np.arange(0, height * width, step)
@@ -188,23 +220,18 @@ def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = N
     with np.errstate(invalid="ignore", over="ignore"):
         if view == "world":
             if depth is None or frame is None or frame.source is None:
-                return display
-            return replace(_with_range(display, _distances(values, uv, depth, frame.source)), low=0.0)
-        if view in ("motion", "place"):
+                return None
+            values = _distances(values, uv, depth, frame.source)[:, None]
+        elif view in ("motion", "place"):
             if view == "place":
                 values = _displacements(values, uv, (frame or FrameInfo((width, height))).own_place(spec))
-            lengths = np.hypot(values[:, 0], values[:, 1])
-            scale = (
-                np.quantile(lengths[np.isfinite(lengths)], 0.99) if np.isfinite(lengths).any() else display.motion_scale
-            )
-            return replace(display, motion_scale=max(float(scale), 0.01))
-    values = values[:, max(channel, 0)]
-    values = values[np.isfinite(values) & ((values > 0) | (view != "depth"))]
-    codes = np.unique(values) if view == "scalar" else np.empty(0)
-    if 0 < len(codes) <= _FEW:
-        low, high = min(float(codes[0]), 0.0), max(float(codes[-1]), 0.0)
-        return replace(display, low=low, high=max(high, low + 1e-6))
-    return _with_range(display, values, view == "depth")
+            values = np.hypot(values[:, :1], values[:, 1:2])
+        elif view == "color" and channel < 0:
+            values = values[:, :3]
+        else:
+            values = values[:, [max(channel, 0)]]
+    values = values[np.isfinite(values).all(-1)]
+    return values[values[:, 0] > 0] if view == "depth" else values
 
 
 def _distances(values: np.ndarray, uv: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:

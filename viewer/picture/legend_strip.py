@@ -69,7 +69,7 @@ class _Pen:
         words = [entry.title, *filter(None, [legend.unit])]
         together = "   ".join(words)
         fits = self._gap + draw.textlength(_plain(together), self._font) <= self._width
-        for text in [together] if fits else words:
+        for text in [together] if fits else [line for word in words for line in self._wrapped(draw, word)]:
             self._text(draw, self._gap, text, _INK, image)
             self._y += self._line
         if legend.kind == "ramp":
@@ -79,6 +79,17 @@ class _Pen:
         if legend.labels:
             self._swatches(draw, legend.labels, image)
         self._y += self._gap
+
+    def _wrapped(self, draw, text: str) -> list[str]:
+        """Return the lines of a text that is broken between words where it is too wide."""
+        lines = [""]
+        for word in text.split(" "):
+            longer = f"{lines[-1]} {word}" if lines[-1] else word
+            if lines[-1] and self._gap + draw.textlength(_plain(longer), self._font) > self._width:
+                lines.append(word)
+            else:
+                lines[-1] = longer
+        return [line for line in lines if line]
 
     def _text(self, draw, x: float, text: str, color, image) -> None:
         if image is not None:

@@ -29,6 +29,7 @@ class View:
         of regions (the layer of that name) only number `region` is bright, −1: each has a tint
     grid : lines between pixels when zoomed in
     line : width of the wipe's line, screen pixels
+    mark_invalid : a pattern over pixels with NaN, infinity and what the input has invalid
     """
 
     a: str
@@ -48,6 +49,7 @@ class View:
     region: int = -1
     grid: bool = True
     line: float = 2.0
+    mark_invalid: bool = True
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Return the display position, in pixels, under the screen position (x, y) of a canvas of `size`."""

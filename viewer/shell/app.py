@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
 from ..panels import (
     compare,
     doctor,
+    histogram,
     inspector,
     kernels,
     layer_list,
@@ -35,7 +36,7 @@ from ..state.model import Model
 from ..state.navigation import Flight
 from ..state.settings import can_save
 from . import commands, keys, theme
-from .docks import Docks
+from .docks import Docks, content_scale
 from .picture_frames import PictureFrames
 from .window_stack import Stack
 
@@ -44,6 +45,7 @@ _LAYOUT_VERSION = 5
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
+    "Histogram": (histogram.draw, "Left"),
     "Modules": (modules.draw, "Right"),
     "Compare": (compare.draw, "Right"),
     "Inspector": (inspector.draw, "RightBottom"),
@@ -62,6 +64,22 @@ def has_dialogs() -> bool:
     """Return whether the system has a dialog for folders that can be opened."""
     programs = ("zenity", "kdialog", "matedialog", "qarma")
     return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
+
+
+def _within_screen(size: tuple[int, int]) -> tuple[int, int]:
+    """Return a window's size, in pixels at 96 dpi, or less where the screen is smaller."""
+    import glfw
+
+    monitor = glfw.get_primary_monitor() if glfw.init() else None
+    if not monitor:
+        return size
+    _, _, *room = glfw.get_monitor_workarea(monitor)
+    scales = glfw.get_monitor_content_scale(monitor)
+    width, height = (
+        min(side, int(most / scale)) if most > 0 and scale > 0 else side
+        for side, most, scale in zip(size, room, scales, strict=True)
+    )
+    return width, height
 
 
 class App(Interface):
@@ -93,7 +111,7 @@ class App(Interface):
         """Open the window, as large as last time if no `size` is given, until it is closed. `test` registers tests of
         ImGui's test engine."""
         params = hello_imgui.RunnerParams()
-        size = size or self.model.settings.window_size
+        size = _within_screen(size or self.model.settings.window_size)
         self._params = params
         params.app_window_params.window_title = _TITLE
         params.app_window_params.window_geometry.size = size
@@ -184,11 +202,12 @@ class App(Interface):
         dropped: Any = lambda _window, paths: self.drop(paths)  # noqa: E731
         glfw.set_drop_callback(window, dropped)
         implot.get_style().use_local_time = False
+        implot.get_style().plot_min_size = ImVec2(40, 40)  # pixels: narrow panels show whole plots
 
     def _before_frame(self) -> None:
         model = self.model
-        if self._themed != (model.settings.theme, self.scale):
-            if self._themed is not None:
+        if self._themed != (model.settings.theme, self.scale) or not theme.is_scaled(self.scale):
+            if self._themed is not None and self._themed[1] != self.scale:
                 self.docks.stretch(self._themed[1], self.scale)
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
@@ -218,13 +237,16 @@ class App(Interface):
 
         self.model.settings.panels = self.docks.remembered
         window: Any = glfw_utils.glfw_window_hello_imgui()
-        self.model.remember(glfw.get_window_size(window))
+        width, height = (round(side / content_scale()) for side in glfw.get_window_size(window))
+        self.model.remember((width, height))
         self.model.close()
 
     # ---- windows that come and go ------------------------------------------------------------------------
 
     def _windows(self) -> None:
-        keys.dispatch(self.actions, keys.FLIGHT_KEYS if self.model.flying else frozenset(), self.stack.covers)
+        taken = keys.FLIGHT_KEYS if self.model.flying else frozenset()
+        if refused := keys.dispatch(self.actions, taken, self.stack.covers):
+            self.model.say(refused)
         for path in self._dropped:
             self.model.open(path)
         self._dropped.clear()

@@ -118,6 +118,10 @@ def register(app: App) -> None:
     add("disocclusions", "Disocclusions", "View", "X",
         lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
         tooltip="Over the picture: pixels of generated frames that were out of screen or hidden")  # fmt: skip
+    add("mark_invalid", "Mark invalid pixels", "View", "",
+        lambda: setattr(model.view, "mark_invalid", not model.view.mark_invalid),
+        checked=lambda: model.view.mark_invalid,
+        tooltip="A pattern over NaN, infinity, and pixels that the input has invalid")  # fmt: skip
     add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
@@ -201,6 +205,9 @@ def _finding(app: App, add, opened) -> None:
         difference = id == "most_different"
         add(id, text, "Find", key, partial(app.find, find),
             lambda difference=difference: opened() or survey.why_not(difference), tooltip=tooltip)  # fmt: skip
+    add("worst_pixel", "Worst pixel", "Find", "Alt+W", lambda: setattr(model.worst, "due", True),
+        lambda: opened() or model.worst.why_not(),
+        tooltip="Of this frame, by A and B if they are compared, else by ground truth; again: the next")  # fmt: skip
     for name, quantity in QUANTITIES.items():
         add(f"plot {name}", f"Plot {quantity.label}", "Find", "", partial(setattr, survey, "quantity", name),
             checked=lambda name=name: survey.quantity == name)  # fmt: skip
@@ -211,6 +218,9 @@ def _finding(app: App, add, opened) -> None:
         add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
             lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
             tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
+    add("next_invalid", "Next invalid pixel", "Find", "Shift+N", model.go_to_invalid,
+        lambda: opened() or (None if model.invalid.count else "no NaN, infinity or invalid input in this picture"),
+        tooltip="NaN, infinity, and pixels that the input has invalid; row by row")  # fmt: skip
     add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,
         lambda: opened() or (None if model.walk.can_go_back else "no link was followed"))  # fmt: skip
     add("forget_rectangle", "Forget the rectangle", "Find", "", model.selection.forget,

@@ -21,6 +21,7 @@ _LEAST_PICTURE = 0.4  # of the height, above both
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.24, 0.32)  # ... but not more of the width
 _LOWER_RIGHT = 0.52  # of the height on the right
+_TAB = 6.5  # em: width of a tab with a button to close it
 _FLAGS = imgui.internal.DockNodeFlagsPrivate_
 _PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
 
@@ -75,14 +76,15 @@ class Docks:
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
         window.is_visible = open_panels.get(name, name not in _BY_HAND)
         window.remember_is_visible = False  # the settings do
-        window.call_begin_end, docked = False, True
+        window.call_begin_end, docked, narrow = False, True, True
 
         def draw_it():
-            nonlocal docked
+            nonlocal docked, narrow
             if not docked:
                 widgets.floating()
-            unfolded, stays = imgui.begin(name, window.is_visible if window.can_be_closed else None)
+            unfolded, stays = imgui.begin(name, True if window.can_be_closed and not narrow else None)
             docked = imgui.is_window_docked()
+            narrow = docked and _is_crowded(name)
             if unfolded:
                 try:
                     draw(self._app)
@@ -158,7 +160,7 @@ class Docks:
             node, down = beside[-1], name == "Timeline"
             now = node.size.y if down else node.size.x
             made, usual = self._stretched.get(name, (0.0, 0.0))
-            rows = [_second_row(width, scale) if down else 0.0 for scale in (before, after)]
+            rows = [_second_row(width, scale * content_scale()) if down else 0.0 for scale in (before, after)]
             if abs(now - made) > 2:  # the user chose another size
                 usual = (now - rows[0]) / before
             made = min(usual * after + rows[1], most)
@@ -183,12 +185,18 @@ class Docks:
         """Make the plot as high as it has to be at this size of letters, once it is there."""
         nodes = _nodes("Plot")
         if self._plot_due and nodes:
-            height = min(_PLOT_HEIGHT * self._scale(), _HIGHEST * imgui.get_io().display_size.y)
+            wanted = _PLOT_HEIGHT * self._scale() * content_scale()
+            height = min(wanted, _HIGHEST * imgui.get_io().display_size.y)
             if len(nodes) > 1:
                 height = min(height, nodes[1].size.y / 2)  # the other half is the picture's
             if nodes[0].size.y < height and not self._plot_beside:
                 imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
             self._plot_due = False
+
+
+def content_scale() -> float:
+    """Return the window's pixels per pixel at 96 dpi, in which sizes of windows are given."""
+    return hello_imgui.get_dpi_aware_params().dpi_window_size_factor
 
 
 def _sides(width: float, scale: float) -> list[float]:
@@ -200,6 +208,13 @@ def _second_row(width: float, scale: float) -> float:
     """Return the height of the timeline's controls that do not fit into the first row of a window of this width,
     pixels."""
     return _ROW_HEIGHT * scale if (1 - sum(_sides(width, scale))) * width < _ONE_ROW * scale else 0.0
+
+
+def _is_crowded(name: str) -> bool:
+    """Return whether a panel's neighbors leave its tab no room for a button to close it: the menu Panels does it."""
+    nodes = _nodes(name)
+    tabs = nodes[0].tab_bar.tabs if nodes and nodes[0].tab_bar is not None else ()
+    return len(tabs) > 1 and nodes[0].size.x < len(tabs) * hello_imgui.em_size(_TAB)
 
 
 def _nodes(name: str) -> list:

@@ -14,9 +14,10 @@ _TURN = 0.25  # degrees per pixel of mouse
 _KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.items() if hasattr(imgui.Key, attribute)}
 
 
-def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False) -> None:
+def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False) -> str | None:
     """Run the actions of pressed keys, and end those of released keys. Keys in `taken` have another function now.
-    While a window is open over the panels (`covered`) or text is typed, only actions that work anywhere run."""
+    While a window is open over the panels (`covered`) or text is typed, only actions that work anywhere run. Returns
+    why the action of a pressed key cannot run, None without one."""
     io = imgui.get_io()
     covered |= io.want_text_input
     if covered or io.app_focus_lost:
@@ -24,16 +25,19 @@ def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False
     pressed = (("Ctrl", io.key_ctrl), ("Shift", io.key_shift), ("Alt", io.key_alt), ("Super", io.key_super))
     modifiers = frozenset(name for name, down in pressed if down)
     if io.app_focus_lost or (io.want_text_input and not modifiers - {"Shift"}):
-        return
+        return None
+    refused = None
     for key, name in _KEYS.items():
         if name in taken and not modifiers - {"Shift"}:
             continue
         if imgui.is_key_pressed(key, False):
             actions.dispatch(modifiers, name, covered=covered)
+            refused = actions.last_refusal or refused
         elif imgui.is_key_pressed(key, True):
             actions.dispatch(modifiers, name, repeated=True, covered=covered)
         if imgui.is_key_released(key):
             actions.release(name)
+    return refused
 
 
 def flight(model: Model) -> Flight | None:

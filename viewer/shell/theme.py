@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from imgui_bundle import ImVec4, hello_imgui, imgui
 
+from .docks import content_scale
+
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
 # of sliders: their numbers stand on them; and while they are dragged
 _GRABS = {"dark": ((0.16, 0.32, 0.52), (0.18, 0.38, 0.62)), "light": ((0.62, 0.77, 0.95), (0.52, 0.7, 0.93))}
 _ROUNDING = 3.0
 _ROUNDED = ("window", "child", "frame", "popup", "grab", "tab")
+
+
+def _factor(scale: float) -> float:
+    return scale * content_scale()
+
+
+def is_scaled(scale: float) -> bool:
+    """Return whether sizes are as `apply` makes them: ImGui scales them once more where it learns of the screen."""
+    return abs(imgui.get_style()._main_scale - _factor(scale)) < 1e-3
 
 
 def apply(name: str, scale: float) -> None:
@@ -25,8 +36,9 @@ def apply(name: str, scale: float) -> None:
     style._main_scale = 1.0  # factor of scale_all_sizes
     for kind in _ROUNDED:
         setattr(style, f"{kind}_rounding", _ROUNDING)
+    style.tab_min_width_shrink = 3.0 * _ROUNDING  # many tabs get narrow, none is scrolled out
     style.frame_border_size = style.child_border_size = 1.0
-    style.scale_all_sizes(scale * hello_imgui.get_dpi_aware_params().dpi_window_size_factor)
+    style.scale_all_sizes(_factor(scale))
     style.font_scale_main = scale
     ground = style.color_(col.window_bg)
     params = hello_imgui.get_runner_params()

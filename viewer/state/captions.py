@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..engine import names
 from ..engine.buffers import Moment
@@ -39,6 +39,18 @@ def frame_text(moment: Moment) -> str:
     return f"generated: frame {moment.k} + {moment.alpha:.2f}" if moment.alpha else f"rendered frame {moment.k}"
 
 
+def slot_text(slot: int, n: int) -> str:
+    """Return the name of a slot with `n` generated frames per rendered one."""
+    k, j = divmod(slot, n + 1)
+    return f"generated: frame {k} + {j}/{n + 1}" if j else f"rendered frame {k}"
+
+
+def layer_text(spec: LayerSpec, display: Display) -> str:
+    """Return the name of a layer with changed settings of its display."""
+    exposed = spec.view == "color" and display.exposure
+    return f"{spec.group}: {spec.label}" + (f"   {display.exposure:+.1f} EV" if exposed else "")
+
+
 REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint
 _EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("color", (0.0, 0.0, 1.0)))
 _MOTION = LayerSpec("residual motion", "Residual motion", "overlay", "motion", ("x", "y"))
@@ -59,15 +71,29 @@ def entries_of(view: View, contents: Contents, looks: Looks, comparison: Compari
     """Return legends of the displayed layers; none for colors alone."""
     if comparison.flipped:
         return [*_layer(view.b, contents, looks, "B  "), *_overlay(view)]
+    if comparison.nothing:
+        return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
     if view.compare in ("error", "flip error"):
         display = comparison.error_display
-        return [Entry(comparison.scale_text(), legend(flip_map.SPEC, display), display.color_map), *_overlay(view)]
+        shown = replace(legend(flip_map.SPEC, display), unit=_error_unit(view, contents))
+        return [Entry(comparison.scale_text(), shown, display.color_map), *_overlay(view)]
     if view.compare == "difference":
         return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
     if view.compare == "split" and view.b and names.plain(view.b) != view.a:
         sides = _layer(view.a, contents, looks, "A  ") + _layer(view.b, contents, looks, "B  ")
         return [*sides, *_overlay(view)]
     return [*_layer(view.a, contents, looks), *_overlay(view)]
+
+
+def _error_unit(view: View, contents: Contents) -> str:
+    """Return the unit of the error map's numbers."""
+    if view.compare == "flip error":
+        return "FLIP, 0 to 1"
+    a, b = (contents.spec(name) for name in (view.a, view.b))
+    of_values = a is not None and b is not None and a.view == b.view != "color"
+    unit = {"depth": "world units", "world": "world units", "motion": "px", "place": "px"}.get(a.view, "") if a else ""
+    unit = unit if of_values else "of display values"
+    return f"{unit}, squared" if view.error == "squared" and unit else unit
 
 
 def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:

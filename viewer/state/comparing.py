@@ -57,6 +57,7 @@ class Comparison:
     def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings):
         self._view, self._contents, self._looks, self._settings = view, contents, looks, settings
         self._by_settings = False
+        self.same_settings = False  # B's settings are A's
         self.flipped = False  # B is shown as long as a key is held
         self.flip_high = FLIP_HIGH
         self._nothing = False  # A or B does not exist for this frame
@@ -86,6 +87,15 @@ class Comparison:
         """B's settings while something of them is to be shown, else None."""
         return self._settings.b if self.by_settings and (self._view.compare != "off" or self.flipped) else None
 
+    @property
+    def nothing(self) -> str:
+        """Why there is nothing to compare, although a comparison is on: A and B are the same. Empty if they are not."""
+        if self._view.compare == "off":
+            return ""
+        if self.by_settings:
+            return "A and B have the same settings" if self.same_settings else ""
+        return "A and B are the same layer" if self._view.b == self._view.a else ""
+
     def with_settings(self, name: str | None = None) -> None:
         """Compare with kept settings, by default with those that are B already."""
         if name is not None:
@@ -108,7 +118,7 @@ class Comparison:
     def set(self, way: str) -> None:
         view = self._view
         view.compare = way
-        if way != "off" and view.b is None:
+        if way != "off" and view.b in (None, view.a):
             view.b = self._usual_b()
 
     def toggle(self, way: str) -> None:
@@ -135,7 +145,9 @@ class Comparison:
         view = replace(self._view, a_display=looks.of(self._view.a))
         if view.b:
             view.b_display = looks.of(view.b)
-        if self.flipped and view.b and view.b_display:
+        if self.nothing and view.compare != "split":
+            view.compare = "off"  # a map without errors would pass for a perfect result
+        elif self.flipped and view.b and view.b_display:
             view.a, view.a_display, view.compare = view.b, view.b_display, "off"
         elif view.compare == "flip error":
             view.a, view.a_display, view.compare = flip_map.NAME, self.error_display, "off"
@@ -161,6 +173,8 @@ class Comparison:
     def scale_text(self) -> str:
         """Return the meaning of the colors of a difference or an error; empty where layers are shown as they are."""
         view = self._view
+        if self.nothing:
+            return f"{self.nothing}: nothing is compared"
         if self.flipped or view.compare not in ("difference", "error", "flip error"):
             return ""
         if view.compare == "difference":
@@ -171,14 +185,14 @@ class Comparison:
     @property
     def ready(self) -> bool:
         """Whether the displayed map belongs to the present images."""
-        return self._view.compare != "flip error" or self._nothing or self._maps.ready
+        return self._view.compare != "flip error" or self._nothing or bool(self.nothing) or self._maps.ready
 
     def update(self, canvas) -> str | None:
         """Take the finished map, and request the next. Call once per frame of the interface. Returns an error message,
         if any; then the comparison is switched off."""
         self.follow()
         view, contents = self._view, self._contents
-        if view.compare != "flip error":
+        if view.compare != "flip error" or self.nothing:
             return None
         if self.why_not("flip error"):
             view.compare = "off"
@@ -234,4 +248,5 @@ class Comparison:
         self._maps.close()
 
     def _usual_b(self) -> str:
-        return names.TRUTH if self._contents.why_not(names.TRUTH) is None else names.RENDERED_COLOR
+        usual = names.TRUTH if self._contents.why_not(names.TRUTH) is None else names.RENDERED_COLOR
+        return usual if self._view.a != usual else names.FINAL

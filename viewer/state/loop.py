@@ -31,20 +31,24 @@ class Loop:
         if model.source is not None:
             self._follow_source()
         model.recipe = model.engine.recipe(model.setup)
+        model.contents.cuts = model.engine.cuts.get(model.recipe, frozenset())
         self._take_answers()
         if model.source is None:
             return
         model.second.compare_with(None if model.overview or model.follows else model.comparison.second)
         kept = model.second.kept
+        model.comparison.same_settings = kept is not None and model.engine.recipe(kept.setup(model.n)) == model.recipe
         model.filling.others = frozenset() if kept is None else frozenset({model.engine.recipe(kept.setup(model.n))})
         result, ready = model.contents.result, None
         if result is not None and result.request.setup == model.setup:
             ready = result.request.slot
         self._ask(model.playback.tick(now, ready).request)
         model.disocclusions.update(canvas)
+        model.invalid.update(canvas, model.playback.playing)
         faults = model.comparison.update(canvas), model.regions.update(canvas), model.selection.update()
         for fault in filter(None, faults):
             model.say(fault, error=True)
+        self._find_worst()
         model.asking.fill(now, model.recipe, not (model.flying or model.overview or model.export or model.follows))
         kept = model.kept.b if model.comparison.by_settings else None
         idle = not (model.flying or model.export or model.playback.playing or model.second.waits or model.follows)
@@ -55,6 +59,17 @@ class Loop:
         self._was_playing = model.playback.playing
         if model.export is not None:
             model.advance_export(canvas)
+
+    def _find_worst(self) -> None:
+        """Look at the worst pixel that was asked for, once it is known."""
+        model = self._model
+        found, reason = model.worst.update()
+        if found is not None:
+            model.walk.go_to_pixel(found.pixel)
+            x, y = found.pixel
+            model.say(f"error {found.error:.4g} at ({x}, {y}): number {found.rank} of the slot")
+        elif reason:
+            model.say(reason)
 
     def _follow_source(self) -> None:
         """Take over another render rate that was chosen, more frames of the source, and options that a running program

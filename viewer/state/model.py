@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -12,9 +13,11 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from ..engine import names
 from ..engine.attached.program import FRAMES, RunningProgram
+from ..engine.buffers import moved
 from ..engine.cache import CACHE_MIB, FrameCache
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
+from ..engine.explain.pixel_explain_types import Link
 from ..engine.messages import Metrics, Setup
 from ..engine.sources.attached import AttachedSource, FrozenSource
 from ..engine.sources.opening import ScenePlan, make_source
@@ -24,18 +27,22 @@ from ..picture.current_frame import Contents
 from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
+from ..picture.histogram import Histogram
+from ..picture.invalid import InvalidPixels
 from ..picture.legend_strip import Entry
+from ..picture.legends import Legend
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
-from .captions import Message, entries_of
+from ..picture.worst_pixels import WorstPixels
+from .captions import Message, entries_of, frame_text, layer_text, slot_text
 from .compare_b import Second
 from .comparing import Comparison, Scores
 from .loop import Loop
 from .navigation import Flight, Flyer, Walk
 from .parameters import Parameters
 from .playback import Playback
-from .presets import KeptSettings, command_line
+from .presets import KeptSettings, command_line, told
 from .requests import Asking, Needed, Prefetch
 from .saving import RecordingWork, Subject, Work
 from .settings import Settings
@@ -77,11 +84,14 @@ class Model:
         self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._loop.take)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
+        self.histogram = Histogram(self.view, self.contents, self.looks)
+        self.invalid = InvalidPixels(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
-        self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection)
+        self.worst = WorstPixels(self.view, self.contents)
+        self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection, self.worst)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
@@ -201,6 +211,18 @@ class Model:
             self.playback.seek(slot)
         self.say(text)
 
+    def go_to_input(self, k: int, px: tuple[int, int]) -> None:
+        """Look at pixel `px` of the rendered image of frame `k` of a sequence."""
+        entry = self.source.sequence.rendered[k]
+        x, y = moved((px[0] + 0.5, px[1] + 0.5), entry.render_camera, entry.display_camera)
+        self.walk.follow(Link("", frame=k, pixel=(math.floor(x), math.floor(y))))
+
+    def go_to_invalid(self) -> None:
+        """Look at the next invalid pixel of the picture, after the picked one."""
+        pixel = self.invalid.next(self.pointing.picked)
+        if pixel is not None:
+            self.walk.go_to_pixel(pixel)
+
     @property
     def from_cache(self) -> bool:
         """Whether the displayed frame came from the cache."""
@@ -263,6 +285,7 @@ class Model:
             and self.comparison.ready
             and self.regions.ready
             and self.selection.ready
+            and not self.worst.due
             and self.screen.ready
         )
 
@@ -308,7 +331,9 @@ class Model:
         self.measuring = on
 
     def overview_tiles(self) -> list[tuple[str, Display]]:
-        shown = [spec.name for spec in self.contents.layers if self.contents.image(spec.name) is not None]
+        """Return all layers that generated frames have, with their displays: tiles keep their places."""
+        image = self.contents.image
+        shown = [spec.name for spec in self.contents.layers if spec.of_generated or image(spec.name) is not None]
         return [(name, self.looks.of(name)) for name in shown]
 
     # ---- the camera ----------------------------------------------------------------------------------------
@@ -339,10 +364,37 @@ class Model:
     @property
     def _subject(self) -> Subject:
         def legends() -> list[Entry]:
-            there = self.settings.legends
-            return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
+            return [*self._headings(), *self.legends()] if self.settings.legends else []
 
         return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
+
+    def legends(self) -> list[Entry]:
+        """Return the legends of the picture."""
+        return entries_of(self.view, self.contents, self.looks, self.comparison)
+
+    @property
+    def frame_text(self) -> str:
+        """The name of the displayed frame."""
+        if self.follows and self.contents.result is not None:
+            return frame_text(self.contents.result.moment)
+        return slot_text(self.slot, self.n)
+
+    def _headings(self) -> list[Entry]:
+        """Return what a saved picture shows: the frame, and the layers and settings of A and B."""
+        view, settings = self.view, told(self.setup)
+        shown = [("A", view.a, settings)]
+        if view.compare != "off" and view.b:
+            kept = self.kept.b if self.comparison.by_settings else None
+            shown.append(("B", view.b, settings if kept is None else kept.name))
+        texts = [f"{self.source.name}   {self.frame_text}"]
+        for side, name, of in shown:
+            spec = self.contents.spec(name)
+            text = names.plain(name) if spec is None else layer_text(spec, self.looks.of(name))
+            text = text if name == names.TRUTH else f"{text}   {of}"
+            texts.append(f"{side}  {text}" if len(shown) > 1 else text)
+        if view.mark_invalid and (found := self.invalid.text()):
+            texts.append(f"{found}, checkered")
+        return [Entry(text, Legend("none")) for text in texts]
 
     def save(self, work: Callable[[Subject], Work]) -> None:
         """Start saving in the background."""
@@ -425,6 +477,9 @@ class Model:
             self.export.close()
         self.comparison.close()
         self.regions.close()
+        self.invalid.close()
+        self.histogram.close()
+        self.worst.close()
         self.survey.close()
         self.selection.close()
         self.engine.close()

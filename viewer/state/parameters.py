@@ -7,7 +7,7 @@ from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
-from gffe_cl.engine.options import OPTIONS, Option, Options
+from gffe_cl.engine.options import OPTIONS, PRESETS, Option, Options
 from ..engine.messages import Setup
 from ..engine.sources.source import FrameSource
 from .playback import Playback
@@ -206,6 +206,14 @@ class Parameters:
         """Set options and window at once. An earlier failure of shading correction is forgotten."""
         self.network_fault = None
         self.options, self.window = replace(options, **self._always), window
+
+    def use_preset(self, name: str) -> None:
+        """Set the options that presets set to those of preset `name`. An earlier failure of shading correction is
+        forgotten."""
+        self.network_fault = None
+        values = PRESETS[name].values
+        for option in dict.fromkeys(option for preset in PRESETS.values() for option in preset.values):
+            self.set(option, values.get(option, OPTIONS[option].default))
 
     def use_defaults(self) -> None:
         """Set all offered parameters to their defaults, except those of rendering."""

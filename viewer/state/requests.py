@@ -16,6 +16,7 @@ from ..picture.disocclusions import Disocclusions
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
+from ..picture.worst_pixels import WorstPixels
 from .compare_b import Second
 from .playback import Playback
 
@@ -24,10 +25,11 @@ class Needed:
     """Names of layers of A and of B."""
 
     def __init__(
-        self, view: View, contents: Contents, regions: Regions, disocclusions: Disocclusions, selection: Selection
-    ):
+        self, view: View, contents: Contents, regions: Regions, disocclusions: Disocclusions, selection: Selection,
+        worst: WorstPixels,
+    ):  # fmt: skip
         self._view, self._contents = view, contents
-        self._regions, self._disocclusions, self._selection = regions, disocclusions, selection
+        self._regions, self._disocclusions, self._selection, self._worst = regions, disocclusions, selection, worst
 
     def all(self) -> frozenset[str]:
         """Return the names of all layers; the displayed image alone while they are not known."""
@@ -37,7 +39,7 @@ class Needed:
         view, wanted = self._view, {self._view.a}
         if view.compare != "off" and view.b and not names.is_second(view.b):
             wanted.add(view.b)
-        wanted |= self._regions.needed | self._disocclusions.needed | self._selection.needed
+        wanted |= self._regions.needed | self._disocclusions.needed | self._selection.needed | self._worst.needed
         if view.overlay in ("edges", "residual motion"):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self._contents.spec(name) for name in wanted]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,19 +98,14 @@ class Survey:
     def progress(self) -> tuple[int, int]:
         """Slots that are known, and all of them, of A and B together."""
         slots = self.slots
-        return sum(len(self._of(side.recipe).keys() & set(slots)) for side in self._sides), len(slots) * len(
-            self._sides
-        )
+        known = sum(len(self._of(side.recipe).keys() & set(slots)) for side in self._named.values())
+        return known, len(slots) * len(self._named)
 
     @property
     def slots(self) -> list[int]:
         """Generated slots between the in and the out point."""
         playback = self._playback
         return [slot for slot in range(playback.first, playback.last + 1) if slot % (playback.n + 1)]
-
-    @property
-    def _sides(self) -> list[Side]:
-        return [side for side in (self.a, self.b) if side is not None]
 
     def _of(self, recipe: Recipe) -> dict[int, Figures]:
         if recipe not in self._known:
@@ -124,7 +119,7 @@ class Survey:
         """Return requests for the next slots: A's from the playhead on and round, then B's."""
         slots, here = self.slots, self._playback.slot
         order = [slot for slot in slots if slot >= here] + [slot for slot in slots if slot < here]
-        for side in self._sides:
+        for side in self._named.values():
             known = self._of(side.recipe).keys() | self._measuring.slots(side.recipe)
             missing = [slot for slot in order if slot not in known][:_AHEAD]
             if missing:
@@ -143,10 +138,24 @@ class Survey:
         known = sorted((s, f.values[quantity]) for s, f in self.figures(side).items() if quantity in f.values)
         return np.array([s for s, _ in known], np.float64), np.array([v for _, v in known], np.float64)
 
-    def mean(self, side: Side | None, quantity: str) -> float | None:
-        """Return the mean over the slots that are known and counted; None if there are none."""
-        values = self._counted(side, quantity)[1]
-        return float(values.mean()) if values.size else None
+    def means(self, quantity: str) -> tuple[dict[str, float], int]:
+        """Return the means of A and B over the slots that both have and that are counted, and how many these are. A
+        side without any is left out."""
+        curves = {name: self.curve(side, quantity) for name, side in self._named.items()}
+        values = {name: dict(zip(*curve, strict=True)) for name, curve in curves.items() if curve[0].size}
+        common = self._of_both(list(values.values()))
+        return {name: float(np.mean([of[slot] for slot in common])) for name, of in values.items() if common}, len(
+            common
+        )
+
+    def _of_both(self, sides: Sequence[Mapping[int, object]]) -> list[int]:
+        """Return the slots that all sides have: those with history, or all if none has."""
+        common = sorted(set.intersection(*map(set, sides))) if sides else []
+        return [slot for slot in common if self._has_history(int(slot))] or common
+
+    @property
+    def _named(self) -> dict[str, Side]:
+        return {name: side for name, side in (("A", self.a), ("B", self.b)) if side is not None}
 
     def _counted(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return those slots and values of `curve` that have history, or all if none has."""
@@ -159,24 +168,27 @@ class Survey:
         before = bisect_right(self.resets, k)
         return before == 0 or k - self.resets[before - 1] >= _HISTORY
 
-    def parts(self, side: Side | None) -> dict[str, Part]:
-        """Return the regions' shares of the pixels and of the error, of all slots that are counted."""
-        pixels, errors, whole = dict.fromkeys(REGIONS, 0.0), dict.fromkeys(REGIONS, 0.0), 0
-        for figures in self.with_parts(side):
-            whole += 1
-            for name, part in figures.parts.items():
+    def parts(self) -> tuple[dict[str, dict[str, Part]], int]:
+        """Return the regions' shares of the pixels and of the error for A and B, and the number of slots: those that
+        are counted and where their regions are known; with both sides known, of both."""
+        known = {}
+        for name, side in self._named.items():
+            found = {slot: figures.parts for slot, figures in self.figures(side).items() if figures.parts}
+            known |= {name: found} if found else {}
+        common = self._of_both(list(known.values()))
+        return {name: self._mean_parts([of[slot] for slot in common]) for name, of in known.items() if common}, len(
+            common
+        )
+
+    @staticmethod
+    def _mean_parts(slots: list[dict[str, Part]]) -> dict[str, Part]:
+        pixels, errors, whole = dict.fromkeys(REGIONS, 0.0), dict.fromkeys(REGIONS, 0.0), len(slots)
+        for parts in slots:
+            for name, part in parts.items():
                 pixels[name] += part.pixels
                 errors[name] += part.squared
         total = sum(errors.values())
-        if not whole:
-            return {}
         return {name: Part.of(pixels[name] / whole, errors[name] / whole, total / whole) for name in REGIONS}
-
-    def with_parts(self, side: Side | None) -> list[Figures]:
-        """Return the figures of the slots that are counted, where their regions are known."""
-        known = {slot: figures for slot, figures in self.figures(side).items() if figures.parts}
-        counted = [figures for slot, figures in known.items() if self._has_history(slot)]
-        return counted or list(known.values())
 
     # ---- finding frames ------------------------------------------------------------------------------------
 

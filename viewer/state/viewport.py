@@ -11,7 +11,7 @@ import numpy as np
 from ..engine import names
 from ..engine.layers import FRAME_LAYERS
 from ..engine.sources.preview import Preview
-from ..picture import disocclusions, flip_map, regions
+from ..picture import disocclusions, flip_map, invalid, regions
 from ..picture.canvas import Canvas
 from ..picture.current_frame import Contents
 from ..picture.display_settings import Looks
@@ -123,7 +123,8 @@ class Pointing:
         return pixel is not None and all(0 <= at < size for at, size in zip(pixel, self._size, strict=True))
 
 
-_OF_OTHERS = {flip_map.NAME, regions.NAME, disocclusions.NAME}  # layers that come and go by themselves
+# layers that come and go by themselves
+_OF_OTHERS = {flip_map.NAME, regions.NAME, disocclusions.NAME, invalid.RENDERED, invalid.SHOWN}
 _BUDGET = 0.02  # seconds per frame of the interface, but at least one image
 
 

@@ -323,15 +323,17 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> N
 
 
 def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
-    total, where = BadPixels(), {}
+    total, where, places = BadPixels(), {}, {}
     for look in looks.values():
         total = total + look.bad
         for name, (x, y) in look.first_bad.items():
             where.setdefault(name, f"{look.file} at {x}, {y}")
+            places.setdefault(name, (look.index, x, y))
     total.long, _ = 0, where.pop("long", None)  # these have a note of their own
     if total:
         sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
-        found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))
+        figures, places = dict(vars(total)), {name: places[name] for name in where}
+        found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=figures, places=places))
 
 
 def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:

@@ -34,7 +34,8 @@ _UNIT_SLACK = 0.03
 class Finding:
     """One finding. `kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera,
     frames or color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
-    `change`: the correction of the capture's own description, if possible."""
+    `change`: the correction of the capture's own description, if possible; `places`: examples by name, each a frame
+    and a pixel (x, y) of its rendered image."""
 
     kind: str
     about: str
@@ -43,6 +44,7 @@ class Finding:
     fix: str = ""
     figures: dict = field(default_factory=dict)
     change: str = ""
+    places: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
     @property
     def id(self) -> str:

@@ -226,11 +226,15 @@ class HostArrays:
         """The count of bad pixels. The host counts unless they are known: `Upload` is faster."""
         if self.known_bad is not None:
             return self.known_bad
+        return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in self.wrong.items()})
+
+    @property
+    def wrong(self) -> dict[str, np.ndarray]:
+        """The bad pixels, (H, W) bool by the fields of `BadPixels`; those of motion only where there is motion."""
         rgb = self.color[..., :3]
         finite = np.isfinite(rgb)
-        wrong = {"color": (~finite).any(-1), "clamped": (finite & (np.abs(rgb) > HALF_MAX)).any(-1)}
-        wrong |= wrong_geometry(self.depth, self.motion)
-        return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in wrong.items()})
+        wrong = {"color": ~finite, "clamped": finite & (np.abs(rgb) > HALF_MAX)}
+        return {kind: np.asarray(values.any(-1)) for kind, values in wrong.items()} | wrong_geometry(self.depth, self.motion)
 
     def in_device_layout(self) -> HostArrays:
         """Return the arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth channel, missing

@@ -14,7 +14,16 @@ from gffe_cl.engine.stages.silhouettes import Silhouettes
 _CONSTANTS = constants("backward_blocks.cl")
 _FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
 SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
-CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one smooth surface, warped backward"))
+CLASSES = (
+    (SPLATTED, "splatted: edges that move apart, movers, disocclusions"),
+    (BACKWARD, "nothing moves apart: warped backward"),
+)
+SMOOTHNESS = (
+    (0, "not smooth"),
+    (_CONSTANTS["STRICT"], "one surface"),
+    (_CONSTANTS["LOOSE"], "surfaces that hardly move apart"),
+    (_CONSTANTS["RIGID"], "surfaces that do not move apart"),
+)
 
 
 SPLATTED_PIXELS = share_of("splatted", "backward_blocks.block_class", lambda block: block == SPLATTED)
@@ -22,13 +31,13 @@ SPLATTING_BLOCKS = Share("splatting", lambda board: float(board.stages["backward
 
 
 class BackwardBlocks(NearestStage):
-    """Finds the blocks of 8×4 pixels that one smooth surface covers, to be warped backward; the others are splatted."""
+    """Finds the blocks of 8×4 pixels in which nothing moves apart, to be warped backward; the others are splatted."""
 
     name = "backward_blocks"
     buffers = (
         BufferSpec(
-            "smooth", np.uint8, (), "source_blocks", "1 where predicted positions change linearly over the block",
-            "mask",
+            "smooth", np.uint8, (), "source_blocks", "what the block shows if predicted positions are linear over it",
+            "label", labels=SMOOTHNESS,
         ),
         BufferSpec("block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES),
         BufferSpec(

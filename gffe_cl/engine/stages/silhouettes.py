@@ -62,6 +62,7 @@ class Silhouettes(Stage):
             "source",
             {
                 "links": "connectivity.links",
+                "smooth": "backward_blocks.smooth",
                 "depth": Access("rendered.depth", LAYERED),
                 "target_position": Access("prediction.target_position", LAYERED),
                 "codes": Access("color_code.codes", LAYERED),

@@ -1,9 +1,9 @@
 """Measurement of time and quality of methods on the same frames, in turns (`gffe bench --methods`).
 
 Every method is timed as it would run live, from the buffers of a rendered frame to the color of the new one. Pipelines
-take and leave buffers of their device: no copy to or from the host is inside, but for those around the shading
-correction network. Methods of OpenCV and PyTorch take and leave float32 arrays in host memory: the conversion of 16-bit
-colors is not inside, that to the 8-bit gray of optical flow is.
+and `dilate-splat` take and leave buffers of their device: no copy to or from the host is inside, but for those around
+the shading correction network. Methods of OpenCV and PyTorch take and leave float32 arrays in host memory: the
+conversion of 16-bit colors is not inside, that to the 8-bit gray of optical flow is.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from gffe_cl.lab.metrics import METRICS, RegionErrors, to_display
 from gffe_cl.lab.metrics.regions import REGIONS, masks
 from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject, open_subject, parse_subject
 from gffe_cl.lab.table.labels import find_labels
-from gffe_cl.lab.table.methods import FULL, LIBRARY, METHODS, Method, chosen_methods
-from gffe_cl.lab.table.pipelines import PipelineRunner
+from gffe_cl.lab.table.methods import DILATE_SPLAT, FULL, LIBRARY, METHODS, Method, chosen_methods
 from gffe_cl.lab.table.results import versions
 
 WITHOUT_NETWORK = "no-scn"
@@ -77,12 +76,12 @@ def subject_of(text: str | None, size: tuple[int, int] | None, frame: int | None
 
 @dataclass
 class Contestant:
-    """A method at work: `device` and frames in its buffers where it is a pipeline. `milliseconds` of each timed turn,
+    """A method at work: `device` and frames in its buffers where it works on one. `milliseconds` of each timed turn,
     `errors` of the new frames by region."""
 
     method: Method
     device: Device | None
-    runner: Any  # a PipelineRunner on a device, else a Runner
+    runner: Any  # a DeviceRunner on a device, else a Runner
     frames: list
     milliseconds: list[float] = field(default_factory=list)
     errors: RegionErrors = field(default_factory=RegionErrors)
@@ -102,15 +101,16 @@ class Contestant:
 
     def color(self, made) -> np.ndarray:
         """Return (H, W, 3) linear color of the result of `turn`."""
-        return made.numpy("color") if self.device else made
+        return self.runner.color_of(made) if self.device else made
 
     def _made(self, moment: Moment):
         return self.runner.extrapolated(moment) if self.device else self.runner.make(moment)
 
 
 def measure_methods(subject: Subject, devices: list[Device], options: Options, repeats: int, step: OpenStep) -> dict:
-    """Return the figures for one subject, as JSON: see `_report`. Pipelines, with and without the network, run on all
-    `devices`; ratios are to the first method on the first one. `options`: of the pipelines. `repeats`: timed turns."""
+    """Return the figures for one subject, as JSON: see `_report`. Pipelines, with and without the network, and
+    `DILATE_SPLAT` run on all `devices`; ratios are to the first method on the first one. `options`: of the pipelines.
+    `repeats`: timed turns."""
     if options.upscale:
         raise GffeError("--methods takes frames of the display's size, not --upscale's")
     advance = step(f"{subject.name}: frames and ground truth", NO_HISTORY + min(subject.moments, MOMENTS))
@@ -143,14 +143,15 @@ def _play(clip: Clip, contestants: list[Contestant], rounds: int, advance: Calla
 
 def _contestants(clip: Clip, devices: list[Device], options: Options) -> tuple[list[Contestant], dict[str, str]]:
     """Return all contestants, and the reasons why methods are left out, by name."""
-    names = (FULL, WITHOUT_NETWORK) if options.corrects_shading else (FULL,)
+    names = (FULL, *((WITHOUT_NETWORK,) if options.corrects_shading else ()), DILATE_SPLAT)
     found = []
     for device in devices:
         frames = [uploaded(device, shot.frame) for shot in clip.shots()]
         for method in (METHODS[name] for name in names):
-            own = options if method.name == FULL else replace(options, shading_correction=False)
-            runner = PipelineRunner(own, method.window, method.camera, clip, device)
-            found.append(Contestant(method, device, runner, frames))
+            if method.options is not None:
+                own = options if method.name == FULL else replace(options, shading_correction=False)
+                method = replace(method, options=own)
+            found.append(Contestant(method, device, method.runner(clip, device), frames))
     others = chosen_methods(["repeat", LIBRARY])
     skipped = {name: reason for name, method in others.items() if (reason := method.missing(clip))}
     host = [shot.frame for shot in clip.shots()]

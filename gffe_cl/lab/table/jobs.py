@@ -21,7 +21,7 @@ from gffe_cl.lab.report import error_image, to_image
 from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject, open_subject
 from gffe_cl.lab.table.labels import find_labels
 from gffe_cl.lab.table.methods import GIVEN, Method, chosen_methods
-from gffe_cl.lab.table.pipelines import PipelineRunner
+from gffe_cl.lab.table.pipelines import DeviceRunner
 from gffe_cl.lab.table.videos import VIDEO_METRICS, measured_or_reason
 
 _QUALITY = 90  # of pictures, WebP
@@ -215,7 +215,7 @@ class _Clock:
         wall = _median(self._submits[1:]) + _median(self._makes[1:])
         timing = {"machine": machine_of(device), "wall": wall, "submit": _median(self._submits[1:])}
         milliseconds, timing["of"] = wall, "wall time"
-        if isinstance(runner, PipelineRunner):
+        if isinstance(runner, DeviceRunner):
             pairs = runner.milliseconds
             milliseconds, timing["of"] = _median(pairs[1:]), "kernels and network"
         bandwidth = _bandwidth(device)
@@ -240,8 +240,8 @@ class _Lap:
 
 
 def _finish(runner) -> None:
-    """Wait until a pipeline has finished its work for the rendered frame."""
-    if isinstance(runner, PipelineRunner):
+    """Wait until a device has finished its work for the rendered frame."""
+    if isinstance(runner, DeviceRunner):
         runner.finish()
 
 

@@ -14,11 +14,13 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.options import Options
+from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.lab.table import baselines, libraries
 from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject
+from gffe_cl.lab.table.dilate_splat import DilateSplat
 from gffe_cl.lab.table.network import OnnxModel, OnnxRunner
 from gffe_cl.lab.table.pipelines import (
+    DeviceRunner,
     PipelineRunner,
     RenderedUpscaled,
     Resampled,
@@ -28,6 +30,7 @@ from gffe_cl.lab.table.pipelines import (
 )
 
 FULL = "gffe"
+DILATE_SPLAT = "dilate-splat"
 LIBRARY = "library"
 GIVEN = "given"  # rendered frames as the sequence has them
 
@@ -62,7 +65,8 @@ class Method:
     package : module that must be importable, and the extra that brings it
     model : of the ONNX contract
     pipelines : how our pipeline is used, if it is one
-    make : footage → Runner, where it is no pipeline
+    make : footage → Runner, where it works on the host
+    on_device : footage, device → DeviceRunner, where it has kernels of its own
     """
 
     name: str
@@ -76,6 +80,7 @@ class Method:
     model: Path | None = None
     pipelines: type[PipelineRunner] = PipelineRunner
     make: Callable[[Footage], Runner] | None = None
+    on_device: Callable[[Footage, Device], DeviceRunner] | None = None
 
     def missing(self, footage: Subject | Footage) -> str | None:
         """Return why the method cannot be run on `footage`; None if it can."""
@@ -106,10 +111,12 @@ class Method:
 
     def runner(self, footage: Footage, device: Device) -> Runner:
         """Return a runner at the start of a sequence. Raises GffeError."""
-        if self.options is None:
-            assert self.make is not None
-            return self.make(footage)
-        return self.pipelines(self.options, self.window, self.camera, footage, device)
+        if self.options is not None:
+            return self.pipelines(self.options, self.window, self.camera, footage, device)
+        if self.on_device is not None:
+            return self.on_device(footage, device)
+        assert self.make is not None
+        return self.make(footage)
 
 
 def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool = True, **options) -> Method:
@@ -151,6 +158,7 @@ _PAPERS_WAY = {
     "crack_closing": False,
     "blocks": False,
     "camera_fixed": False,
+    "entering": False,
     "acceleration": False,
     "hidden_parts": False,
     "levels": 2,
@@ -160,6 +168,7 @@ _PAPERS_WAY = {
 
 _ALL = (
     _gffe(FULL, "GFFE", "gffe"),
+    *(_gffe(name, f"preset {name}", "preset", **PRESETS[name].values) for name in ("quality", "performance")),
     _gffe("no-motion", "no motion estimation", "ablation", motion=False),
     _gffe("order-2", "prediction of order 2", "ablation", history=3, order=2),
     _gffe("order-5", "prediction of order 5", "ablation", history=6, order=5),
@@ -172,6 +181,7 @@ _ALL = (
     _gffe("no-focus-mask", "no focus mask", "ablation", focus_mask=False),
     _gffe("predicted-camera", "camera of the new frame predicted", "ablation", camera=False),
     _gffe("single-pixel-splats", "fragments are single pixels", "deviation", crack_closing=False, blocks=False),
+    _gffe("no-entering", "movers that enter stay where they are", "deviation", entering=False),
     _gffe("constant-speed", "movers keep their speed", "deviation", acceleration=False),
     _gffe("background-only", "holes are never a mover's", "deviation", hidden_parts=False),
     _gffe("downsampled-holes", "holes from the image downsampled 32×", "deviation", hole_filling="downsample"),
@@ -229,6 +239,9 @@ _ALL = (
         "motion vectors in image space, quadratic",
         "baseline",
         make=lambda footage: baselines.MotionVectors(2),
+    ),
+    Method(
+        DILATE_SPLAT, "motion vectors, dilated and splatted, bilinear, in OpenCL", "baseline", on_device=DilateSplat
     ),
     Method(
         "guided",

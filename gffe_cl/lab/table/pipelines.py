@@ -1,8 +1,10 @@
-"""Runners of our pipeline as a method of the table, and of variants that upscale otherwise than the pipeline does."""
+"""Runners on a device: our pipeline as a method of the table, and variants that upscale otherwise than the pipeline
+does."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,23 +19,16 @@ from gffe_cl.lab.table.datasets import Footage, Moment, Shot
 from gffe_cl.lab.table.image_space import pixel_centers
 
 
-class PipelineRunner:
-    """The project's pipeline with the options of a method, with upscaling if frames are smaller than the display.
-    `window`: rule of the rendering window; `knows_camera`: whether the new frame's camera is given; `pipeline`: its
-    own; `milliseconds` of kernels and network per rendered frame with one new one."""
+class DeviceRunner:
+    """A method at work on a device. `milliseconds` of the device per rendered frame with one new one; of pipelines with
+    the network."""
 
-    upscales = True
-
-    def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
-        size, render_size = (footage.width, footage.height), footage.render_size(window)
-        options = replace(options, upscale=footage.upscale if self.upscales else 0.0)
-        self.pipeline = Pipeline(device, *size, options, render_size=render_size, fps=footage.fps)
-        self.pipeline.exposure = footage.exposure
-        self._known, self._submitted = knows_camera, 0.0
+    def __init__(self):
+        self._submitted: float | None = None
         self.milliseconds: list[float] = []
 
     def submit(self, shot: Shot) -> None:
-        self.pipeline.submit(shot.frame)
+        """Take the next rendered frame, whose buffers may lie on the device."""
         self._submitted = None
 
     def finish(self) -> None:
@@ -41,15 +36,48 @@ class PipelineRunner:
         taken = self._taken()
         self._submitted = taken if self._submitted is None else self._submitted
 
-    def present(self) -> np.ndarray:
-        """Return the displayed rendered frame; windows make it a little softer."""
-        return self.pipeline.present().numpy("color")
-
     def make(self, moment: Moment) -> np.ndarray:
+        """Return the picture of a moment: (H, W, 3) linear."""
         color = self.color_of(self.extrapolated(moment))
         assert self._submitted is not None  # `finish` was called
         self.milliseconds.append(self._submitted + self._taken())
         return color
+
+    def extrapolated(self, moment: Moment) -> Any:
+        """Enqueue the work for a moment and return its frame on the device."""
+        raise NotImplementedError
+
+    def color_of(self, made: Any) -> np.ndarray:
+        """Return the color of a frame from `extrapolated`: (H, W, 3) float16, linear."""
+        raise NotImplementedError
+
+    def _taken(self) -> float:
+        """Wait for the device and return the milliseconds of its work since the last call."""
+        raise NotImplementedError
+
+
+class PipelineRunner(DeviceRunner):
+    """The project's pipeline with the options of a method, with upscaling if frames are smaller than the display.
+    `window`: rule of the rendering window; `knows_camera`: whether the new frame's camera is given; `pipeline`: its
+    own."""
+
+    upscales = True
+
+    def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
+        super().__init__()
+        size, render_size = (footage.width, footage.height), footage.render_size(window)
+        options = replace(options, upscale=footage.upscale if self.upscales else 0.0)
+        self.pipeline = Pipeline(device, *size, options, render_size=render_size, fps=footage.fps)
+        self.pipeline.exposure = footage.exposure
+        self._known = knows_camera
+
+    def submit(self, shot: Shot) -> None:
+        super().submit(shot)
+        self.pipeline.submit(shot.frame)
+
+    def present(self) -> np.ndarray:
+        """Return the displayed rendered frame; windows make it a little softer."""
+        return self.pipeline.present().numpy("color")
 
     def extrapolated(self, moment: Moment) -> ExtrapolatedFrame:
         return self.pipeline.extrapolate(self.camera_of(moment), moment.time)

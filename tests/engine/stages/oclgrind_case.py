@@ -12,7 +12,7 @@ import numpy as np
 import pyopencl as cl
 from network_stages import made_stages
 from synthetic import camera
-from twin_cases import run
+from twin_cases import frames, run
 
 from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat, conversion
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
@@ -111,6 +111,19 @@ def described(stage, frame, size):
         assert not stage.take_bad_pixels()
 
 
+def dilate_splat(device):
+    """In all forms, on images of odd sizes."""
+    from gffe_cl.lab.table.datasets import Footage, Moment, Shot
+    from gffe_cl.lab.table.dilate_splat import DilateSplat
+
+    for lanes, int64, size in product((1, 8), (True, False), ((37, 11), (3, 2))):
+        device.__dict__["lanes"] = lanes
+        *_, frame = frames(*size)
+        runner = DilateSplat(Footage("odd", *size, 30.0, 1.0), device, int64)
+        runner.submit(Shot(frame, frame.color, ()))
+        runner.color_of(runner.extrapolated(Moment(0.5, 0.5, None, frame.color)))
+
+
 def scene(device):
     from gffe_cl.captures.scenes import SCENES, SceneRenderer, load_scene
 
@@ -127,8 +140,9 @@ if __name__ == "__main__":
     case = sys.argv[1]
     with tempfile.TemporaryDirectory() as folder:
         without_looks(folder)
-        if case in ("scene", "shading", "upload"):
-            {"scene": scene, "shading": shading, "upload": upload}[case](opened)
+        others = {"scene": scene, "shading": shading, "upload": upload, "dilate-splat": dilate_splat}
+        if case in others:
+            others[case](opened)
         else:
             stages(opened, case == "int64")
     print("finished", case)

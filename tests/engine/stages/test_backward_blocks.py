@@ -5,6 +5,7 @@ import pytest
 import twins
 from synthetic import Rect, Rects, camera
 from twin_cases import SCENE, frames
+from twins.warp import BLOCKS
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.options import Options
@@ -30,24 +31,26 @@ def both(device, source, options, size, target, to, time):
 
 
 def assert_same_picture(with_blocks, without):
-    """Masks are equal, and all but one in a thousand of the pixels that the warp makes are, within the tolerances."""
+    """Holes are equal, and most pixels that the warp makes: at edges whose sides hardly move apart the other side may
+    be shown, by as little as these sides move apart."""
     read = [
         {spec.name: p.board.frame.read(spec.name) for spec in p.board.frame.buffers} for p in (with_blocks, without)
     ]
-    for name in ("dynamic", "disoccluded"):
-        assert np.array_equal(read[0][name], read[1][name]), name
+    assert np.array_equal(read[0]["disoccluded"], read[1]["disoccluded"])
     assert np.array_equal(*(p.stages["warp"].read("mixed") for p in (with_blocks, without)))
     labels = [
         np.where(r["filled_by"] == twins.COMMON.BY_CRACK_CLOSING, twins.COMMON.BY_WARP, r["filled_by"]) for r in read
     ]
     assert np.array_equal(*labels)
+    with np.errstate(invalid="ignore"):
+        other = ~np.isclose(read[0]["depth"], read[1]["depth"], rtol=0.02)
+    other |= read[0]["dynamic"] != read[1]["dynamic"]
+    assert other.mean() < 0.015, f"{other.sum()} pixels"
     motion = np.abs(read[0]["motion"] - read[1]["motion"]).max(-1)
+    assert motion.max() < 3 * BLOCKS.LOOSE_MOST
     color = [np.minimum(r["color"][..., :3].astype(np.float32), 1) for r in read]
     differ = (motion > 1 / 512) | (np.abs(color[0] - color[1]).max(-1) > 1e-3)
-    assert differ.mean() < 1e-3, f"{differ.sum()} pixels"
-    assert np.array_equal(np.isinf(read[0]["depth"]), np.isinf(read[1]["depth"]))
-    with np.errstate(invalid="ignore"):
-        np.testing.assert_allclose(read[0]["depth"], read[1]["depth"], rtol=0.02)
+    assert (differ & ~other).mean() < 2e-3, f"{(differ & ~other).sum()} pixels"
 
 
 @pytest.mark.parametrize(("size", "target"), SIZES, ids=["plain", "larger", "smaller", "tiny"])
@@ -59,10 +62,10 @@ def test_classes_and_results(device, scene, size, target):
     stages = pipelines[0].stages
     zoom = np.array([to.fx / seen[-1].camera.fx, to.fy / seen[-1].camera.fy], np.float32)
     position, links = stages["prediction"].read("target_position"), stages["connectivity"].read("links")
-    smooth = twins.smooth_blocks(position, seen[-1].depth, links, zoom)
-    assert np.array_equal(stages["backward_blocks"].read("smooth") > 0, smooth)
+    smooth, boxes = twins.smooth_blocks(position, seen[-1].depth, links, zoom)
+    assert np.array_equal(stages["backward_blocks"].read("smooth"), smooth)
     classes = stages["backward_blocks"].read("block_class")
-    expected = twins.block_classes(smooth, position, seen[-1].depth, links, zoom, pipelines[0].sizes.target)
+    expected = twins.block_classes(smooth, boxes, position, seen[-1].depth, links, zoom, pipelines[0].sizes.target)
     assert np.array_equal(classes, expected)
     if min(size) > 50:
         assert 0.1 < classes.mean() < 0.95
@@ -77,9 +80,10 @@ def test_the_same_camera_gives_the_same_picture(device):
     for k, frame in enumerate(still):
         still[k] = type(frame)(frame.color, frame.depth, frame.motion * 0, frame.camera, k / 30, reset=k == 0)
     pipeline = both(device, still, {}, size, None, still[0].camera, 1.5 / 30)[0]
-    assert pipeline.stages["backward_blocks"].read("block_class").mean() > 0.4
+    assert pipeline.stages["backward_blocks"].read("block_class").mean() > 0.8  # edges of depth, too
     color = pipeline.board.frame.read("color")[..., :3]
     assert np.array_equal(color, still[0].color[..., :3].astype(np.float16))
+    assert np.array_equal(pipeline.board.frame.read("depth"), still[0].depth)
     assert not pipeline.board.frame.read("motion").any()
 
 
@@ -105,5 +109,6 @@ def test_blocks_with_an_affine_flow(device):
     pipelines = both(device, seen, options, size, None, to, seen[-1].time + 0.02)
     affine = pipelines[0].stages["backward_blocks"].read("block_source")[..., 7]
     backward = pipelines[0].stages["backward_blocks"].read("block_class") == 1
-    assert backward.mean() > 0.3 and (affine[backward] == 1).all()
+    assert backward.mean() > 0.7 and np.isin(affine[backward], (BLOCKS.FLOW_AFFINE, BLOCKS.FLOW_RIGID)).all()
+    assert (affine[backward] == BLOCKS.FLOW_RIGID).any()
     assert_same_picture(*pipelines)

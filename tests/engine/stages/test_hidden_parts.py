@@ -31,7 +31,7 @@ def last_frame(device, rects, options=None, target=(W, H), count=8):
 def test_kernel_equals_its_twin(case):
     """Which pixels are filled, exactly; colors, depth and motion to a rounding of a division."""
     warped, reach = case.after("warp"), case.pipeline.stages["hidden_parts"].reach
-    warped |= twins.fill_hidden_parts(warped, case.now.depth, case.zoom, case.to_source, reach)
+    warped |= twins.fill_hidden_parts(warped, case.now.depth, case.zoom, case.to_source, reach, case.options.entering)
     left = case.after("hidden_parts")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
     assert (warped["filled_by"] == BY_HIDDEN_PART).any()
@@ -54,6 +54,19 @@ def test_mover_behind_bars_is_whole(device, target):
     at = np.stack([x, y], -1) + 0.5 + out.numpy("motion")[inside]
     shown = frame.depth[tuple(np.floor(at).astype(int).T[::-1])]
     assert np.isclose(shown, 4, rtol=0.01).mean() > 0.9  # a bar
+
+
+def test_mover_that_enters_goes_on_to_the_border(device):
+    """Where it is known to the last pixel, and where no frame has shown it yet; without that it is torn."""
+    edge = camera(W, H).unproject(np.array([[0.0, H / 2]]), np.array([6.0]))[0, 0]
+    mover = Rect((edge - 1.8, 0, 6), (1.0, 0.6), velocity=(18, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+    wrong = {}
+    for entering in (True, False):
+        out, truth, frame = last_frame(device, [WALL, mover], Options(entering=entering), count=4)
+        shown = truth.depth < 7
+        assert shown[:, 0].any() and (frame.depth < 7)[:, 0].any()  # it lies across the border
+        wrong[entering] = int((shown & (np.abs(out.numpy("depth") - 6) > 0.1)).sum())
+    assert shown.sum() > 300 and wrong[True] < 10 and wrong[False] > 40, wrong
 
 
 def test_mover_off_the_bars_leaves_the_background_alone(device):

@@ -21,6 +21,7 @@ LONG = pytest.mark.long
         pytest.param("int32", marks=LONG),
         "shading",
         "upload",
+        "dilate-splat",
         pytest.param("scene", marks=LONG),
     ],
 )

@@ -2,18 +2,27 @@
 
 import numpy as np
 import twins
+from synthetic import Rect, Rects, camera
 from twin_cases import assert_close, read_history, read_movers
 
-from gffe_cl.engine.stages.frame_block import polynomial_weights
+from gffe_cl import Options, Pipeline
+from gffe_cl.engine.stages.frame_block import polynomial_weights, reprojection
 
 
 def test_kernel_equals_its_twin(case):
     now, past = case.now, case.past
     dynamic, met_depth = case.read("history", "dynamic_mask"), case.read("history", "met_depth")
+    if case.options.entering:
+        to_previous = reprojection(now.camera, past.camera)
+        met_depth = twins.entering_depth(now.depth, now.motion, dynamic, met_depth, to_previous)
     with np.errstate(invalid="ignore"):
         px_prev = twins.centers(*now.depth.shape) + now.motion
         in_previous = twins.unproject(px_prev, met_depth, case.from_previous[4])
     history = read_history(case.pipeline)
+    entered = (met_depth > 0) & ~(case.read("history", "met_depth") > 0)
+    if history is not None and entered.any():
+        there = twins.move(in_previous, case.from_previous)
+        history[0, entered] = np.append(there, np.ones((*there.shape[:2], 1)), -1)[entered]
     if history is None:  # the one position that history tracking does not store: it follows from the depth met
         known = (dynamic > 0) & (met_depth > 0)
         with np.errstate(invalid="ignore"):
@@ -29,3 +38,35 @@ def test_kernel_equals_its_twin(case):
     assert np.array_equal(got[..., 2] > 0, predicted[..., 2] > 0)
     assert_close(got, predicted)
     assert 0.02 < (dynamic > 0).mean() < 0.6
+
+
+def test_movers_that_enter_go_on(device):
+    """Fragments that came through the border, and closer, are predicted where they are then, as those beside whose
+    place in the frame before is known; their depths in that frame are the twin's."""
+    width, height, velocity = 160, 80, np.array([18.0, 0.0, -6.0])
+    still = camera(width, height)
+    edge = still.unproject(np.array([[0.0, height / 2]]), np.array([6.0]))[0, 0]
+    mover = Rect((edge - 1.8, 0, 6.6), (1.0, 0.6), velocity=tuple(velocity), frequency=0.1)
+    scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
+    predicted = {}
+    for entering in (True, False):
+        pipeline, before = Pipeline(device, width, height, Options(acceleration=False, entering=entering)), None
+        for k in range(4):
+            frame = scene.frame(still, k / 30, width, height, before, reset=k == 0)
+            pipeline.submit(frame)
+            before = (still, k / 30)
+        pipeline.extrapolate(still, 3.5 / 30)
+        predicted[entering] = pipeline.stages["prediction"].read("target_position")
+    read = pipeline.stages["history"].read
+    shown, met, px = frame.depth < 7, read("met_depth"), twins.centers(height, width)
+    found = twins.entering_depth(
+        frame.depth, frame.motion, read("dynamic_mask"), met, reprojection(frame.camera, frame.camera)
+    )
+    entered = shown & (found > 0) & ~(met > 0)
+    assert entered.sum() > 20 and np.array_equal(found[~entered], met[~entered])
+    np.testing.assert_allclose(found[entered], frame.depth[entered] + 0.2, rtol=1e-3)
+    there, depth = still.project(still.unproject(px[entered], frame.depth[entered]) + velocity / 60)
+    np.testing.assert_allclose(predicted[True][entered][:, :2], there, atol=0.02)
+    np.testing.assert_allclose(predicted[True][entered][:, 2], depth, rtol=1e-4)
+    assert np.abs(predicted[False][entered][:, 0] - there[:, 0]).min() > 4
+    assert np.array_equal(predicted[True][~entered], predicted[False][~entered])

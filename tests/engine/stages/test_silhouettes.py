@@ -37,8 +37,8 @@ def test_kernels_equal_their_twins(case):
     if not case.options.soft_silhouettes:
         return
     positions, links = case.read("prediction", "target_position"), case.read("connectivity", "links")
-    color = case.now.color
-    layer, behind = twins_silhouettes.find_layers(color, case.now.depth, links, positions, case.zoom)
+    color, smooth = case.now.color, case.read("backward_blocks", "smooth")
+    layer, behind = twins_silhouettes.find_layers(color, case.now.depth, links, smooth, positions, case.zoom)
     share = case.read("silhouettes", "share").astype(np.float32) / np.float32(255)
     kept = case.read("silhouettes", "behind")[..., :3].astype(np.float32)
     got = case.read("silhouettes", "layer"), np.concatenate([kept, share[..., None]], -1)

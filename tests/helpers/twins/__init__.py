@@ -15,7 +15,7 @@ from twins.hidden_parts import fill_hidden_parts
 from twins.history import EXACT, residual_histogram, static_threshold, track_history
 from twins.holes import asked_texels, continued_surfaces, downsample, fill_holes, mix_far_side
 from twins.network_input import decode, depth_median, encode, network_input
-from twins.prediction import predict_positions
+from twins.prediction import entering_depth, predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
 from twins.shading_flow import find_candidates
@@ -47,6 +47,7 @@ __all__ = [
     "depth_median",
     "downsample",
     "encode",
+    "entering_depth",
     "fill_hidden_parts",
     "fill_holes",
     "find_candidates",

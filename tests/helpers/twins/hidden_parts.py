@@ -9,8 +9,9 @@ from twins.warp import load_code
 HIDDEN = kernel_constants("hidden_parts.cl")
 
 
-def fill_hidden_parts(warped, source_depth, zoom, to_source, reach):
-    """color, depth, motion and filled_by of the warped frame with the hidden parts of movers."""
+def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering):
+    """color, depth, motion and filled_by of the warped frame with the hidden parts of movers, and the parts of those
+    that enter."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     depth, holes, dynamic = warped["depth"], warped["disoccluded"] > 0, warped["dynamic"] > 0
     height, width = source_depth.shape
@@ -36,10 +37,28 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach):
             return (distance, q) if not shown > 0 or shown < HIDDEN.HIDES * then else None
         return None
 
+    def entered(y, x):
+        """The pixel of the mover that goes on to the border, or None."""
+        rows, columns = depth.shape
+        from_x, from_y, border = min(x, columns - 1 - x), min(y, rows - 1 - y), columns // HIDDEN.BORDER_SHARE
+        if min(from_x, from_y) >= border:
+            return None
+        d = (1 if 2 * x < columns else -1, 0) if from_x <= from_y else (0, 1 if 2 * y < rows else -1)
+        q = next((q for _, q in march(y, x, d, border, depth.shape) if not holes[q]), None)
+        if q is None or not dynamic[q]:
+            return None
+        px = moves_along(q, y, x)[0 if d[0] else 1]
+        return q if (px < 0 if sum(d) > 0 else px >= (width if d[0] else height)) else None
+
     def same(a, b):
         return abs(a - b) <= HIDDEN.ONE_OBJECT * min(a, b)
 
     for y, x in np.argwhere(holes):
+        if entering and (q := entered(y, x)):
+            out["color"][y, x, :3] = decode_color(load_code(warped["color"][q]))
+            out["depth"][y, x], out["filled_by"][y, x] = depth[q], COMMON.BY_HIDDEN_PART
+            out["motion"][y, x] = moves_along(q, y, x) - np.array([x + 0.5, y + 0.5], F)
+            continue
         met = [mover(y, x, d) for d in _DIRECTIONS]
         found = [m for m in met if m]
         if not found:

@@ -38,12 +38,14 @@ def halfway(depths):
     return F(2) * nearest * (F(1) if np.isinf(farthest) else farthest / (nearest + farthest))
 
 
-def find_layers(color, depth, links, target_position, zoom):
-    """layer (H, W) uint8, behind (H, W, 4) float32: a code and a share."""
+def find_layers(color, depth, links, smooth, target_position, zoom):
+    """layer (H, W) uint8, behind (H, W, 4) float32: a code and a share. `smooth`: of source blocks."""
     height, width = depth.shape
     color, layer = color_of(codes_of(color)), np.zeros((height, width), np.uint8)
     behind = np.zeros((height, width, 4), F)
     for y, x in np.argwhere(links != 15):
+        if smooth[y // BLOCK[1], x // BLOCK[0]]:
+            continue
         near_by = [(x + dx, y + dy, dx, dy) for dx, dy in AROUND if 0 <= x + dx < width and 0 <= y + dy < height]
         middle = halfway([depth[v, u] for u, v, *_ in near_by])
         if middle is None or not depth[y, x] > 0:

@@ -102,39 +102,54 @@ def _source_offset(ddx, ddy, d):
     return np.stack([ddy[..., 1] * x - ddy[..., 0] * y, ddx[..., 0] * y - ddx[..., 1] * x], -1)
 
 
+def _deviation_from_linear(around):
+    """The largest deviation of a coordinate over a block and its margin from the linear function through the corners,
+    with that function's (center, slope along, slope down)."""
+    height, width = around.shape
+    (a, b), (c, d) = around[0, [0, -1]], around[-1, [0, -1]]
+    center = F(0.25) * ((a + d) + (b + c))
+    along = ((b - a) + (d - c)) * (F(0.5) / F(width - 1))
+    down = ((c - a) + (d - b)) * (F(0.5) / F(height - 1))
+    y, x = (np.arange(n, dtype=F) - F(0.5 * (n - 1)) for n in (height, width))
+    linear = (center + along * x)[None] + (down * y)[:, None]
+    return np.abs(around - linear).max(), center, along, down
+
+
 def smooth_blocks(target_position, depth, links, zoom):
-    """(rows, columns) bool: source blocks over which predicted positions change linearly."""
+    """(rows, columns) uint8: STRICT, LOOSE, RIGID or 0 of source blocks, and (rows, columns, 4): the boxes that those
+    with a value reach, in target pixels."""
     height, width = depth.shape
-    rows, columns = -(-height // BLOCKS.BLOCK_HEIGHT), -(-width // BLOCKS.BLOCK_WIDTH)
-    linked = np.zeros((height + 4, width + 4), bool)  # with a border that is not
-    linked[2:-2, 2:-2] = links == BLOCKS.ALL_LINKS
-    smooth = np.zeros((rows, columns), bool)
-    for by in range(rows):
-        for bx in range(columns):
-            y, x = by * BLOCKS.BLOCK_HEIGHT, bx * BLOCKS.BLOCK_WIDTH
-            y1, x1 = y + BLOCKS.BLOCK_HEIGHT, x + BLOCKS.BLOCK_WIDTH
-            if y1 > height or x1 > width or not linked[y : y1 + 4, x : x1 + 4].all():
-                continue
-            around = target_position[y - 1 : y1 + 1, x - 1 : x1 + 1]
-            here = around[1:-1, 1:-1]
-            left, right, up, down = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
-            z, z_source = here[..., 2], depth[y:y1, x:x1]
-            left, right, up, down, here = (a[..., :2] for a in (left, right, up, down, here))
-            most = BLOCKS.STRETCH_HIGH
-            flat = (z > 0) & (z_source <= most * z) & (z <= most * z_source)
-            for a, b in ((left, right), (up, down)):
-                bend = np.abs((b - here) - (here - a))
-                flat &= (bend <= BLOCKS.BEND_MOST).all(-1)
-            ddx, ddy = F(0.5) * (right - left), F(0.5) * (down - up)
-            for along, across, size in ((ddx[..., 0], ddy[..., 0], zoom[0]), (ddy[..., 1], ddx[..., 1], zoom[1])):
-                flat &= (along >= BLOCKS.STRETCH_LOW * size) & (along <= most * size)
-                flat &= np.abs(across) <= BLOCKS.SHEAR_MOST * size
-            turn = np.abs(ddx[1:] - ddx[:-1]) <= BLOCKS.BEND_MOST
-            smooth[by, bx] = flat.all() and turn.all()
-    return smooth
+    side_x, side_y, margin = BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT, BLOCKS.MARGIN
+    rows, columns = -(-height // side_y), -(-width // side_x)
+    smooth, boxes = np.zeros((rows, columns), np.uint8), np.zeros((rows, columns, 4), F)
+    for by, bx in np.ndindex(rows, columns):
+        y0, x0 = by * side_y - margin, bx * side_x - margin
+        y1, x1 = y0 + side_y + 2 * margin, x0 + side_x + 2 * margin
+        if y0 < 0 or x0 < 0 or y1 > height or x1 > width:
+            continue
+        around = target_position[y0:y1, x0:x1]
+        off_x, x, xx, yx = _deviation_from_linear(around[..., 0])
+        off_y, y, xy, yy = _deviation_from_linear(around[..., 1])
+        z, z_source = (a[margin:-margin, margin:-margin] for a in (around[..., 2], depth[y0:y1, x0:x1]))
+        most = BLOCKS.STRETCH_HIGH
+        keeps = (z > 0) & (z_source <= most * z) & (z <= most * z_source)
+        flat = max(off_x, off_y) <= BLOCKS.LOOSE_MOST and keeps.all()
+        for along, across, size in ((xx, yx, zoom[0]), (yy, xy, zoom[1])):
+            flat &= BLOCKS.STRETCH_LOW * size <= along <= most * size and abs(across) <= BLOCKS.SHEAR_MOST * size
+        if not flat:
+            continue
+        off = max(off_x, off_y)
+        strict = off <= BLOCKS.STRICT_MOST and (links[y0:y1, x0:x1] == BLOCKS.ALL_LINKS).all()
+        smooth[by, bx] = BLOCKS.STRICT if strict else BLOCKS.RIGID if off <= BLOCKS.AFFINE_MOST else BLOCKS.LOOSE
+        most = BLOCKS.STRICT_MOST if strict else BLOCKS.LOOSE_MOST
+        slopes = np.abs(np.array([(xx, yx), (xy, yy)], F))
+        half = F(0.5 * (side_x - 1)) * slopes[:, 0] + F(0.5 * (side_y - 1)) * slopes[:, 1] + most
+        half = half + np.maximum(WARP.FOOTPRINT_HALF * (slopes[:, 0] + slopes[:, 1]), BLOCKS.HALF_LEAST)
+        boxes[by, bx] = *((x, y) - half), *((x, y) + half)
+    return smooth, boxes
 
 
-def block_classes(smooth, target_position, depth, links, zoom, target_size):
+def block_classes(smooth, boxes, target_position, depth, links, zoom, target_size):
     """(rows, columns) bool: target blocks that are warped backward."""
     width, height = target_size
     side = np.array((BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT))
@@ -145,6 +160,7 @@ def block_classes(smooth, target_position, depth, links, zoom, target_size):
     here = target_position[..., :2]
     reach = F(WARP.FOOTPRINT_REACH)
     half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[..., :2]) + np.abs(ddy[..., :2])), reach)
+    half = np.maximum(half, BLOCKS.HALF_LEAST)
     with np.errstate(invalid="ignore"):
         lands = (
             (target_position[..., 2] > 0) & (here > -reach).all(-1) & (here < np.array(target_size, F) + reach).all(-1)
@@ -152,10 +168,14 @@ def block_classes(smooth, target_position, depth, links, zoom, target_size):
     for by, bx in np.ndindex(*smooth.shape):
         part = np.s_[by * side[1] : (by + 1) * side[1], bx * side[0] : (bx + 1) * side[0]]
         use = lands[part]
-        if not use.any():
+        if smooth[by, bx]:
+            first, last = boxes[by, bx, :2], boxes[by, bx, 2:]
+        elif use.any():
+            first, last = (here[part] - half[part])[use].min(0), (here[part] + half[part])[use].max(0)
+        else:
             continue
-        first, last = (here[part] - half[part])[use].min(0), (here[part] + half[part])[use].max(0)
-        if (last <= 0).any() or (first >= target_size).any():
+        first, last = np.ceil(first - F(0.5 + BLOCKS.ROUNDING)), np.floor(last - F(0.5 - BLOCKS.ROUNDING))
+        if (last < 0).any() or (first >= target_size).any():
             continue
         x0, y0 = (np.maximum(first, 0).astype(int) // side).tolist()
         x1, y1 = (np.minimum(last, np.array(target_size) - 1).astype(int) // side).tolist()
@@ -166,9 +186,11 @@ def block_classes(smooth, target_position, depth, links, zoom, target_size):
     for by, bx in np.argwhere(~spoilt & (high >= low).all(-1)):
         (x0, y0), (x1, y1) = low[by, bx], high[by, bx]
         near = x1 - x0 < BLOCKS.COLUMNS_MOST and y1 - y0 < BLOCKS.ROWS_MOST
-        backward[by, bx] = near and smooth[y0 : y1 + 1, x0 : x1 + 1].all()
+        backward[by, bx] = near and (smooth[y0 : y1 + 1, x0 : x1 + 1] > 0).all()
     if width % side[0]:
         backward[:, -1] = False
+    if height % side[1]:
+        backward[-1] = False
     return backward
 
 

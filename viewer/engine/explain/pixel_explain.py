@@ -32,11 +32,16 @@ _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within
 
 def pixel_story(
     pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None,
-    passed: Iterable[Passed] = (),
+    passed: Iterable[Passed] = (), fault: str = "",
 ) -> Story:  # fmt: skip
     """Return the story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its
-    `pixel_values`, `passed` are the frames submitted last, newest first."""
+    `pixel_values`, `passed` are the frames submitted last, newest first. `fault`: what is wrong with its pixel of the
+    rendered image."""
     story = _story(pipeline, shot, x, y, values)
+    if fault:
+        said = f"Invalid in the input: {fault}."
+        start = [sentence for sentence in story.sentences if sentence != _as_it_is(shot)]
+        story = replace(story, sentences=(Step(said, *_to_source(shot, story.source)), *start))
     if story.fragment is None:
         return story
     own = story.fragment[0] + 0.5, story.fragment[1] + 0.5
@@ -47,7 +52,7 @@ def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.
     source_px = source_position(pipeline, shot, x, y)
     if not shot.moment.alpha:
         told = Fragment.at(pipeline, shot, source_px)
-        start = f"Rendered frame {shot.moment.k} as it is."
+        start = _as_it_is(shot)
         if Upscaling.name in pipeline.stages:
             start = _gathered(shot, values or pixel_values(pipeline, shot, x, y))
         return (
@@ -58,6 +63,10 @@ def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.
     values = values or pixel_values(pipeline, shot, x, y)
     made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
     return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
+
+
+def _as_it_is(shot: Shot) -> str:
+    return f"Rendered frame {shot.moment.k} as it is."
 
 
 def _gathered(shot: Shot, values: dict[str, np.ndarray]) -> str:

@@ -6,8 +6,21 @@ import numpy as np
 
 from gffe_cl.captures.scenes.parts.figures import animal, walker
 from gffe_cl.captures.scenes.parts.furniture import IRON, STEEL, railing
-from gffe_cl.captures.scenes.parts.motions import Bounce, Motion, Path, Place, Roll, Slide, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import Box, Capsule, Cylinder, Group, Material, Scene, Sphere, pick, tint, vary
+from gffe_cl.captures.scenes.parts.motions import Bounce, Carry, Motion, Path, Place, Roll, Slide, Spin, Swing
+from gffe_cl.captures.scenes.parts.vehicles import car
+from gffe_cl.captures.scenes.scene_types import (
+    Box,
+    Capsule,
+    Cylinder,
+    Group,
+    Material,
+    Scene,
+    Sphere,
+    pick,
+    tint,
+    vary,
+    wave,
+)
 from gffe_cl.captures.scenes.situations.places import hall, lamplight, scene, still_camera, sunlight, yard
 
 _PAINTS = ((0.6, 0.1, 0.06), (0.1, 0.28, 0.55), (0.62, 0.45, 0.06), (0.1, 0.4, 0.2), (0.45, 0.2, 0.45))
@@ -24,6 +37,21 @@ def bars(seed: int, rng: np.random.Generator) -> Scene:
         path = Path(loop[:: pick(rng, -1, 1)], rng.uniform(1.2, 1.9), rng.random())
         groups += animal(path, rng, 0.65) if k == 1 else walker(path, rng)
     return scene("bars", "Movers behind bars", seed, groups, *sunlight(rng), still_camera(rng))
+
+
+def entering(seed: int, rng: np.random.Generator) -> Scene:
+    """Return cars that drive in through the borders of the view, from the side and past the camera, and a walker
+    towards whom the camera turns."""
+    groups = yard(rng, seed)
+    phase = rng.uniform(0.0, 0.05, 3)
+    left = Place(-7.4, 0, -1.3) @ Carry((15.0, 0, 0), rng.uniform(1.3, 1.6), 0.12 + phase[0]) @ Place(yaw=90)
+    right = Place(8.6, 0, -3.4) @ Carry((-16.0, 0, 0), rng.uniform(1.5, 1.8), 0.08 + phase[1]) @ Place(yaw=-90)
+    past = Place(2.3, 0, 6.4) @ Carry((0, 0, -13.0), rng.uniform(1.7, 2.1), 0.21 + phase[2]) @ Place(yaw=180)
+    groups += car(left, rng) + car(right, rng) + car(past, rng)
+    groups += walker(Path([(-4.6, -3.4), (-1.0, -3.5), (2.0, -3.3), (-1.0, -4.4)], rng.uniform(1.4, 1.9)), rng)
+    turn = wave((0.0, 1.3, -3.0), (0.9, 0.05, 0.0), (rng.uniform(1.6, 2.0), 3.0, 1.0), (0.5, 0.0, 0.0))
+    eye, _ = still_camera(rng)
+    return scene("entering", "Movers that enter through the border", seed, groups, *sunlight(rng), (eye, turn))
 
 
 def ropes(seed: int, rng: np.random.Generator) -> Scene:

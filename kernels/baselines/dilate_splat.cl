@@ -1,0 +1,192 @@
+/* Extrapolation by dilated and splatted motion vectors, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024), to
+   compare with: the cheapest method that moves vectors with a depth test. It needs no camera and no frame before.
+
+   splat: each pixel takes the vector and the depth of the nearest pixel of the 3x3 around it (dilation), so that
+   antialiased edges move along with the nearer surface. It carries the vector to where that leads at t + alpha. There
+   the nearest one wins (nearest.h), of one depth the least word: two components in 1/STEPS px.
+   warp: each pixel looks its color up backward along its vector, bilinear. A pixel without one takes that of the
+   nearest surface beside: what a surface uncovers is what was seen beside it. Else it keeps the rendered frame's own.
+
+   name      image    what in         color, depth, motion      of the rendered frame
+   keys,
+   winners            what the splat leaves: the least depth that reached each pixel, and its word
+   out_color          linear: the new frame */
+
+#include "../common.h"
+#include "../simd_texels.h"
+#include "../nearest.h"
+
+#define STEPS 32.0f     /* of a word, per pixel */
+#define ZERO 32768.0f   /* a component of 0 in a word; no word is NOBODY */
+#define LONGEST 1023.0f /* px: longer vectors are not carried */
+#define FILL_REACH 2    /* px around a pixel without a vector in which one is searched */
+
+/* Tap k of the 3x3 around a pixel, which comes first. */
+#define TAP(k) (((k) + 4) % 9)
+#define TAP_X(k) (TAP(k) % 3 - 1)
+#define TAP_Y(k) (TAP(k) / 3 - 1)
+
+/* The least depth of the 3x3 around (x, y), and its pixel; of sky (x, y) itself. */
+INLINE float find_nearest(__global const float *depth, const int x, const int y, const int width, const int height,
+                          int *nearest) {
+    float least = INFINITY;
+    *nearest = y * width + x;
+    for (int k = 0; k < 9; ++k) {
+        const int i = clamp(y + TAP_Y(k), 0, height - 1) * width + clamp(x + TAP_X(k), 0, width - 1);
+        const float z = depth[i];
+        const bool nearer = z > 0.0f && z < least;
+        least = nearer ? z : least;
+        *nearest = nearer ? i : *nearest;
+    }
+    return least;
+}
+
+/* The same of LANES pixels. */
+INLINE Floats wide_find_nearest(__global const float *depth, const int x, const int y, const int width,
+                                const int height, Ints *nearest) {
+#if LANES == 8
+    const int here = y * width + x;
+    if (x < 1 || y < 1 || x + LANES >= width || y + 1 >= height) {
+        float lane_least[LANES];
+        int lane_nearest[LANES];
+        for (int k = 0; k < LANES; ++k)
+            lane_least[k] = find_nearest(depth, min(x + k, width - 1), y, width, height, lane_nearest + k);
+        *nearest = load_ints(0, lane_nearest);
+        return load_floats(0, lane_least);
+    }
+    Floats least = (Floats)(INFINITY);
+    Ints step = (Ints)(0);
+#pragma unroll
+    for (int k = 0; k < 9; ++k) {
+        const int tap = TAP_Y(k) * width + TAP_X(k);
+        const Floats z = load_floats(0, depth + here + tap);
+        const Ints nearer = (z > 0.0f) & (z < least);
+        least = nearer ? z : least;
+        step = nearer ? (Ints)(tap) : step;
+    }
+    *nearest = here + LANE_NUMBERS + step;
+    return least;
+#else
+    return find_nearest(depth, x, y, width, height, nearest);
+#endif
+}
+
+/* A component in px as half of a word, and back. */
+INLINE Uints half_word(const Floats v) { return to_uints(v * STEPS + (ZERO + 0.5f)); }
+INLINE Floats component(const Uints half_word) { return (to_floats(half_word) - ZERO) * (1.0f / STEPS); }
+
+/* LANES pixels per work-item. */
+WIDE __kernel void splat(const int width, const int height, const float alpha, const int pass,
+                         __global const float *depth, __global const float2 *motion, __global Key *keys,
+                         __global uint *winners) {
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    Ints nearest;
+    const Floats z = wide_find_nearest(depth, x, y, width, height, &nearest);
+    Floats motion_y;
+    const Floats motion_x = gather_xy(motion, nearest, &motion_y);
+    const Floats move_x = -alpha * motion_x, move_y = -alpha * motion_y;
+    const Floats px_x = row_centers(x) + move_x, px_y = ((float)y + 0.5f) + move_y;
+    const Ints lands = (fabs(move_x) <= LONGEST) & (fabs(move_y) <= LONGEST) & (px_x >= 0.0f) & (px_x < (float)width)
+                       & (px_y >= 0.0f) & (px_y < (float)height);
+    if (!ANY(lands)) return;
+    const Floats none = (Floats)(0.0f);
+    int lane_lands[LANES], lane_dst[LANES];
+    uint lane_word[LANES];
+    float lane_z[LANES];
+    store_ints(lands, 0, lane_lands);
+    store_ints(to_ints(lands ? px_y : none) * width + to_ints(lands ? px_x : none), 0, lane_dst);
+    store_ints(half_word(lands ? move_y : none) << 16 | half_word(lands ? move_x : none), 0, lane_word);
+    store_floats(z, 0, lane_z);
+    for (int k = 0; k < min(LANES, width - x); ++k)
+        if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
+}
+
+/* The vector for a pixel that none reached. */
+INLINE float2 filling_vector(__global const Key *keys, __global const uint *winners, __global const float2 *motion,
+                             const int x, const int y, const int width, const int height, const float alpha) {
+    uint least = NOBODY, word = NOBODY;
+    for (int reach = 1; reach <= FILL_REACH && word == NOBODY; ++reach)
+        for (int dy = -reach; dy <= reach; ++dy)
+            for (int dx = -reach; dx <= reach; dx += dy == -reach || dy == reach ? 1 : 2 * reach) { /* a ring */
+                if (!inside(x + dx, y + dy, width, height)) continue;
+                const int i = (y + dy) * width + x + dx;
+                const uint depth_bits = depth_bits_of(keys, i), beside = winner_of(keys, winners, i);
+                if (depth_bits > least || (depth_bits == least && beside >= word)) continue;
+                least = depth_bits;
+                word = beside;
+            }
+    if (word != NOBODY) return ((float2)((float)(word & 0xFFFFu), (float)(word >> 16)) - ZERO) * (1.0f / STEPS);
+    const float2 own = -alpha * motion[y * width + x];
+    return (float2)(own.x == own.x ? own.x : 0.0f, own.y == own.y ? own.y : 0.0f);
+}
+
+/* The vectors that reached LANES pixels from index i on, `count` of which are left of their row. */
+INLINE Uints load_words(const int count, __global const Key *keys, __global const uint *winners, const int i) {
+    if (IS_WHOLE(count)) return load_winners(keys, winners, i);
+    uint lane_word[LANES];
+    for (int k = 0; k < LANES; ++k) lane_word[k] = winner_of(keys, winners, i + min(k, count - 1));
+    return load_uints(0, lane_word);
+}
+
+/* TEXELS texels of the pixels i, which may lie `in_row`. Not by vload_half16: PoCL 3.1 makes an
+   aligned load of it here. */
+INLINE Texels texels_at(__global const half *color, const int *i, const bool in_row) {
+#if LANES == 8
+    __global const ulong *texels = (__global const ulong *)color;
+    const ulong4 four =
+        in_row ? vload4(0, texels + i[0]) : (ulong4)(texels[i[0]], texels[i[1]], texels[i[2]], texels[i[3]]);
+    return load_texels(0, (const half *)&four);
+#else
+    (void)in_row;
+    return load_texels(i[0], color);
+#endif
+}
+
+/* LANES pixels per work-item. */
+WIDE __kernel void warp(const int width, const int height, const float alpha, __global const Key *keys,
+                        __global const uint *winners, __global const float2 *motion, __global const half *color,
+                        __global half *out_color) {
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), dst = y * width + x, count = width - x;
+    if (x >= width || y >= height) return;
+    const Uints word = load_words(count, keys, winners, dst);
+    Floats move_x = component(word & 0xFFFFu), move_y = component(word >> 16);
+    if (ANY(word == NOBODY)) {
+        uint lane_word[LANES];
+        float lane_x[LANES], lane_y[LANES];
+        store_ints(word, 0, lane_word);
+        store_floats(move_x, 0, lane_x);
+        store_floats(move_y, 0, lane_y);
+        for (int k = 0; k < min(LANES, count); ++k) {
+            if (lane_word[k] != NOBODY) continue;
+            const float2 move = filling_vector(keys, winners, motion, x + k, y, width, height, alpha);
+            lane_x[k] = move.x;
+            lane_y[k] = move.y;
+        }
+        move_x = load_floats(0, lane_x);
+        move_y = load_floats(0, lane_y);
+    }
+    const Floats px_x =
+        wide_greater(wide_lesser(to_floats(x + LANE_NUMBERS) - move_x, (Floats)((float)(width - 1))), (Floats)(0.0f));
+    const Floats px_y = wide_greater(wide_lesser((float)y - move_y, (Floats)((float)(height - 1))), (Floats)(0.0f));
+    const Ints left = to_ints(px_x), right = min(left + 1, (Ints)(width - 1));
+    const Ints row = to_ints(px_y), top = row * width, bottom = min(row + 1, (Ints)(height - 1)) * width;
+    const bool in_row = ALL((row == FIRST_LANE(row)) & (left == FIRST_LANE(left) + LANE_NUMBERS) & (right > left));
+    int taps[4 * LANES];
+    store_ints(top + left, 0, taps);
+    store_ints(top + right, 1, taps);
+    store_ints(bottom + left, 2, taps);
+    store_ints(bottom + right, 3, taps);
+    const Floats across = px_x - to_floats(left), down = px_y - to_floats(row);
+    Strip made;
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) {
+        const Texels u = OF_TEXELS(across, part), v = OF_TEXELS(down, part);
+        Texels c[4];
+#pragma unroll
+        for (int k = 0; k < 4; ++k) c[k] = texels_at(color, taps + k * LANES + part * TEXELS, in_row);
+        made.part[part] =
+            finite_texels((1.0f - v) * ((1.0f - u) * c[0] + u * c[1]) + v * ((1.0f - u) * c[2] + u * c[3]));
+    }
+    store_strip(made, count, out_color + 4 * dst);
+}
