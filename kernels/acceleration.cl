@@ -43,7 +43,7 @@ INLINE bool is_known(const Tracked f, const int src) {
 }
 
 /* The nearest mover of a cell; depth 0 without one. */
-INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame *restrict frame, const Tracked f) {
+INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame *frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width),
               end_y = min((cell_y + 1) * MOVER_CELL, source_height);

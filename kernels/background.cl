@@ -581,8 +581,8 @@ SCAN __kernel void project_levels(__constant Frame *restrict frame, const int pa
    the winner's surface only: within one texel's side; within two where that catches too little, as in the gaps
    between irregular fragments. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height,
-                           const float z_winner, const float2 side, const float2 center,
-                           __constant Frame *restrict frame, const Texels texels) {
+                           const float z_winner, const float2 side, const float2 center, __constant Frame *frame,
+                           const Texels texels) {
     const int level_width = texels.width;
     float3 sum;
     float weight_sum;
@@ -637,7 +637,7 @@ typedef struct {
 } Before;
 
 /* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 center, const float z, __constant Frame *restrict frame, const Before before,
+INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before,
                          float3 *code) {
     const int width = frame->source_width, height = frame->source_height;
     const float3 px_prev = reproject(center, z, frame->target_to_previous);

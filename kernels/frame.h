@@ -1,8 +1,9 @@
 /* The frame block: the arguments of kernels for a frame, besides its buffers. gffe_cl/engine/stages/frame_block.py
    reads this struct and fills it for each rendered and each extrapolated frame; `gffe export` makes the same struct
    in C. Kernels take it as `restrict`: CPUs then read it once for all work-items of a group, since no store can change
-   it. The widest types come first: nothing is padded. Where there is no frame before, "previous" is the rendered
-   frame itself; what is about the target is 0 while stages work on a rendered frame. */
+   it. Functions do not: Oclgrind fails on what comes of that once they are inlined. The widest types come first:
+   nothing is padded. Where there is no frame before, "previous" is the rendered frame itself; what is about the target
+   is 0 while stages work on a rendered frame. */
 
 #include "common.h"
 

@@ -34,8 +34,7 @@ typedef struct {
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
 /* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *restrict frame,
-                          const Images f) {
+INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
@@ -55,8 +54,7 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
    0: none. */
-INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *restrict frame,
-                          const Images f) {
+INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
     const int t =
@@ -100,7 +98,7 @@ INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f) {
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     DirectionInts t;
     DirectionFloats z;
@@ -135,11 +133,11 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame 
     f.filled_by[dst] = BY_HIDDEN_PART;
 }
 
-INLINE int border_reach(__constant Frame *restrict frame) { return frame->target_width / BORDER_SHARE; }
+INLINE int border_reach(__constant Frame *frame) { return frame->target_width / BORDER_SHARE; }
 
 /* Fills a hole at the border with the mover that follows straight inward, if that one came from outside of the rendered
    image there. */
-INLINE void fill_entering(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f) {
+INLINE void fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
     const int from_x = min(dst_x, width - 1 - dst_x), from_y = min(dst_y, height - 1 - dst_y);
     const int2 d = from_x <= from_y ? (int2)(2 * dst_x < width ? 1 : -1, 0) : (int2)(0, 2 * dst_y < height ? 1 : -1);

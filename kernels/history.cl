@@ -37,9 +37,9 @@ INLINE float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
-INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *restrict frame,
-                            __global const float *depth, __global const float2 *motion, Floats *residual_x,
-                            Floats *residual_y, Floats *mv_x, Floats *mv_y) {
+INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *frame, __global const float *depth,
+                            __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x,
+                            Floats *mv_y) {
     const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
     const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
@@ -352,7 +352,7 @@ typedef struct {
 } Frames;
 
 /* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame. */
-INLINE void find_history(const int src_x, const int src_y, __constant Frame *restrict frame, const Frames f) {
+INLINE void find_history(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
     const int source_width = frame->source_width, plane = source_width * frame->source_height;
     const int src = src_y * source_width + src_x, positions = frame->positions;
     const Reprojection to_previous = frame->to_previous, from_previous = frame->from_previous;
@@ -408,7 +408,7 @@ INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x,
 }
 
 /* Whether such a fragment is: the frame before shows its surface there, no nearer and no farther. */
-INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *restrict frame, const Frames f) {
+INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
     const int src = src_y * frame->source_width + src_x;
     const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     const int x = clamp((int)floor(px_prev.x), 0, frame->source_width - 1);

@@ -117,7 +117,7 @@ INLINE float3 static_source(const int dst_x, const int dst_y, const float invers
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
-INLINE float3 border_code(const float2 px_source, __constant Frame *restrict frame, __global const half *source_color) {
+INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
                 y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
@@ -137,7 +137,7 @@ INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
 }
 
 /* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
-INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *restrict frame,
+INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame,
                         __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
     const float3 border = border_code(px_source.xy, frame, source_color);
@@ -146,7 +146,7 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 
 /* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows
    there. */
-INLINE bool can_be_at(const float3 px_source, __constant Frame *restrict frame, __global const float *source_depth) {
+INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
     const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
@@ -180,8 +180,7 @@ INLINE int surface_behind(const Border *a, const int behind) {
    continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
    theirs, those close by count most. Else it is a disocclusion, and shows the surface behind it. Gives (color,
    inverse depth); false where no direction meets a valid pixel. */
-INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *restrict frame, const Images f,
-                             float4 *mean) {
+INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     Border a;
     find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth, &a);
@@ -328,8 +327,8 @@ __kernel void pull_level(__constant Frame *restrict frame, const int level, __gl
 
 /* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image
    (static_source). */
-INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth,
-                            __constant Frame *restrict frame, const Images f) {
+INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame,
+                            const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
     const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
     f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
@@ -338,8 +337,7 @@ INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float invers
 }
 
 /* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
-INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *restrict frame,
-                       const Images f) {
+INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __constant Frame *frame, const Images f) {
     fill_geometry(dst_x, dst_y, mean.w, frame, f);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
@@ -411,7 +409,7 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
 
 /* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the
    rendered frame. */
-INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *restrict frame, const Images f,
+INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f,
                         float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
@@ -434,7 +432,7 @@ INLINE bool asks(const int dst, const Tile tile, const Images f) {
 }
 
 /* Fills a pixel from the four texels around it; out of screen, after the far side, with the image's border too. */
-INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *restrict frame,
+INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, __constant Frame *frame,
                                 const Images f) {
     float2 between;
     const int2 first = first_texel(dst_x, dst_y, &between);
@@ -456,7 +454,7 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
 /* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they
    need as asked for. */
 INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile,
-                        __constant Frame *restrict frame, const Images f) {
+                        __constant Frame *frame, const Images f) {
     for (int run_x = first_x; run_x < end_x; run_x += RUN) {
         const int run = dst_y * frame->target_width + run_x;
         if (run_x + RUN <= end_x && !run_has(f.filled_by + run, BY_HOLE_FILLING)) continue;

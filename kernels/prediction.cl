@@ -26,14 +26,14 @@ typedef struct {
 } Tracked;
 
 /* Displacement of a fragment by acceleration after alpha intervals. */
-INLINE float3 bent(const int cell, __constant Frame *restrict frame, const Tracked f) {
+INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
 /* The depth in the frame before of a dynamic fragment that was at px_prev, outside of that frame's image; 0: it was
    inside, or so far out that its motion is not believed. It is the fragment's own depth times the ratio that the
    nearest known fragment of its mover has, straight inward from that border; of a static surface without any. */
-INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, __constant Frame *restrict frame,
+INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, __constant Frame *frame,
                             const Tracked f) {
     const int width = frame->source_width, height = frame->source_height, src = src_y * width + src_x;
     const float out_x = fmax(-px_prev.x, px_prev.x - (float)width), out_y = fmax(-px_prev.y, px_prev.y - (float)height);
@@ -55,7 +55,7 @@ INLINE float entering_depth(const int src_x, const int src_y, const float2 px_pr
 }
 
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *restrict frame, const Tracked f) {
+INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);

@@ -42,7 +42,7 @@ INLINE Floats factor_of(const Floats now, const Floats before, const Ints known,
 }
 
 /* The change of the pixels (x, y). */
-INLINE void change_at(const Ints x, const int y, __constant Frame *restrict frame, const Frames f, Change *c) {
+INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
     const Ints in_image = (x < width) & ((Ints)(y) < height);

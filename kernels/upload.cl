@@ -137,7 +137,7 @@ INLINE void load_given(__global const float *given, const int type, const int ch
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(__constant Frame *restrict frame, __global const float *given, const int type, const int channels,
+INLINE void take(__constant Frame *frame, __global const float *given, const int type, const int channels,
                  __global half *color, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
@@ -169,8 +169,8 @@ WIDE __kernel void take_floats(__constant Frame *restrict frame, __global const 
     take(frame, given + start, FLOAT32, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start, const int channels,
-                               __global half *color, __global uchar *bad_pixels) {
+WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start,
+                               const int channels, __global half *color, __global uchar *bad_pixels) {
     take(frame, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
 }
 
@@ -214,9 +214,9 @@ INLINE float diagonal_squared_of(__constant Frame *frame) {
 }
 
 /* Input and output may be the same buffer. */
-WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth, const int depth_start,
-                                 __global const float *given_motion, const int motion_start, __global float *depth,
-                                 __global float2 *motion, __global uchar *bad_pixels) {
+WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth,
+                                 const int depth_start, __global const float *given_motion, const int motion_start,
+                                 __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     const float diagonal_squared = diagonal_squared_of(frame);
@@ -265,7 +265,7 @@ INLINE Floats load_stored_xy(__global const float *given, const int type, const 
 }
 
 /* Planar depth of stored numbers. Device depth beyond its range, or at the far end as in a cleared buffer, is sky. */
-INLINE Floats planar_depth(__constant Frame *restrict frame, const Floats stored) {
+INLINE Floats planar_depth(__constant Frame *frame, const Floats stored) {
     const float4 numbers = frame->given_depth;  /* factor, origin, addend, sky */
     const Floats value = numbers.x * (stored - numbers.y) + numbers.z;
     if (!frame->depth_is_device) return value;
@@ -275,7 +275,7 @@ INLINE Floats planar_depth(__constant Frame *restrict frame, const Floats stored
 
 /* Motion of static points at depth z, in pixels: 0 where depth is invalid or there is no frame before, NaN where the
    point was behind the camera. */
-INLINE Floats motion_by_camera(__constant Frame *restrict frame, const int px_x, const int px_y, const Floats z, Floats *y) {
+INLINE Floats motion_by_camera(__constant Frame *frame, const int px_x, const int px_y, const Floats z, Floats *y) {
     const Floats here_x = row_centers(px_x);
     const float here_y = px_y + 0.5f;
     const Wide3 before = wide_reproject(here_x, (Floats)(here_y), z, frame->to_previous);
@@ -286,9 +286,9 @@ INLINE Floats motion_by_camera(__constant Frame *restrict frame, const int px_x,
 
 /* Depth and motion of any type and convention that a description allows. Values of the description's own for unwritten
    vectors are not counted as bad. */
-WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global const uchar *given_depth, const int depth_start,
-                                    __global const uchar *given_motion, const int motion_start, __global float *depth,
-                                    __global float2 *motion, __global uchar *bad_pixels) {
+WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global const uchar *given_depth,
+                                    const int depth_start, __global const uchar *given_motion, const int motion_start,
+                                    __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
     const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     const int depth_type = frame->given_types.y, motion_type = frame->given_types.z;

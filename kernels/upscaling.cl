@@ -270,7 +270,7 @@ typedef struct {
 
 /* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around
    `src`, within their colors; less where it moved, from there to `px`. `seen`: by depth. */
-INLINE void recall(__constant Frame *restrict frame, const Past past, const Floats *px, const Ints known,
+INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, const Ints known,
                    const Floats *px_previous, const Ints src, const Floats seen, Recalled *r) {
     const int width = frame->target_width, height = frame->target_height;
     const Floats at_x = known ? px_previous[0] : (Floats)(0.0f), at_y = known ? px_previous[1] : (Floats)(0.0f);
