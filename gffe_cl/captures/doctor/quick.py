@@ -17,9 +17,11 @@ from gffe_cl.captures.doctor.hypotheses.scoring import Bench, frame_offsets, mos
 from gffe_cl.captures.doctor.hypotheses.search import EDIT, Reading, Search
 from gffe_cl.captures.doctor.quantization import largest_step, motion_steps
 from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.engine.core.errors import printable
-from gffe_cl.engine.core.validation import require_exposure, require_list
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame, host_arrays
+from gffe_cl.engine.core.validation import require_array, require_exposure, require_kind, require_list
+from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, described_arrays, host_arrays
 
 _FRAMES = 3
 _SAMPLES = 800  # of each frame
@@ -57,19 +59,37 @@ class _Fit:
         return self.share + float(np.nan_to_num(self.along)) + self.edges
 
 
-def check(frames: list[RenderedFrame], exposure: float = 1.0) -> str | None:
+def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameFormat | None = None) -> str | None:
     """Return a sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras,
     motion vectors and colors, camera jitter in the vectors, or a buffer that is upside down. It names the likely cause
     where a single buffer is misread. This is the quick form of `gffe check`: only the first three frames are examined.
 
         assert gffe.check([first, second, third]) is None
 
-    `frames` are in order of time, with NumPy arrays. `exposure` is the factor on colors before display. Raises
-    GffeError for anything that is no such frame.
+    `frames` are in order of time, with NumPy arrays. `exposure` is the factor on colors before display. `format`
+    describes the arrays where they differ from our conventions. Raises GffeError for anything that is no such frame.
     """
-    frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")
-    warning = quick_warning(_InMemory(frames[:_FRAMES]), require_exposure(exposure))
+    frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")[:_FRAMES]
+    if format is not None:
+        frames = _converted(frames, require_kind(format, FrameFormat, "check: format", "a FrameFormat or None"))
+    warning = quick_warning(_InMemory(frames), require_exposure(exposure))
     return warning and f"{warning}; `gffe check FOLDER` tells more, of frames stored with gffe.SequenceWriter"
+
+
+def _converted(frames: list[RenderedFrame], format: FrameFormat) -> list[RenderedFrame]:
+    """Return the frames in our conventions. Raises GffeError for arrays that cannot be described."""
+    made, before = [], None
+    for frame in frames:
+        frame = checked_frame(frame)
+        height, width = require_array(frame.depth, "frame: depth", None, None).shape
+        require_render_size(format, (width, height))
+        arrays = described_arrays(frame, height, width)
+        stored = replace(frame, color=arrays.color[..., :3], depth=arrays.depth, motion=arrays.motion)
+        previous = None if frame.reset else before
+        jitter = previous.geometry_jitter if previous else (0.0, 0.0)
+        made.append(described_frame(stored, format, previous and previous.camera, jitter))
+        before = frame
+    return made
 
 
 class _InMemory:

@@ -1,5 +1,5 @@
-"""Conversion of a rendered frame that a `FrameFormat` describes to our conventions, on the host: of sequences on disk.
-The pipeline converts on the device."""
+"""Conversion of rendered frames that a `FrameFormat` describes to our conventions, on the host: of sequences on disk,
+and for the doctor. The pipeline converts on the device."""
 
 from __future__ import annotations
 
@@ -17,22 +17,27 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame, type_of
 def described_frame(
     frame: RenderedFrame, format: FrameFormat, previous: Camera | None, previous_jitter: tuple[float, float]
 ) -> RenderedFrame:
-    """Return `frame` in our conventions: depth and motion in float32. `previous`: the render camera of the frame
-    before; None if there is none. `previous_jitter`: of its geometry, pixels.
+    """Return `frame` of NumPy arrays in our conventions: depth and motion in float32, color in floats. `previous`: the
+    render camera of the frame before; None if there is none. `previous_jitter`: of its geometry, pixels.
 
     Raises GffeError where vectors lack the camera's motion and a frame has no camera.
     """
     height, width = np.shape(frame.depth)
-    types = {"color": None, "depth": "float32", "motion": None if frame.motion is None else type_of(frame.motion)}
+    motion_type = None if frame.motion is None else type_of(frame.motion)
+    types = {"color": None, "depth": type_of(frame.depth), "motion": motion_type}
     jitters = frame.geometry_jitter, previous_jitter if previous else frame.geometry_jitter
     given = conversion(format, (width, height), types, {"color": 3, "motion": 2}, *jitters)
-    depth = _depth(frame.depth.astype(np.float64), given)
+    depth = _depth(_values(frame.depth), given)
+    color = frame.color
+    if color.dtype.kind != "f":
+        color = (color / np.float64(np.iinfo(color.dtype).max)).astype(np.float32)
     if frame.motion is None:
-        return replace(frame, depth=depth.astype(np.float32))
+        return replace(frame, color=color, depth=depth.astype(np.float32))
     stored, (*factors, x, y) = frame.motion.astype(np.float64), given["given_motion"]
     # Halves may have become floats on their way to disk.
-    value = format.motion_invalid
-    invalid = [] if value is None else [given["motion_invalid"], float(np.float16(value))]
+    invalid = [given["motion_invalid"]]
+    if format.motion_invalid is not None and motion_type == "float32":
+        invalid.append(float(np.float16(format.motion_invalid)))
     unwritten = np.isin(stored, invalid).all(-1, keepdims=True)
     vectors = np.where(unwritten, 0.0, stored * factors + (x, y))
     if format.camera_motion == "included":
@@ -43,7 +48,12 @@ def described_frame(
         added = unwritten | (format.camera_motion == "excluded")
         vectors = np.where(added, vectors + _camera_motion(depth, frame.camera, previous), vectors)
     with np.errstate(over="ignore"):
-        return replace(frame, depth=depth.astype(np.float32), motion=vectors.astype(np.float32))
+        return replace(frame, color=color, depth=depth.astype(np.float32), motion=vectors.astype(np.float32))
+
+
+def _values(depth: np.ndarray) -> np.ndarray:
+    """Return stored depth (H, W) in float64: of 32-bit integers the low 24 bits."""
+    return (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(np.float64)
 
 
 def _depth(stored: np.ndarray, given: dict) -> np.ndarray:

@@ -24,6 +24,7 @@ from gffe_cl.engine.core.validation import (
     require_size,
     require_vector,
     require_whole,
+    scalar,
     shown,
 )
 from gffe_cl.engine.frame.conventions import DIRECTIONS, depth_planes, square
@@ -239,7 +240,7 @@ class FrameFormat:
         if require_bool(orthographicProjection, "streamline: orthographicProjection"):
             raise GffeError("streamline: orthographicProjection is not supported (expected a perspective projection)")
         invalid = motionVectorsInvalidValue
-        if is_number(invalid) and float(invalid) == _SL_INVALID_FLOAT:
+        if is_number(invalid) and scalar(invalid) == _SL_INVALID_FLOAT:
             invalid = None
         included = require_bool(cameraMotionIncluded, "streamline: cameraMotionIncluded")
         if not included and invalid is None:

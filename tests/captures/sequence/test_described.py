@@ -9,7 +9,17 @@ import pyopencl as cl
 import pytest
 from synthetic import Rect, Rects, camera
 
-from gffe_cl import FrameEntry, FrameFormat, GffeError, Options, Pipeline, SequenceWriter, named_channels, open_sequence
+from gffe_cl import (
+    FrameEntry,
+    FrameFormat,
+    GffeError,
+    Options,
+    Pipeline,
+    SequenceWriter,
+    check,
+    named_channels,
+    open_sequence,
+)
 from gffe_cl.captures.doctor.opening import open_for_check
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.offline.run import run_sequence
@@ -121,6 +131,21 @@ def test_import_and_the_doctor_keep_the_description(tmp_path):
     np.testing.assert_allclose(thinned.read(thinned.rendered[1]).depth, expected[2].depth, rtol=1e-3)
     opened, findings = open_for_check(tmp_path / "engine")
     assert not findings and any('frame_format {"depth": "device"' in note for note in opened.notes)
+
+
+def test_the_quick_check_takes_a_description():
+    """Frames in memory as an engine has them fit with the right description, and do not with another."""
+    scene = Rects([Rect((0, 0, 6), frequency=0.5), Rect((0.4, 0, 3), (0.7, 0.5), frequency=2)])
+    poses = [(camera(96, 64, (0.1 * k, 0.03 * k, 0), 0.02 * k), k / 30) for k in range(3)]
+    frames = [scene.frame(*p, 96, 64, poses[k - 1] if k else None, reset=k == 0) for k, p in enumerate(poses)]
+    stored = [replace(f, color=np.round(np.clip(f.color, 0, 1) * 255).astype(np.uint8), motion=-f.motion / (96, 64),
+                      depth=np.round(0xFFFFFF * 0.5 / f.depth).astype(np.uint32)) for f in frames]  # fmt: skip
+    right = FrameFormat(depth="device", near_z=0.5, far_z=math.inf, depth_range=(1, 0), motion_unit="uv",
+                        motion_direction="from_previous")  # fmt: skip
+    assert check(frames) is None and check(stored, format=right) is None
+    assert "motion" in check(stored, format=replace(right, motion_direction="to_previous"))
+    with pytest.raises(GffeError, match=r"images are 9×9 \(expected the render size 96×64\)"):
+        check(stored, format=replace(right, color_size=(9, 9), geometry_size=(9, 9)))
 
 
 def test_run_leaves_our_conventions_behind(device, tmp_path):

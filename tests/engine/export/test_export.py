@@ -266,6 +266,7 @@ def test_every_object_of_opencl_is_released(device, library):
     for k in range(4):
         if k % 2:
             engine.set_overlays(Overlays(effects=buffers[0], effects_motion=buffers[2], ui=buffers[0]))
+        engine.set_format(FrameFormat(motion_unit="uv", color_type="unorm8") if k > 1 else None)
         engine.submit([*buffers[:2], buffers[2] if k else None], camera, k, camera.scaled(1.1, 1.1), reset=k == 0)
         engine.extrapolate(k + 0.5)
         engine.present()

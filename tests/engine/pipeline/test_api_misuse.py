@@ -128,7 +128,7 @@ def host_calls():
         "to_display": Call(gffe_cl.to_display, {"color": COLOR, "exposure": 1.0}),
         "psnr": Call(gffe_cl.psnr, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
         "ssim": Call(gffe_cl.ssim, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
-        "check": Call(gffe_cl.check, {"frames": [FRAME, FRAME], "exposure": 1.0}),
+        "check": Call(gffe_cl.check, {"frames": [FRAME, FRAME], "exposure": 1.0, "format": gffe_cl.FrameFormat()}),
         "Pacer": Call(gffe_cl.Pacer, {"display_rate": 60.0, "most_alpha": 2.0}),
         "Pacer.rendered": Call(lambda time: gffe_cl.Pacer(60).rendered(time), {"time": 0.0}),
         "Pacer.plan": Call(lambda now: paced().plan(now), {"now": 0.2}),
