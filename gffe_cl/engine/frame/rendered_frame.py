@@ -225,7 +225,8 @@ class HostArrays:
         rgb = self.color[..., :3]
         finite = np.isfinite(rgb)
         wrong = {"color": ~finite, "clamped": finite & (np.abs(rgb) > HALF_MAX)}
-        return {kind: np.asarray(values.any(-1)) for kind, values in wrong.items()} | wrong_geometry(self.depth, self.motion)
+        of_color = {kind: np.asarray(values.any(-1)) for kind, values in wrong.items()}
+        return of_color | wrong_geometry(self.depth, self.motion)
 
     def in_device_layout(self) -> HostArrays:
         """Return the arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth channel, missing
