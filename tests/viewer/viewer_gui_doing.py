@@ -216,7 +216,9 @@ def saving(gui: Gui):
     (png,) = _made(before)
     saved = np.asarray(Image.open(png).convert("RGB")).astype(int)
     shown = to_display(model.contents.result.images["final"][..., :3], model.source.exposure)
-    values["png"] = {"size": saved.shape, "fault": float(np.abs(saved - shown * 255).max())}
+    height, width = shown.shape[:2]
+    fault = np.abs(saved[:height, :width] - shown * 255).max()
+    values["png"] = {"size": saved.shape, "fault": float(fault)}
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)
     gui.frames(2)

@@ -66,5 +66,5 @@ def _unit(model: Model, spec) -> str:
     display = model.looks.of(spec.name)
     view = shown_as(spec, display)[0]
     if view == "color":
-        return "linear, 1 is white at +0 EV"
+        return "linear color"
     return "length, px" if view in ("motion", "place") else legend(spec, display).unit or "value"

@@ -300,8 +300,8 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     if model.comparison.flipped and view.b:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
-        settings = f"   {told(model.setup)}" if model.comparison.by_settings else ""
-        texts = (f"A  {_layer_text(model, view.a)}{settings}", f"B  {_layer_text(model, view.b)}")
+        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
+        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
         a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
         label(a, 10, 8)
         label(b, width - 10, 8, right=True)
@@ -351,7 +351,7 @@ def _layer_text(model: Model, name: str) -> str:
         return f"{names.plain(name)}: not made with these options"
     text = layer_text(spec, model.looks.of(name))
     if names.is_second(name) and model.kept.b is not None:
-        text += f"   {model.kept.b.name}"
+        text = f"{model.kept.b.name}   {text}"
         if model.second.fault:
             return f"{model.kept.b.name}: {model.second.fault}"
     result = model.contents.second if names.is_second(name) else model.contents.result

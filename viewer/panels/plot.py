@@ -78,10 +78,12 @@ def _axes(slots: int, values: np.ndarray, height: float, unit: str) -> None:
     texts = [f"{text} {unit}".rstrip() for text in texts]
     implot.setup_axis_limits(implot.ImAxis_.y1, low, high, imgui.Cond_.always.value)
     implot.setup_axis_ticks(implot.ImAxis_.y1, levels, texts)
+    apart = (levels[1] - levels[0]) / (high - low) * height if len(levels) > 1 else height
     for level, text in zip(levels, texts, strict=True):
         size = imgui.calc_text_size(text)
-        below = (high - level) / (high - low) * height < size.y  # there is no room for it above
-        implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, size.y / 2 if below else -size.y / 2))
+        above = (high - level) / (high - low) * height > size.y  # there is room for it
+        if above or apart > 2 * size.y:
+            implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, -size.y / 2 if above else size.y / 2))
 
 
 def scale_of(least: float, most: float, count: float = 5.0) -> tuple[float, float, list[float], list[str]]:

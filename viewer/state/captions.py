@@ -98,7 +98,7 @@ def _error_unit(view: View, contents: Contents) -> str:
 
 def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:
     spec = contents.spec(name)
-    if name is None or spec is None:
+    if name is None or spec is None or contents.image(name) is None:
         return []
     display = looks.of(name)
     shown = legend(spec, display)
