@@ -183,6 +183,7 @@ def host_calls():
         "motion_from_unreal": Call(gffe_cl.motion_from_unreal, {"rg": MOTION, "size": (W, H), "scale": 2.0}),
         "Options": Call(Options, {name: option.default for name, option in OPTIONS.items()}),
         "Options.changed": Call(Options().changed, {"name": "levels", "value": 1}),
+        "Options.preset": Call(Options.preset, {"name": "performance", "levels": 1}),
         "Window.camera": Call(
             Window(-1.2, -1.2, 1.2, 1.2).camera, {"display": CAMERA, "size": (W, H), "render_size": (W, H)}
         ),
