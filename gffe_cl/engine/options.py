@@ -365,10 +365,8 @@ class Options:
     @classmethod
     def preset(cls, name: str, **values: Any) -> Options:
         """Return the options of a preset, "quality", "balanced" or "performance", with `values` of single options in
-        place of its own. Raises GffeError for an unknown preset or option, or an invalid value."""
+        place of its own. Raises GffeError for an unknown preset or an invalid value."""
         require_choice(name, PRESETS, "options: preset")
-        for given in values:
-            require_choice(given, OPTIONS, "options: name")
         return cls(**PRESETS[name].values | values)
 
     @property

@@ -12,7 +12,7 @@ def test_presets_are_options_by_name():
     assert Options.preset("performance", levels=2, order=1).levels == 2
     with pytest.raises(GffeError, match="preset must be one of quality, balanced, performance, got"):
         Options.preset("fast")
-    with pytest.raises(GffeError, match="name must be one of"):
+    with pytest.raises(TypeError, match="level"):
         Options.preset("quality", level=2)
 
 
