@@ -116,7 +116,7 @@ def test_bench_of_methods(gffe, tmp_path):
     rows = {(row["method"], row["platform"]): row for row in report["methods"]}
     assert (report["width"], report["height"], report["turns"]) == (64, 48, 12)  # whole rounds of the six new frames
     assert len(rows) == len(report["methods"]) and sum(report["share"].values()) == pytest.approx(1, abs=1e-3)
-    on_devices = {"gffe", "no-scn", "dilate-splat"}
+    on_devices = {"gffe", "no-scn", "quality", "performance", "dilate-splat"}
     first, repeat = report["methods"][0], rows["repeat", None]
     assert first["method"] == "gffe" and first["ratio"] == 1 and repeat["milliseconds"] < first["milliseconds"]
     assert {row["method"] for row in report["methods"]} | set(report["skipped"]) == {
@@ -126,7 +126,7 @@ def test_bench_of_methods(gffe, tmp_path):
         assert row["milliseconds"] >= 0 and (row["platform"] is None) == (row["method"] not in on_devices)
         total = sum(share * 10 ** (-row["regions"][name] / 10) for name, share in report["share"].items() if share)
         assert total == pytest.approx(10 ** (-row["psnr"] / 10), rel=0.01)  # regions are parts of the whole
-    for name in ("no-scn", "dilate-splat"):
+    for name in ("no-scn", "performance", "dilate-splat"):
         same = [row["psnr"] for row in report["methods"] if row["method"] == name]
         assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
 
@@ -171,7 +171,9 @@ def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
     code, text, _ = gffe("bench", tmp_path / "in", "--methods", *options)
     assert code == 0 and "needs torch: pip install" in text
     (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
-    assert [row["method"] for row in report["methods"]] == ["gffe", "dilate-splat", "repeat"] and report["of"] == "in"
+    assert [row["method"] for row in report["methods"]] == [
+        "gffe", "quality", "performance", "dilate-splat", "repeat"
+    ] and report["of"] == "in"  # fmt: skip
 
 
 @pytest.mark.parametrize(

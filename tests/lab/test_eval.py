@@ -43,7 +43,7 @@ def test_methods_are_chosen_by_name_and_group():
     assert {gain.with_it for gain in GAINS} | {gain.without for gain in GAINS} <= set(METHODS)
     assert {gain.region for gain in GAINS} <= set(REGIONS)
     assert {gain.paper for gain in GAINS} - {""} <= set(results.PAPER)
-    with pytest.raises(GffeError, match="'gfe' is none of gffe, ablation"):
+    with pytest.raises(GffeError, match="'gfe' is none of gffe, preset, ablation"):
         chosen_methods(["gfe"])
 
 

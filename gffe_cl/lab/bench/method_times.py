@@ -20,7 +20,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.options import Options
+from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.engine.timing.footage import uploaded
 from gffe_cl.lab.bench.counting import SIZE
 from gffe_cl.lab.bench.footage import SCENE, SCENE_FPS, SCENE_FRAME, is_sequence
@@ -33,6 +33,7 @@ from gffe_cl.lab.table.methods import DILATE_SPLAT, FULL, LIBRARY, METHODS, Meth
 from gffe_cl.lab.table.results import versions
 
 WITHOUT_NETWORK = "no-scn"
+OTHER_PRESETS = {name: preset.values for name, preset in PRESETS.items() if preset.values}
 MOMENTS = 6  # new frames whose quality is measured, and which are timed again and again
 _REST = 0.02  # seconds before each turn, in which the threads of the method before come to rest
 
@@ -143,14 +144,15 @@ def _play(clip: Clip, contestants: list[Contestant], rounds: int, advance: Calla
 
 def _contestants(clip: Clip, devices: list[Device], options: Options) -> tuple[list[Contestant], dict[str, str]]:
     """Return all contestants, and the reasons why methods are left out, by name."""
-    names = (FULL, *((WITHOUT_NETWORK,) if options.corrects_shading else ()), DILATE_SPLAT)
+    changes = {FULL: {}, WITHOUT_NETWORK: {"shading_correction": False}, **OTHER_PRESETS}
+    if not options.corrects_shading:
+        del changes[WITHOUT_NETWORK]
     found = []
     for device in devices:
         frames = [uploaded(device, shot.frame) for shot in clip.shots()]
-        for method in (METHODS[name] for name in names):
+        for method in (METHODS[name] for name in (*changes, DILATE_SPLAT)):
             if method.options is not None:
-                own = options if method.name == FULL else replace(options, shading_correction=False)
-                method = replace(method, options=own)
+                method = replace(method, options=replace(options, **changes[method.name]))
             found.append(Contestant(method, device, method.runner(clip, device), frames))
     others = chosen_methods(["repeat", LIBRARY])
     skipped = {name: reason for name, method in others.items() if (reason := method.missing(clip))}
