@@ -86,8 +86,8 @@ def view(
     frame: Annotated[
         str,
         typer.Option(
-            help="Frame in the screenshot: its number on the timeline, counting generated frames (9), or a rendered"
-            " frame and the part of the way to the next (4+1/2)."
+            help="Frame in the screenshot: its number on the timeline (9, generated frames counted), or the rendered"
+            " frame and the way to the next (4+1/2)."
         ),
     ] = "0",
     layer: Annotated[
