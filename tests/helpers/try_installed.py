@@ -120,6 +120,8 @@ def use_all_names():
     assert gffe.present(frames[0]).color.shape[:2] == (H, W)
     options = gffe.Options(shading_correction=True)
     assert gffe.OPTIONS["shading_correction"]
+    described = gffe.FrameFormat(color_type="float32", color_channels=3, motion_invalid=65504.0)
+    gffe.Pipeline(device, W, H, options, format=described).submit(frames[0])
     pipeline, pacer = gffe.Pipeline(device, W, H, options), gffe.Pacer(60)
     with gffe.attach(pipeline, "used", pacer=pacer):
         for frame in frames:
