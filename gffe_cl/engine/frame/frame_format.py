@@ -186,7 +186,7 @@ class FrameFormat:
         """Return the description of what an integration of AMD FSR 3 frame generation provides.
 
         The arguments are fields of `ffxDispatchDescFrameGenerationPrepareV2` and
-        `ffxCreateContextDescFrameGeneration` (`flags`: the bits FFX_FRAMEGENERATION_ENABLE_…), in the header
+        `ffxCreateContextDescFrameGeneration` (`flags`: the bits `FFX_FRAMEGENERATION_ENABLE_…`), in the header
         `ffx_framegeneration` of the FidelityFX SDK. There vectors lead "from a pixel in the current frame to the
         position of that same pixel in the previous frame" and are in pixels after motionVectorScale, y down
         (https://gpuopen.com/manuals/fidelityfx_sdk/techniques/super-resolution-upscaler/). Infinite depth ignores
@@ -268,7 +268,7 @@ class FrameFormat:
 
         The arguments are fields of `xefg_swapchain_frame_constant_data_t` (projectionMatrix: 16 numbers or 4 rows,
         row-major, for row vectors or column vectors) and `xefg_swapchain_d3d12_init_params_t` (initFlags: the bits
-        XEFG_SWAPCHAIN_INIT_FLAG_…), in the header `xefg_swapchain`. Vectors lead from the current to the previous
+        `XEFG_SWAPCHAIN_INIT_FLAG_…`), in the header `xefg_swapchain`. Vectors lead from the current to the previous
         frame, in pixels y down or, by flag, in normalized device coordinates y up; those of high resolution are dilated
         (https://github.com/intel/xess, developer guide of XeSS-FG, "Motion Vectors"). `others` are fields
         of `FrameFormat`, such as sizes. Pass `jitterOffsetX` and `jitterOffsetY` as `RenderedFrame.geometry_jitter`.
