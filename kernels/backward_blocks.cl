@@ -1,9 +1,9 @@
 /* Blocks: which parts of the new frame need no splatting (for 'Warping').
 
    A source block is smooth if predicted positions change linearly over it: strictly if it is all of one surface, else
-   loosely, if its surfaces hardly move apart. Every source block marks the target blocks with pixels that its
-   fragments' footprints cover. A target block is warped backward if all that reach it lie side by side and are smooth:
-   then nothing in it hides or uncovers anything. */
+   loosely, if its surfaces hardly move apart, or as a rigid one, if they do not. Every source block marks the target
+   blocks with pixels that its fragments' footprints cover. A target block is warped backward if all that reach it lie
+   side by side and are smooth: then nothing in it hides or uncovers anything. */
 
 #include "frame.h"
 #include "simd.h"
@@ -96,7 +96,7 @@ INLINE bool is_one_surface(const Fragments f, const int x0, const int y0) {
 }
 
 /* The largest deviation of one coordinate from a linear function of the block's pixels and MARGIN more to each side,
-   which passes through their corners; not a number where a fragment goes nowhere. center: its value at the block's
+   which passes through their corners; beyond any limit where a fragment goes nowhere. center: its value at the block's
    center. along, down: its slopes per pixel. */
 INLINE Floats deviation_from_linear(__global const float *p, const int row, float *center, float *along, float *down) {
     const int last_x = BLOCK_WIDTH - 1 + MARGIN, last_y = (BLOCK_HEIGHT - 1 + MARGIN) * row;
@@ -181,9 +181,10 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
     if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
-    const int is_smooth = smoothness(fragments, x0, y0, &box);
+    const int of_block = smoothness(fragments, x0, y0, &box);
+    const bool is_smooth = of_block != 0;
     if (!is_smooth) box = reach_of(fragments, x0, y0);
-    smooth[by * source_blocks + bx] = is_smooth;
+    smooth[by * source_blocks + bx] = of_block;
     const int target_blocks = block_columns(target_width);
     const float first_x = ceil(box.x0 - (0.5f + ROUNDING)), first_y = ceil(box.y0 - (0.5f + ROUNDING));
     const float last_x = floor(box.x1 - (0.5f - ROUNDING)), last_y = floor(box.y1 - (0.5f - ROUNDING));

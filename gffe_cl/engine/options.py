@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -369,15 +370,15 @@ class Options:
         require_choice(name, PRESETS, "options: preset")
         return cls(**PRESETS[name].values | values)
 
-    @property
+    @cached_property
     def preset_name(self) -> str | None:
         """The preset that these options are, whatever those that no preset sets; None if they are none of them."""
         usual = {option: OPTIONS[option].default for preset in PRESETS.values() for option in preset.values}
         for name, preset in PRESETS.items():
             made = replace(self, **usual | preset.values)
-            if replace(made, shading_correction=made.corrects_shading) == replace(
-                self, shading_correction=self.corrects_shading
-            ):
+            if replace(made, shading_correction=self.shading_correction) != self:
+                continue
+            if made.corrects_shading == self.corrects_shading:
                 return name
         return None
 

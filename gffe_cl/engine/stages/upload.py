@@ -53,36 +53,21 @@ class Upload(Stage):
                 {"color": "rendered.color", "bad_pixels": Access("upload.bad_pixels", planes=2)},
                 step=("LANES", 1),
             )
-            for name in ("take_floats", "take_halves")
+            for name in ("take_floats", "take_halves", "convert_color")
         ),
-        Kernel(
-            "take_geometry",
-            "runs",
-            {"given_depth": "rendered.depth", "given_motion": "rendered.motion"},
-            {
-                "depth": "rendered.depth",
-                "motion": "rendered.motion",
-                "bad_pixels": Access("upload.bad_pixels", planes=4),
-            },
-            step=("LANES", 1),
-        ),
-        Kernel(
-            "convert_color",
-            "runs",
-            {"given": "upload.given"},
-            {"color": "rendered.color", "bad_pixels": Access("upload.bad_pixels", planes=2)},
-            step=("LANES", 1),
-        ),
-        Kernel(
-            "convert_geometry",
-            "runs",
-            {"given_depth": "rendered.depth", "given_motion": "rendered.motion"},
-            {
-                "depth": "rendered.depth",
-                "motion": "rendered.motion",
-                "bad_pixels": Access("upload.bad_pixels", planes=4),
-            },
-            step=("LANES", 1),
+        *(
+            Kernel(
+                name,
+                "runs",
+                {"given_depth": "rendered.depth", "given_motion": "rendered.motion"},
+                {
+                    "depth": "rendered.depth",
+                    "motion": "rendered.motion",
+                    "bad_pixels": Access("upload.bad_pixels", planes=4),
+                },
+                step=("LANES", 1),
+            )
+            for name in ("take_geometry", "convert_geometry")
         ),
     )
 
