@@ -195,11 +195,12 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
         const bool at_border =
             frame->entering
             && (first_x < near || first_x + RUN > target_width - near || dst_y < near || dst_y >= target_height - near);
-        for (int dst_x = first_x; (moves || at_border) && dst_x < min(first_x + RUN, target_width); ++dst_x) {
+        const int end_x = min(first_x + RUN, target_width);
+        for (int dst_x = first_x; at_border && dst_x < end_x; ++dst_x)
+            if (disoccluded[dst_y * target_width + dst_x]) fill_entering(dst_x, dst_y, frame, images);
+        for (int dst_x = first_x; moves && dst_x < end_x; ++dst_x) {
             const int dst = dst_y * target_width + dst_x;
-            if (!disoccluded[dst]) continue;
-            if (at_border) fill_entering(dst_x, dst_y, frame, images);
-            if (moves && filled_by[dst] != BY_HIDDEN_PART) fill_hidden_part(dst_x, dst_y, frame, images);
+            if (disoccluded[dst] && filled_by[dst] != BY_HIDDEN_PART) fill_hidden_part(dst_x, dst_y, frame, images);
         }
     }
 }

@@ -175,6 +175,10 @@ WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const 
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
+    if (smooth[block_of(src_x, src_y, source_width)]) {
+        store_some_bytes((Bytes)(NO_LAYER), count, layer + src);
+        return;
+    }
     const Source s = {.width = source_width,
                       .height = source_height,
                       .zoom = zoom,
@@ -185,7 +189,6 @@ WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const 
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     Floats shares = 0.0f;
     Floats colors[3] = {0.0f, 0.0f, 0.0f};
-    if (ANY(part) && smooth[block_of(src_x, src_y, source_width)]) part = (Ints)(0);
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;

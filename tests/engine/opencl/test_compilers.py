@@ -286,6 +286,7 @@ EXCESSES = {
     ("background.fill_from_levels", "dg2-g10", "SIMD8"): ("cubic samples of two images", "libigc1"),
     ("upscaling.accumulate", "dg2-g10", "SIMD8"): ("16 taps of four channels; not among the defaults", "libigc1"),
     ("silhouettes.soften", "dg2-g10", "SIMD8"): ("layers and coverage of a neighborhood", "libigc1"),
+    ("hidden_parts.fill_hidden_parts", "sm_86", "registers"): ("two ways to fill; most work-items do neither", ""),
     ("scenes/scene.shade", "sm_86", "memory"): (_SCENES, ""),
     ("scenes/scene.shade", "sm_86", "registers"): (_SCENES, ""),
     ("scenes/scene.shade", "dg2-g10", "memory"): (_SCENES, ""),
