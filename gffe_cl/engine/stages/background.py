@@ -193,7 +193,7 @@ class Background(NearestStage):
                 start = self.starts[int(spec.grid.removeprefix("level"))] * spec.bytes_per_pixel
                 if whole in places:
                     whole, start = "memory", start + places[whole]
-            made[spec.name] = made[whole].get_sub_region(start, spec.nbytes(self.sizes))
+            made[spec.name] = self.board.memory.part(made[whole], start, spec.nbytes(self.sizes))
         return made
 
     def rendered(self, step: Step) -> None:

@@ -159,12 +159,12 @@ class Board:
     """
 
     def __init__(self, device: Device, sizes: Sizes, options: Options | None = None, int64: bool | None = None):
+        self.stages: dict[str, Any] = {}  # by name, each of its own class
+        self.memory = LentMemory(sizes, self.stages)
         self.device, self.sizes, self.options = device, sizes, options or Options()
         self.int64 = device.int64_atomics if int64 is None else int64
         # Members of the frame block that do not change; stages add theirs.
         self.facts = block_facts(self.options, sizes)
-        self.stages: dict[str, Any] = {}  # by name, each of its own class
-        self.memory = LentMemory(sizes, self.stages)
         self.turn = 0  # a bit for each stage, which changes whenever its buffers and those of the frame before do
         self.members = 0  # stages so far
         self.rendered: DeviceFrame | None = None
@@ -181,9 +181,14 @@ class Board:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
 
+    def __del__(self):
+        self.let_go()
+
     def let_go(self) -> None:
-        """Drop the references to the stages. Stages and board refer to each other; with this cycle, memory of an
-        unused pipeline would wait for Python's cyclic garbage collector."""
+        """Drop all buffers of the stages, and the references to these. Stages and board refer to each other; with this
+        cycle, memory of an unused pipeline would wait for Python's cyclic garbage collector."""
+        for stage in self.stages.values():
+            stage.let_go()
         self.stages.clear()
         self.memory.let_go()
         self.__dict__.pop("blocks", None)
@@ -340,6 +345,11 @@ class Stage(Owner):
         event = cl.enqueue_nd_range_kernel(device.queue, prepared.kernel, prepared.items, prepared.group)
         if device.profiles:
             self.events.append((name, event))
+
+    def let_go(self) -> None:
+        """Drop the buffers, and the kernels that have them as arguments. The stage is of no use any more."""
+        for known in (self._prepared, self.buffer, self.before):
+            known.clear()
 
     def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any], slot: str | None) -> _Prepared:
         """Return a launch with the arguments set that do not change from one launch with the numbers in `given` and the
@@ -499,9 +509,9 @@ class NearestStage(Stage):
 
 
 def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
-    """Return each `every`-th row of a depth buffer of `size` (width, height), as (ceil(H / every), W) float32."""
+    """Return each `every`-th row of a depth buffer of `size` (width, height), as (max(H // every, 1), W) float32."""
     width, height = size
-    rows = np.empty((-(-height // every), width), np.float32)
+    rows = np.empty((max(height // every, 1), width), np.float32)
     pitch = width * rows.itemsize
     copy: Any = cl.enqueue_copy  # no overload of the stub takes rectangles
     copy(
@@ -511,7 +521,8 @@ def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], ever
         buffer_origin=(0, 0, 0),
         host_origin=(0, 0, 0),
         region=(pitch, len(rows), 1),
-        buffer_pitches=(pitch * every, 0),
+        # Whole pitches must lie in the buffer: NVIDIA's driver wants so of the last row, too.
+        buffer_pitches=(pitch * min(every, height), 0),
         host_pitches=(pitch, 0),
     )
     return rows

@@ -44,7 +44,17 @@ class LentMemory:
         self.borrowing: list[tuple[Worker, BufferSpec]] = []  # transient and fleeting buffers of all stages so far
         self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
         self._sizes, self._stages = sizes, stages
+        self._parts: list[cl.Buffer] = []  # in the order in which they were made
         self._placed: dict[int, list[tuple[dict, str, cl.Buffer]]] = {}  # by turn: who has which part
+
+    def part(self, whole: cl.Buffer, start: int, nbytes: int) -> cl.Buffer:
+        """Return the part of a buffer that begins at byte `start`.
+
+        A reference is kept until `let_go`: NVIDIA's driver (580.159) crashes unless parts that overlap, and that
+        kernels used, are released in the reverse of the order in which they were made.
+        """
+        self._parts.append(whole.get_sub_region(start, nbytes))
+        return self._parts[-1]
 
     def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
         """Lend the buffer `name` of `stage`, after `submit` or, `at_once`, after its own work there."""
@@ -60,7 +70,7 @@ class LentMemory:
         for stage, spec in self.borrowing:
             if place := self.places[stage.name, spec.name]:
                 (owner, name), start = place
-                stage.buffer[spec.name] = owner.own(name).get_sub_region(start, spec.nbytes(self._sizes))
+                stage.buffer[spec.name] = self.part(owner.own(name), start, spec.nbytes(self._sizes))
             elif spec.name not in stage.buffer:
                 stage.buffer |= stage.allocate([spec])
         lent = [(stage, spec.name) for stage, spec in self.borrowing if self.places[stage.name, spec.name]]
@@ -96,9 +106,11 @@ class LentMemory:
         return frozenset(range(start + used[0], start + used[-1] + 1))
 
     def let_go(self) -> None:
-        """Drop the references to the stages."""
+        """Drop the references to the stages, and then to the parts of buffers."""
         for known in (self.borrowing, self.lent, self._placed, self.__dict__.get("places", {})):
             known.clear()
+        while self._parts:
+            self._parts.pop()
 
 
 def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:

@@ -97,6 +97,7 @@ void gffe_destroy(gffe *g) {
     if (g->counted) clReleaseEvent(g->counted);
     for (k = g->memory ? 2 * g->plan->buffer_count - 1 : -1; k >= 0; --k)
         if (g->memory[k]) clReleaseMemObject(g->memory[k]);
+    while (g->part_count) clReleaseMemObject(g->parts[--g->part_count]);
     for (k = 0; g->kernels && k < gffe_kernel_count; ++k)
         if (g->kernels[k]) clReleaseKernel(g->kernels[k]);
     for (k = 0; g->programs && k < gffe_program_count; ++k)
@@ -108,6 +109,7 @@ void gffe_destroy(gffe *g) {
     if (g->context) clReleaseContext(g->context);
     free(g->places);
     free(g->memory);
+    free(g->parts);
     free(g->kernels);
     free(g->programs);
     free(g);

@@ -178,8 +178,9 @@ gffe_status gffe_open(gffe *g) {
     g->programs = (cl_program *)calloc((size_t)gffe_program_count, sizeof *g->programs);
     g->kernels = (cl_kernel *)calloc((size_t)gffe_kernel_count, sizeof *g->kernels);
     g->memory = (cl_mem *)calloc(2 * (size_t)g->plan->buffer_count, sizeof *g->memory);
+    g->parts = (cl_mem *)calloc(2 * (size_t)g->plan->buffer_count, sizeof *g->parts);
     g->places = (gffe_place *)calloc((size_t)g->plan->buffer_count, sizeof *g->places);
-    if (!g->programs || !g->kernels || !g->memory || !g->places)
+    if (!g->programs || !g->kernels || !g->memory || !g->parts || !g->places)
         return gffe_fail(g, GFFE_OUT_OF_MEMORY, "the host has no memory");
     status = make_kernels(g, 0, int64);
     if (!status) status = gffe_allocate(g, 0);

@@ -187,6 +187,8 @@ struct gffe {
     cl_program *programs;
     cl_kernel *kernels;
     cl_mem *memory; /* by reference */
+    cl_mem *parts;  /* of buffers, in the order in which they were made */
+    int part_count;
     gffe_place *places;
     cl_mem no_motion;
     cl_mem overlays[4]; /* of the next frame */

@@ -107,12 +107,15 @@ static cl_int create(gffe *g, int flags, size_t nbytes, cl_mem *made) {
     return *made ? clEnqueueFillBuffer(g->queue, *made, &zero, 1, 0, nbytes, 0, NULL, NULL) : error;
 }
 
-static cl_int create_part(const gffe *g, const gffe_place *place, int root, cl_mem *made) {
+/* Creates a part of a buffer. A reference is kept in `parts`: NVIDIA's driver (580.159) crashes unless parts that
+   overlap are released in the reverse of the order in which they were made. */
+static cl_int create_part(gffe *g, const gffe_place *place, int root, cl_mem *made) {
     cl_buffer_region region;
     cl_int error;
     region.origin = place->start;
     region.size = place->bytes;
     *made = clCreateSubBuffer(g->memory[root], CL_MEM_READ_WRITE, CL_BUFFER_CREATE_TYPE_REGION, &region, &error);
+    if (*made && clRetainMemObject(*made) == CL_SUCCESS) g->parts[g->part_count++] = *made;
     return error;
 }
 
