@@ -353,9 +353,11 @@ INLINE void store_labels(const NewFrame to, const int dst, const Bytes dynamic_m
 }
 
 #if LANES == 8
+DEFINE_ROOT(Texels, texel_roots)
+
 /* decode_color of four pixels. */
 INLINE Texels decode_texels(const Texels code, const float offset) {
-    const Texels root = sqrt(2.0f * fabs(code) + offset * offset) - offset;
+    const Texels root = texel_roots(2.0f * fabs(code) + offset * offset) - offset;
     return offset > 0.0f ? copysign(root * root, code) : code;
 }
 
