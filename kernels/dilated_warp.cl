@@ -118,7 +118,8 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
     const Ints tap_x = to_ints(left), tap_y = to_ints(top);
     const Ints whole = (tap_x >= 1) & (tap_y >= 1) & (tap_x < width - 2) & (tap_y < height - 2);
     const Ints right = tap_x + 1 < width, below = tap_y + 1 < height, none = (Ints)(0);
-    const Ints within = 1 | (right ? (Ints)(2) : none) | (below ? (Ints)(4) : none) | ((right & below) ? (Ints)(8) : none);
+    const Ints within =
+        1 | (right ? (Ints)(2) : none) | (below ? (Ints)(4) : none) | ((right & below) ? (Ints)(8) : none);
     const Samples samples = {.src = src,
                              .tap = tap_y * width + tap_x,
                              .alike = whole ? (Ints)(ALL_ALIKE) : within,

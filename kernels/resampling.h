@@ -1,5 +1,5 @@
-/* Resampling of the rendered frame at any place: cubic, and bilinear over some of the taps, of colors' codes. One pixel,
-   and LANES at once. */
+/* Resampling of the rendered frame at any place: cubic, and bilinear over some of the taps, of colors' codes. One
+   pixel, and LANES at once. */
 
 #include "simd_rgb.h"
 #include "color_code.h"

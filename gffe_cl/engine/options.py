@@ -227,10 +227,10 @@ class Options:
     warp: str = _option(
         "footprints",
         "warp",
-        "What rendered pixels carry to the new frame.",
+        "Way in which rendered pixels are carried to the new frame.",
         choices={
-            "footprints": "Areas that pixels map to, with background, silhouettes and hole filling after them",
-            "dilated": "Motion of the nearest of 3×3 pixels; nothing else fills holes",
+            "footprints": "Pixels by the areas that they map to, with background, silhouettes and hole filling",
+            "dilated": "Motion of the nearest of 3×3 pixels; for holes, too",
         },
         flag="--warp",
     )
