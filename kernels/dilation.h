@@ -4,7 +4,7 @@
 #define STEPS 32.0f     /* of a word, per pixel */
 #define ZERO 32768.0f   /* a component of 0 in a word; no word is NOBODY */
 #define LONGEST 1023.0f /* px: longer vectors are not carried */
-#define FILL_REACH 2    /* px around a pixel without a vector in which one is searched */
+#define FILL_REACH 5    /* px around a pixel without a vector in which one is searched */
 
 /* Tap k of the 3x3 around a pixel, which comes first. */
 #define TAP(k) (((k) + 4) % 9)
