@@ -293,6 +293,15 @@ def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
 
 @pytest.mark.long
 @pytest.mark.slow
+def test_the_dilated_warp(device, library):
+    """On frames through a window."""
+    frames = moving(device, 4, render_size=(97, 70), window="fixed:1.15")
+    compared, _ = run_both(device, library, Options.preset("performance"), frames, render_size=(97, 70))
+    assert {"frame.color", "presentation.motion"} <= compared
+
+
+@pytest.mark.long
+@pytest.mark.slow
 def test_cuts_that_nobody_tells_of(device, library):
     frames = moving(device, 4) + [replace(f, reset=False) for f in moving(device, 3, start=9.0, scene="room")]
     times = [0.1 * k + 0.01 * (k % 2) for k in range(len(frames))]
