@@ -1,9 +1,10 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
    through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed to the
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
-   to in the frame before, at the depth met there. Where a mover enters through the border of the image that depth
-   changes as it does for the mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration
-   (acceleration.cl) is added to the linear prediction. */
+   to in the frame before, at the depth met there. Where the frame before does not show a mover's fragment, which came
+   into view, that depth is the one of a static fragment; at the border of the image it changes as it does for the
+   mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration (acceleration.cl) is added
+   to the linear prediction. */
 
 #include "frame.h"
 #include "simd.h"
@@ -30,19 +31,20 @@ INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
-/* The depth in the frame before of a dynamic fragment that was at px_prev, outside of that frame's image; 0: it was
-   inside, or so far out that its motion is not believed. It is the fragment's own depth times the ratio that the
-   nearest known fragment of its mover has, straight inward from that border; of a static surface without any. */
+/* The depth in the frame before of a dynamic fragment that was at px_prev, where that frame does not show it; 0: so far
+   out of the image that its motion is not believed. Inside, where something hid it, it is that of a static surface.
+   Outside it is the fragment's own depth times the ratio that the nearest known fragment of its mover has, straight
+   inward from that border; of a static surface without any. */
 INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, __constant Frame *frame,
                             const Tracked f) {
     const int width = frame->source_width, height = frame->source_height, src = src_y * width + src_x;
     const float out_x = fmax(-px_prev.x, px_prev.x - (float)width), out_y = fmax(-px_prev.y, px_prev.y - (float)height);
     const float out = fmax(out_x, out_y), most = ENTERS_FROM * (float)width;
-    if (!(out > 0.0f && out <= most) || isnan(out_x) || isnan(out_y)) return 0.0f;
+    if (!(out <= most) || isnan(out_x) || isnan(out_y)) return 0.0f;
     const int dx = out_x < out_y ? 0 : px_prev.x < 0.0f ? 1 : -1, dy = out_x < out_y ? (px_prev.y < 0.0f ? 1 : -1) : 0;
     const float z = f.depth[src];
     float z_before = z;
-    for (int k = 1; k <= INWARD_STEPS; ++k) {
+    for (int k = 1; out > 0.0f && k <= INWARD_STEPS; ++k) {
         const int x = src_x + k * INWARD_STEP * dx, y = src_y + k * INWARD_STEP * dy, i = y * width + x;
         if (!inside(x, y, width, height) || f.dynamic_mask[i] != DYNAMIC) break;
         const float z_there = f.depth[i];

@@ -188,8 +188,8 @@ class Options:
     entering: bool = _option(
         True,
         "entering movers",
-        "Movers that enter through the border of the image: they go on as they came, and are continued to the border;"
-        " off: as in the paper, they stay where they are until their place in the frame before is known.",
+        "Parts of movers that come into view, from behind others or through the image's border: they go on as they"
+        " came; off: as in the paper, they stay where they are at first.",
         flag="--no-entering",
         needs="motion",
     )

@@ -8,13 +8,13 @@ PREDICTION = kernel_constants("prediction.cl")
 
 
 def entering_depth(depth, motion, dynamic, met_depth, to_previous):
-    """`met_depth` (H, W), and the depth in the frame before of dynamic fragments that came through the border."""
+    """`met_depth` (H, W), and the depth in the frame before of dynamic fragments that it does not show."""
     height, width = depth.shape
     px = centers(height, width)
     before = px + motion
     with np.errstate(invalid="ignore"):
         out = np.maximum(-before, before - np.array((width, height), F))
-        entered = (dynamic > 0) & ~(met_depth > 0) & (out.max(-1) > 0) & (out.max(-1) <= PREDICTION.ENTERS_FROM * width)
+        entered = (dynamic > 0) & ~(met_depth > 0) & (out.max(-1) <= PREDICTION.ENTERS_FROM * width)
         static = reproject(px, depth, to_previous)[..., 2]
     found = met_depth.copy()
     for y, x in np.argwhere(entered):
@@ -24,7 +24,7 @@ def entering_depth(depth, motion, dynamic, met_depth, to_previous):
         z = depth[y, x]
         found[y, x] = max(static[y, x], 0)
         z_before = z
-        for k in range(1, PREDICTION.INWARD_STEPS + 1):
+        for k in range(1, PREDICTION.INWARD_STEPS + 1) if out[y, x].max() > 0 else ():
             there = y + k * PREDICTION.INWARD_STEP * d[1], x + k * PREDICTION.INWARD_STEP * d[0]
             if not (0 <= there[0] < height and 0 <= there[1] < width) or dynamic[there] != PREDICTION.DYNAMIC:
                 break
