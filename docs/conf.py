@@ -76,10 +76,8 @@ def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
         made = subprocess.run(_COMMAND_LINE, capture_output=True, text=True, check=True).stdout
         made = re.sub(r"</?span[^>]*>", "", html.unescape(made))
         made = made[made.index("\n**Usage**") :]
-        # typer cuts the summaries in its list of commands: replace them by the first lines of the sections, with links.
-        summaries = dict(re.findall(r"^## `gffe (\w+)`\n\n(.+)$", made, re.MULTILINE))
-        listed = re.compile(rf"^\* `({'|'.join(summaries)})`: .*$", re.MULTILINE)
-        source[0] += listed.sub(lambda line: f"* [`{line[1]}`](#gffe-{line[1]}): {summaries[line[1]]}", made)
+        sections = made[re.search(r"^## `gffe", made, re.MULTILINE).start() :]  # without typer's own list of commands
+        source[0] = re.sub(r"^\| (`gffe (\w+)[^`]*`)", r"| [\1](#gffe-\2)", source[0], flags=re.MULTILINE) + sections
 
 
 def _link_public_name(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from make_stage_pictures import PINK, YELLOW, Part, depth_colors, is_hole, marked
@@ -101,7 +102,7 @@ class Made:
 
 def ghosts(device: Device) -> Panels:
     footage = Footage(device, "plaza", fps=12)
-    late = [replace(frame, color=before.color) for frame, before in zip(footage.frames[1:], footage.frames, strict=False)]
+    late = [replace(frame, color=before.color) for before, frame in pairwise(footage.frames)]
     rendered = late[-1]
     overlaid = 0.5 * footage.shown(rendered.color) + 0.5 * depth_colors(rendered.depth)
     return [
@@ -269,7 +270,8 @@ def picture(panels: Panels, part: Part | None) -> Image.Image:
     """Return the panels in a row, or that part of each, below their captions."""
     shown = [(caption, part.of(image) if part else image) for caption, image in panels]
     shown = [(caption, np.asarray(_enlarged(image)) / 255) for caption, image in shown]
-    return contact_sheet([("", shown)], cell_width=CELL).crop((0, 28, 8 + 3 * (CELL + 8), 28 + 28 + shown[0][1].shape[0]))
+    sheet = contact_sheet([("", shown)], cell_width=CELL)
+    return sheet.crop((0, 28, sheet.width, sheet.height - 8))  # without the empty line of a label
 
 
 def _enlarged(image: np.ndarray) -> Image.Image:
