@@ -67,7 +67,8 @@ _COMMAND_LINE = (sys.executable, "-m", "typer", "gffe_cl.cli.commands", "utils",
 
 def _link_pages_elsewhere(app: Sphinx, page: str, source: list[str]) -> None:
     for there, here in _PAGES_ELSEWHERE.items():
-        source[0] = source[0].replace(f"]({there})", f"]({here})")
+        for end in ")#":
+            source[0] = source[0].replace(f"]({there}{end}", f"]({here}{end}")
 
 
 def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
