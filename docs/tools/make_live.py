@@ -3,7 +3,8 @@
     python docs/tools/make_live.py                 all of them; needs the extra `examples`
 
 A mistake is made on the way from the renderer to gffe-cl; the picture shows what comes out, the table what `gffe.check`
-and `gffe check` find and how far PSNR falls. Nothing may be tuned on this: it shows that conventions matter, not how good anything is.
+and `gffe check` find and how far PSNR falls. Nothing may be tuned on this: it shows that conventions matter, not how
+good anything is.
 """
 
 from __future__ import annotations
