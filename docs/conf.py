@@ -71,6 +71,12 @@ def _link_pages_elsewhere(app: Sphinx, page: str, source: list[str]) -> None:
             source[0] = source[0].replace(f"]({there}{end}", f"]({here}{end}")
 
 
+def _link_names(app: Sphinx, page: str, source: list[str]) -> None:
+    """Link the names in the table of the Python interface to their descriptions."""
+    if page == "api":
+        source[0] = re.sub(r"^\| `(\w+)`", r"| {py:obj}`\1 <gffe_cl.\1>`", source[0], flags=re.MULTILINE)
+
+
 def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
     """Put the reference of the command line on its page, made from the definitions of the commands."""
     if page == "cli":
@@ -94,5 +100,6 @@ def _link_public_name(
 
 def setup(app: Sphinx) -> None:
     app.connect("source-read", _link_pages_elsewhere)
+    app.connect("source-read", _link_names)
     app.connect("source-read", _append_commands)
     app.connect("missing-reference", _link_public_name)
