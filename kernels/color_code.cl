@@ -4,10 +4,12 @@
 #include "simd_rgb.h"
 #include "color_code.h"
 
+DEFINE_ROOT(Texels, texel_roots)
+
 /* encode_color of pixels of a strip. */
 INLINE Texels encode_texels(const Texels c, const float offset) {
     const Texels size = fabs(c);
-    return offset > 0.0f ? copysign(0.5f * size + offset * sqrt(size), c) : c;
+    return offset > 0.0f ? copysign(0.5f * size + offset * texel_roots(size), c) : c;
 }
 
 /* NaN counts as 0, infinities are clamped. */

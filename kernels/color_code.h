@@ -3,13 +3,15 @@
    has `code_offset` o, which is half the root of the color that is displayed as 1; 0 stands for linear light, where
    a color is its own code. */
 
+DEFINE_ROOT(float3, roots)
+
 INLINE float3 encode_color(const float3 c, const float offset) {
     const float3 size = fabs(c);
-    return offset > 0.0f ? copysign(0.5f * size + offset * sqrt(size), c) : c;
+    return offset > 0.0f ? copysign(0.5f * size + offset * roots(size), c) : c;
 }
 
 INLINE float3 decode_color(const float3 code, const float offset) {
-    const float3 root = sqrt(2.0f * fabs(code) + offset * offset) - offset;
+    const float3 root = roots(2.0f * fabs(code) + offset * offset) - offset;
     return offset > 0.0f ? copysign(root * root, code) : code;
 }
 

@@ -49,11 +49,21 @@ typedef struct {
 /* a / b, correctly rounded but for one case in millions, from a division that is good to a few ulp:
    the remainder a - q b is computed exactly (Dekker's product) and its quotient added.
    Plain division where a magnitude would leave the range in which that is exact, and on devices that divide exactly.
-   Defines `divide` for numbers F: float here, Floats in simd.h. */
+   DEFINE_DIVIDE defines `divide` for numbers F: float here, Floats in simd.h. DEFINE_ROOT defines `root`, the square
+   root, in the same way: devices that divide exactly have exact roots. */
 #ifdef EXACT_DIVISION
+#define DEFINE_ROOT(F, root)                                                                                           \
+    INLINE F root(const F x) { return sqrt(x); }
 #define DEFINE_DIVIDE(F, divide)                                                                                       \
     INLINE F divide(const F a, const F b) { return a / b; }
 #else
+#define DEFINE_ROOT(F, root)                                                                                           \
+    INLINE F root(const F x) {                                                                                         \
+        const F r = sqrt(x), r_c = r * 4097.0f, r_hi = r_c - (r_c - r), r_lo = r - r_hi, square = r * r;               \
+        const F error = ((r_hi * r_hi - square) + 2.0f * (r_hi * r_lo)) + r_lo * r_lo;                                 \
+        const F remainder = (x - square) - error;                                                                      \
+        return ((x > 1e-15f) & (x < 1e15f)) ? r + 0.5f * remainder / r : r;                                            \
+    }
 #define DEFINE_DIVIDE(F, divide)                                                                                       \
     INLINE F divide(const F a, const F b) {                                                                            \
         const F q = a / b, size = fabs(q), size_b = fabs(b);                                                           \

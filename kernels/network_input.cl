@@ -75,6 +75,8 @@ INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
 }
 
 #if LANES == 8
+DEFINE_DIVIDE(Pairs, divide_pairs)
+
 #define CHANNEL(a, b, c) ((float8)((a).part[0].s##c, (a).part[1].s##c, (b).part[0].s##c, (b).part[1].s##c))
 #define LEFT(a, b) {CHANNEL(a, b, 08), CHANNEL(a, b, 19), CHANNEL(a, b, 2a)}
 #define RIGHT(a, b) {CHANNEL(a, b, 4c), CHANNEL(a, b, 5d), CHANNEL(a, b, 6e)}
@@ -138,7 +140,7 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
 #pragma unroll
     for (int row = 0; row < 2; ++row) {
         const StripOfFrame *a = strips + 2 * row, *b = a + 1;
-        const Pairs near = *median_depth / (Pairs)(a->depth, b->depth);
+        const Pairs near = divide_pairs((Pairs)(*median_depth), (Pairs)(a->depth, b->depth));
         const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
         const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
         inverse += nearness.even + nearness.odd;
@@ -169,7 +171,8 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
         previous_of(&frames, &here, &gae, &before);
         before = as_halfs(before);
         const Texels lifted = LIFTED(Texels, before.part[0], law);
-        const float near = *median_depth / here.depth, nearness = near < MAX_INVERSE_DEPTH ? near : MAX_INVERSE_DEPTH;
+        const float near = divide(*median_depth, here.depth);
+        const float nearness = near < MAX_INVERSE_DEPTH ? near : MAX_INVERSE_DEPTH;
         if (k & 1) {
             products.right.part[0] *= lifted;
             inverse += left_nearness + nearness;

@@ -225,8 +225,8 @@ WIDE __kernel void find_candidates(__constant Frame *restrict frame, __global co
     __global float *out = candidates + at;
     store_floats((1.0f / FOUND_UNIT) * found_x, 0, out + FOUND * plane);
     store_floats((1.0f / FOUND_UNIT) * found_y, 0, out + (FOUND + 1) * plane);
-    store_floats(GAIN * sqrt(still), 0, out + 2 * plane);
-    store_floats(GAIN * sqrt(along), 0, out + 3 * plane);
+    store_floats(GAIN * wide_root(still), 0, out + 2 * plane);
+    store_floats(GAIN * wide_root(along), 0, out + 3 * plane);
     store_floats(wide_divide(along, still), 0, out + 4 * plane);
     for (int c = 0; c < 3; ++c) {
         const Floats change = sampled(colors + c * plane, &there) - load_floats(0, colors + c * plane + at);

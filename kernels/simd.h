@@ -202,6 +202,7 @@ typedef struct {
 } Wide3;
 
 DEFINE_DIVIDE(Floats, wide_divide)
+DEFINE_ROOT(Floats, wide_root)
 
 /* unproject of common.h. */
 INLINE Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z, const Pinhole inverse) {

@@ -223,9 +223,9 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
     const Floats missed = wide_greater(
         (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
-    const Floats error = sqrt(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
+    const Floats error = wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
     const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
-    const Wide4 deviation = {sqrt(variance[0]), sqrt(variance[1]), sqrt(variance[2]), shift};
+    const Wide4 deviation = {wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift};
     store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
 }

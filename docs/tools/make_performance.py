@@ -93,6 +93,17 @@ def speed_table() -> str:
     return table(("", "", "61564f7, ms", "now, ms", "times as fast"), rows)
 
 
+def gpu_table() -> str:
+    """Milliseconds on a GPU by part: of the default without the network, and sums of the preset performance."""
+    default, performance = (recorded(name)["devices"][0]["sizes"] for name in ("gpu", "gpu_performance"))
+    parts = [part for part in default[0]["milliseconds"] if part not in ("GAE", "misc")]
+    rows = [(part, *(f"{one['milliseconds'][part]:.2f}" for one in default)) for part in parts]
+    for label, sizes in (("GAE", default), ("GAE, preset `performance`", performance)):
+        rows.append((f"**{label}**", *(f"**{one['milliseconds']['GAE']:.2f}**" for one in sizes)))
+        rows.append((label.replace("GAE", "wall time", 1), *(f"{one['wall']:.2f}" for one in sizes)))
+    return table(("ms", *(f"{one['width']}×{one['height']}" for one in default)), rows)
+
+
 def methods_table() -> str:
     rows = []
     for row in _methods():
@@ -168,6 +179,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "model_text": convolutions_text,
     "model_assumptions": gpu_model.assumptions_table,
     "io": io_table,
+    "gpu": gpu_table,
     "methods_text": methods_text,
     "methods": methods_table,
     "methods_regions": regions_table,

@@ -136,15 +136,8 @@ PRESETS = {
     "quality": Preset("Everything is splatted, so that edges hardly moving apart are exact, too.", {"blocks": False}),
     "balanced": Preset("The defaults.", {}),
     "performance": Preset(
-        "Straight paths, edges as the warp leaves them, holes continued from beside; no background, no shading"
-        " correction.",
-        {
-            "acceleration": False,
-            "hidden_parts": False,
-            "levels": 0,
-            "soft_silhouettes": False,
-            "shading_correction": False,
-        },
+        "The dilated warp, without background, silhouettes and shading correction.",
+        {"warp": "dilated", "shading_correction": False},
     ),
 }
 
@@ -230,6 +223,16 @@ class Options:
         high=2,
         automatic="auto",
         flag="--camera-order",
+    )
+    warp: str = _option(
+        "footprints",
+        "warp",
+        "Way in which rendered pixels are carried to the new frame.",
+        choices={
+            "footprints": "Pixels by the areas that they map to, with background, silhouettes and hole filling",
+            "dilated": "Motion of the nearest of 3×3 pixels; for holes, too",
+        },
+        flag="--warp",
     )
     resampling: str = _option(
         "perceptual",
@@ -392,6 +395,11 @@ class Options:
         if name == "order":
             values["history"] = max(self.history, value + 1)
         return replace(self, **values)
+
+    @property
+    def warps_footprints(self) -> bool:
+        """Whether the warp splats footprints, which the stages after it add to."""
+        return self.warp == "footprints"
 
     @property
     def corrects_shading(self) -> bool:

@@ -15,65 +15,7 @@
 #include "../common.h"
 #include "../simd_texels.h"
 #include "../nearest.h"
-
-#define STEPS 32.0f     /* of a word, per pixel */
-#define ZERO 32768.0f   /* a component of 0 in a word; no word is NOBODY */
-#define LONGEST 1023.0f /* px: longer vectors are not carried */
-#define FILL_REACH 2    /* px around a pixel without a vector in which one is searched */
-
-/* Tap k of the 3x3 around a pixel, which comes first. */
-#define TAP(k) (((k) + 4) % 9)
-#define TAP_X(k) (TAP(k) % 3 - 1)
-#define TAP_Y(k) (TAP(k) / 3 - 1)
-
-/* The least depth of the 3x3 around (x, y), and its pixel; of sky (x, y) itself. */
-INLINE float find_nearest(__global const float *depth, const int x, const int y, const int width, const int height,
-                          int *nearest) {
-    float least = INFINITY;
-    *nearest = y * width + x;
-    for (int k = 0; k < 9; ++k) {
-        const int i = clamp(y + TAP_Y(k), 0, height - 1) * width + clamp(x + TAP_X(k), 0, width - 1);
-        const float z = depth[i];
-        const bool nearer = z > 0.0f && z < least;
-        least = nearer ? z : least;
-        *nearest = nearer ? i : *nearest;
-    }
-    return least;
-}
-
-/* The same of LANES pixels. */
-INLINE Floats wide_find_nearest(__global const float *depth, const int x, const int y, const int width,
-                                const int height, Ints *nearest) {
-#if LANES == 8
-    const int here = y * width + x;
-    if (x < 1 || y < 1 || x + LANES >= width || y + 1 >= height) {
-        float lane_least[LANES];
-        int lane_nearest[LANES];
-        for (int k = 0; k < LANES; ++k)
-            lane_least[k] = find_nearest(depth, min(x + k, width - 1), y, width, height, lane_nearest + k);
-        *nearest = load_ints(0, lane_nearest);
-        return load_floats(0, lane_least);
-    }
-    Floats least = (Floats)(INFINITY);
-    Ints step = (Ints)(0);
-#pragma unroll
-    for (int k = 0; k < 9; ++k) {
-        const int tap = TAP_Y(k) * width + TAP_X(k);
-        const Floats z = load_floats(0, depth + here + tap);
-        const Ints nearer = (z > 0.0f) & (z < least);
-        least = nearer ? z : least;
-        step = nearer ? (Ints)(tap) : step;
-    }
-    *nearest = here + LANE_NUMBERS + step;
-    return least;
-#else
-    return find_nearest(depth, x, y, width, height, nearest);
-#endif
-}
-
-/* A component in px as half of a word, and back. */
-INLINE Uints half_word(const Floats v) { return to_uints(v * STEPS + (ZERO + 0.5f)); }
-INLINE Floats component(const Uints half_word) { return (to_floats(half_word) - ZERO) * (1.0f / STEPS); }
+#include "../dilation.h"
 
 /* LANES pixels per work-item. */
 WIDE __kernel void splat(const int width, const int height, const float alpha, const int pass,
@@ -105,28 +47,10 @@ WIDE __kernel void splat(const int width, const int height, const float alpha, c
 /* The vector for a pixel that none reached. */
 INLINE float2 filling_vector(__global const Key *keys, __global const uint *winners, __global const float2 *motion,
                              const int x, const int y, const int width, const int height, const float alpha) {
-    uint least = NOBODY, word = NOBODY;
-    for (int reach = 1; reach <= FILL_REACH && word == NOBODY; ++reach)
-        for (int dy = -reach; dy <= reach; ++dy)
-            for (int dx = -reach; dx <= reach; dx += dy == -reach || dy == reach ? 1 : 2 * reach) { /* a ring */
-                if (!inside(x + dx, y + dy, width, height)) continue;
-                const int i = (y + dy) * width + x + dx;
-                const uint depth_bits = depth_bits_of(keys, i), beside = winner_of(keys, winners, i);
-                if (depth_bits > least || (depth_bits == least && beside >= word)) continue;
-                least = depth_bits;
-                word = beside;
-            }
-    if (word != NOBODY) return ((float2)((float)(word & 0xFFFFu), (float)(word >> 16)) - ZERO) * (1.0f / STEPS);
+    const uint word = nearest_beside(keys, winners, x, y, width, height);
+    if (word != NOBODY) return components(word);
     const float2 own = -alpha * motion[y * width + x];
     return (float2)(own.x == own.x ? own.x : 0.0f, own.y == own.y ? own.y : 0.0f);
-}
-
-/* The vectors that reached LANES pixels from index i on, `count` of which are left of their row. */
-INLINE Uints load_words(const int count, __global const Key *keys, __global const uint *winners, const int i) {
-    if (IS_WHOLE(count)) return load_winners(keys, winners, i);
-    uint lane_word[LANES];
-    for (int k = 0; k < LANES; ++k) lane_word[k] = winner_of(keys, winners, i + min(k, count - 1));
-    return load_uints(0, lane_word);
 }
 
 /* TEXELS texels of the pixels i, which may lie `in_row`. Not by vload_half16: PoCL 3.1 makes an

@@ -911,6 +911,14 @@ def place_of(which, local, k):
     return px if surface_at(k, px - 0.5)[0] == which else None
 
 
+def test_stories_of_the_dilated_warp(device):
+    setup = Setup(Options.preset("performance"))
+    with running(device, Clip()) as engine:
+        for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
+            for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
+                assert story.sentences[0].startswith("It comes from (") and said in story.sentences[-1]
+
+
 @pytest.mark.parametrize("windowed", [False, True])
 def test_stories_of_fragments(device, tmp_path, windowed):
     """Trajectories lead over the display positions of the surface that is seen."""

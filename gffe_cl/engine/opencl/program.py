@@ -21,7 +21,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.opencl.device import Device, quiet_builds
-from gffe_cl.engine.opencl.probing import build_log
+from gffe_cl.engine.opencl.probing import build_log, rounding_options
 from gffe_cl.engine.opencl.program_cache import built_program
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
@@ -71,10 +71,11 @@ class Program:
 
     def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
         self.name = name
-        options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
+        defined = (f"-D{key}={value}" for key, value in sorted(variant.items()))
+        options = ("-cl-kernel-arg-info", *rounding_options(device.cl_device), *defined)
         try:
             with quiet_builds():
-                built = built_program(device.context, device.cl_device, source, ("-cl-kernel-arg-info", *options))
+                built = built_program(device.context, device.cl_device, source, options)
         except cl.RuntimeError as error:
             what, log = f"kernels/{name}.cl does not build on {device.info.name}", build_log(error)
             raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None

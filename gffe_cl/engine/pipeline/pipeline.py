@@ -49,6 +49,7 @@ from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
+from gffe_cl.engine.stages.dilated_warp import DilatedWarp
 from gffe_cl.engine.stages.hidden_parts import HiddenParts
 from gffe_cl.engine.stages.history import HistoryTracking
 from gffe_cl.engine.stages.holes import FILLINGS, HoleFilling
@@ -77,6 +78,7 @@ STAGES: tuple[type[Stage], ...] = (
     PositionPrediction,
     BackwardBlocks,
     Warp,
+    DilatedWarp,
     HiddenParts,
     Background,
     HoleFilling,
@@ -96,7 +98,8 @@ _FAR_ALPHA = 16  # intervals
 def stages_of(options: Options) -> list[type[Stage]]:
     """Return the stages that the options ask for, in order."""
     chosen = (FILLINGS[options.hole_filling] if stage is HoleFilling else stage for stage in STAGES)
-    return [stage for stage in chosen if stage and stage.is_wanted(options)]
+    wanted = [stage for stage in chosen if stage and stage.is_wanted(options)]
+    return [stage for stage in wanted if options.warps_footprints or not stage.needs_footprints]
 
 
 class Pipeline:

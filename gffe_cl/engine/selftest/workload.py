@@ -51,6 +51,7 @@ CASES = {
         ),
         None,
     ),
+    "performance": Case("the preset for performance", Options.preset("performance"), RENDER_SIZE),
 }  # fmt: skip
 
 

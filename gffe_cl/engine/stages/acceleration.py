@@ -95,7 +95,8 @@ class Acceleration(Stage):
         made = super().allocate(spec for spec in specs if not spec.part_of)
         for spec in specs:
             if spec.part_of:
-                made[spec.name] = self.board.memory.part(made["memory"], self.starts[spec.name], spec.nbytes(self.sizes))
+                start, nbytes = self.starts[spec.name], spec.nbytes(self.sizes)
+                made[spec.name] = self.board.memory.part(made["memory"], start, nbytes)
         return made
 
     @classmethod

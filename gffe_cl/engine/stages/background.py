@@ -84,6 +84,7 @@ class Background(NearestStage):
     """
 
     name = "background"
+    needs_footprints = True
     kernels = (
         Kernel(
             "scatter_level",

@@ -34,6 +34,7 @@ class BackwardBlocks(NearestStage):
     """Finds the blocks of 8×4 pixels in which nothing moves apart, to be warped backward; the others are splatted."""
 
     name = "backward_blocks"
+    needs_footprints = True
     buffers = (
         BufferSpec(
             "smooth", np.uint8, (), "source_blocks", "what the block shows if predicted positions are linear over it",

@@ -246,6 +246,7 @@ class Stage(Owner):
 
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
+    needs_footprints = False  # whether it adds to the warp of footprints: a dilated warp does without
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
     # stage that has one makes the final image.
     pictures: ClassVar[Mapping[str, str]] = {}

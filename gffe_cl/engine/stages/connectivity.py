@@ -24,6 +24,7 @@ class Connectivity(NearestStage):
     cannot hold another one's."""
 
     name = "connectivity"
+    needs_footprints = True
     buffers = (
         BufferSpec(
             "links", np.uint8, (), "source", "neighbors of the same surface: 1 right, 2 down, 4 left, 8 up", "label"

@@ -18,6 +18,7 @@ class HiddenParts(Stage):
     """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them."""
 
     name = "hidden_parts"
+    needs_footprints = True
     kernels = (
         Kernel(
             "fill_hidden_parts",

@@ -34,6 +34,7 @@ class HoleFilling(Stage):
     """Fills invalid pixels in place. Filled pixels have depth and motion."""
 
     name = "holes"
+    needs_footprints = True
     reach = 0  # px, in which the far side is looked for
 
 

@@ -31,6 +31,7 @@ class Silhouettes(Stage):
     frame."""
 
     name = "silhouettes"
+    needs_footprints = True
     buffers = (
         BufferSpec(
             "layer", np.uint8, (), "source", "sides of a step of depth that move apart", "label", labels=LAYERS,

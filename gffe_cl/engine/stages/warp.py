@@ -25,6 +25,7 @@ class Warp(NearestStage):
     """Splats every fragment's footprint, nearest first, and resamples the rendered frame."""
 
     name = "warp"
+    needs_footprints = True
     kernels = (
         Kernel(
             "splat",

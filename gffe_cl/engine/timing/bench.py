@@ -40,6 +40,7 @@ PAPER = {
     "prediction": 71,
     "backward_blocks": None,
     "warp": 259,
+    "dilated_warp": None,
     "hidden_parts": None,
     "background, projection": 246,
     "holes": None,

@@ -300,16 +300,19 @@ def test_missing_source(sources):
 
 ARITHMETIC = """
 #include "common.h"
-__kernel void quotients(const int n, __global const float *a, __global const float *b, __global float *q) {
+DEFINE_ROOT(float, root)
+__kernel void quotients(const int n, __global const float *a, __global const float *b, __global float *q,
+                        __global float *roots) {
     const int i = get_global_id(0);
     if (i < n) q[i] = divide(a[i], b[i]);
+    if (i < n) roots[i] = root(a[i]);
 }
 """
 
 
 @pytest.mark.parametrize("exact", [False, True], ids=["corrected", "plain"])
-def test_division_is_correctly_rounded(device, sources, exact, monkeypatch):
-    """`divide` against NumPy's: equal, but for one in a hundred thousand that may be off by one ulp."""
+def test_division_and_roots_are_correctly_rounded(device, sources, exact, monkeypatch):
+    """`divide` and `root` against NumPy's: equal, but for one in a hundred thousand that may be off by one ulp."""
     if exact and not device.exact_division:
         pytest.skip("this device's division is not exact")
     monkeypatch.setitem(device.__dict__, "exact_division", exact)
@@ -322,13 +325,17 @@ def test_division_is_correctly_rounded(device, sources, exact, monkeypatch):
     a[:8], b[:8] = (0, 1, 3, 6, -7, 1e-30, 5, 1), (5, 3, 3, 3, 7, 1e5, np.inf, 1e-20)
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     buffers = [cl.Buffer(device.context, flags, hostbuf=x) for x in (a, b)]
-    out = device.buffer(4 * n)
-    program.launch(device.queue, "quotients", (n,), None, {"n": n, "a": buffers[0], "b": buffers[1], "q": out})
-    q = np.empty(n, np.float32)
-    cl.enqueue_copy(device.queue, q, out)
-    different = q != a / b
-    assert different.sum() <= n // 100_000
-    np.testing.assert_allclose(q[different], (a / b)[different], rtol=2e-7)
+    made = {"q": device.buffer(4 * n), "roots": device.buffer(4 * n)}
+    program.launch(device.queue, "quotients", (n,), None, {"n": n, "a": buffers[0], "b": buffers[1]} | made)
+    q, roots = np.empty(n, np.float32), np.empty(n, np.float32)
+    cl.enqueue_copy(device.queue, q, made["q"])
+    cl.enqueue_copy(device.queue, roots, made["roots"])
+    with np.errstate(invalid="ignore"):
+        pairs = (q, a / b), (roots, np.sqrt(a))
+    for found, expected in pairs:
+        different = (found != expected) & ~(np.isnan(found) & np.isnan(expected))
+        assert different.sum() <= n // 100_000
+        np.testing.assert_allclose(found[different], expected[different], rtol=2e-7)
     assert q[2] == 1 and q[3] == 2 and q[4] == -1 and q[0] == 0 and q[6] == 0
 
 

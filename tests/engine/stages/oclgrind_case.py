@@ -42,6 +42,7 @@ def stages(device, int64):
     for options in (
         Options(history=3, order=2, shading_inputs=True, upscale=1, upscale_sharpening=0.5),
         Options(hole_filling="push-pull"),
+        Options.preset("performance"),
     ):
         case = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
         case.made.numpy("color")

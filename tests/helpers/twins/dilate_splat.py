@@ -40,18 +40,26 @@ def dilate_splat(depth, motion, alpha):
     return keys
 
 
+def with_neighbors(keys):
+    """Keys in which pixels that none reached have the least of the nearest ring around them, if there is one."""
+    found = keys.copy()
+    for y, x in np.argwhere(words_of(keys) == NOBODY):
+        for reach in range(1, SPLAT.FILL_REACH + 1):
+            if found[y, x] == NOTHING:
+                found[y, x] = keys[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].min()
+    return found
+
+
+def components(words):
+    """The vectors (…, 2) in words."""
+    return (np.stack([words & 0xFFFF, words >> 16], -1).astype(F) - SPLAT.ZERO) * (F(1) / SPLAT.STEPS)
+
+
 def warp_back(keys, motion, color, alpha):
     """Color (H, W, 4) float32 of the new frame from those keys; of `color` as halfs."""
     height, width = keys.shape
-    reached = _words(keys) != NOBODY
-    filling = keys.copy()
-    for y, x in np.argwhere(~reached):
-        for reach in range(1, SPLAT.FILL_REACH + 1):
-            ring = keys[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
-            if filling[y, x] == NOTHING:
-                filling[y, x] = ring.min()
-    words = _words(filling)
-    move = (np.stack([words & 0xFFFF, words >> 16], -1).astype(F) - SPLAT.ZERO) * (F(1) / SPLAT.STEPS)
+    filling = with_neighbors(keys)
+    move = components(words_of(filling))
     own = -F(alpha) * motion
     move = np.where((filling == NOTHING)[..., None], np.where(np.isnan(own), F(0), own), move)
     px = np.clip(centers(height, width) - F(0.5) - move, 0, F((width - 1, height - 1)))
@@ -66,5 +74,5 @@ def warp_back(keys, motion, color, alpha):
     return np.clip(np.nan_to_num(mixed, nan=0.0), -COLOR_MAX, COLOR_MAX)
 
 
-def _words(keys):
+def words_of(keys):
     return (keys & np.uint64(NOBODY)).astype(np.uint32)

@@ -257,6 +257,33 @@ def _cubic_weights(t):
     )
 
 
+def resampled(taps, alike, u, v, own):
+    """Color (…, 3) at (u, v) from the first inner tap: of codes `taps`, by row and column of 4×4, those `alike`; `own`
+    where none is."""
+    told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
+    everywhere = np.all([alike[tap] for tap in told_by], axis=0)
+    wx, wy = _cubic_weights(u), _cubic_weights(v)
+    cubic = np.zeros((*u.shape, 3), F)
+    for tx in range(4):
+        column = np.zeros((*u.shape, 3), F)
+        for ty in range(4):
+            column = column + wy[ty][..., None] * taps[ty, tx]
+        cubic = cubic + wx[tx][..., None] * column
+    stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
+    cubic = np.clip(cubic, stack.min(0), stack.max(0))
+    linear, weights = np.zeros((*u.shape, 3), F), np.zeros(u.shape, F)
+    for tap in range(4):
+        tx, ty = tap & 1, tap >> 1
+        weight = (u if tx else F(1) - u) * (v if ty else F(1) - v)
+        weight = np.where(alike[ty + 1, tx + 1], weight, F(0))
+        linear = linear + weight[..., None] * taps[ty + 1, tx + 1]
+        weights = weights + weight
+    with np.errstate(all="ignore"):
+        linear = decode_color(linear / weights[..., None])
+        linear = np.where((weights > F(0.01))[..., None], linear, own)
+    return np.where(everywhere[..., None], decode_color(cubic), linear)
+
+
 def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     """All outputs of the warp, as a dict of (H', W', …) arrays named like the stage's buffers."""
     height, width = keys.shape
@@ -308,28 +335,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
             inside, e = deviation(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
             _, y, x = at(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
             alike[ty, tx], taps[ty, tx] = inside & (e <= WARP.SAME_MOTION), codes[y, x]
-    told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
-    everywhere = np.all([alike[tap] for tap in told_by], axis=0)
-    wx, wy = _cubic_weights(u), _cubic_weights(v)
-    cubic = np.zeros((height, width, 3), F)
-    for tx in range(4):
-        column = np.zeros((height, width, 3), F)
-        for ty in range(4):
-            column = column + wy[ty][..., None] * taps[ty, tx]
-        cubic = cubic + wx[tx][..., None] * column
-    stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
-    cubic = np.clip(cubic, stack.min(0), stack.max(0))
-    linear, weights = np.zeros((height, width, 3), F), np.zeros((height, width), F)
-    for tap in range(4):
-        tx, ty = tap & 1, tap >> 1
-        weight = (u if tx else F(1) - u) * (v if ty else F(1) - v)
-        weight = np.where(alike[ty + 1, tx + 1], weight, F(0))
-        linear = linear + weight[..., None] * taps[ty + 1, tx + 1]
-        weights = weights + weight
-    with np.errstate(all="ignore"):
-        linear = decode_color(linear / weights[..., None])
-        linear = np.where((weights > F(0.01))[..., None], linear, rgb[sy, sx])
-    out = np.where(everywhere[..., None], decode_color(cubic), linear)
+    out = resampled(taps, alike, u, v, rgb[sy, sx])
     out = np.where(((p == 0).all(-1))[..., None], rgb[sy, sx], out)
     out = np.clip(out, -COLOR_MAX, COLOR_MAX)
 

@@ -120,6 +120,8 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
 def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
     number = int(values[names.FILLED_BY][0])
     label, level = _filled_by(number), number - 1 if 1 <= number <= MAX_LEVELS else None
+    if not pipeline.options.warps_footprints:
+        return Story((x, y), label, source_px, sentences=_dilated_sentences(shot, source_px, number == BY_WARP))
     if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
     if number == BY_HIDDEN_PART:
@@ -158,6 +160,15 @@ def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
 
 def _filled_by(number: int) -> str:
     return dict(FILLED_BY).get(number, f"unknown ({number})")
+
+
+def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]:
+    where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.moment.k}" if source_px else "nowhere"
+    there = _to_source(shot, source_px)
+    if reached:
+        return (Step(f"It comes from {where}, with the motion of the nearest of 3×3 pixels there.", *there),)
+    said = "No fragment of that frame lands here: it moves as the nearest surface beside it."
+    return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
 def _hidden_sentences(shot: Shot, source_px, values) -> tuple[str, ...]:

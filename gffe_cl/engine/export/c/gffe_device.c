@@ -1,4 +1,5 @@
 /* Kernels, and execution of lists of operations. */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,13 +15,20 @@ enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division
 
 /* ---- capabilities of the device ----------------------------------------------------------------------- */
 
+/* Returns the build options that make division and square roots correctly rounded, if the device can. */
+static const char *rounding_options(const gffe *g) {
+    cl_device_fp_config config = 0;
+    clGetDeviceInfo(g->device, CL_DEVICE_SINGLE_FP_CONFIG, sizeof config, &config, NULL);
+    return config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT ? "-cl-fp32-correctly-rounded-divide-sqrt" : "";
+}
+
 /* Builds a program of one kernel that tests a capability; NULL: it does not build, so the device lacks it. */
 static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const char *name, cl_program *program) {
     cl_kernel kernel = NULL;
     cl_int error;
     *program = clCreateProgramWithSource(g->context, (cl_uint)count, (const char **)lines, NULL, &error);
     if (!*program) return NULL;
-    if (clBuildProgram(*program, 1, &g->device, "", NULL, NULL) == CL_SUCCESS)
+    if (clBuildProgram(*program, 1, &g->device, rounding_options(g), NULL, NULL) == CL_SUCCESS)
         kernel = clCreateKernel(*program, name, &error);
     return kernel;
 }
@@ -60,13 +68,13 @@ static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
     }
 }
 
-/* Returns whether `one` (as many as work-items) and `eight` are a / b, correctly rounded. A double's quotient,
-   rounded to float, is the reference. */
-static int are_quotients(const float *a, const float *b, const float *one, const float *eight) {
+/* Returns whether `one` (as many as work-items) and `eight` are a / b, and `roots` the square roots of |a|, correctly
+   rounded. Those of doubles, rounded to float, are the reference. */
+static int are_exact(const float *a, const float *b, const float *one, const float *eight, const float *roots) {
     int k;
     for (k = 0; k < QUOTIENTS; ++k) {
-        const float right = (float)((double)a[k] / (double)b[k]);
-        if (eight[k] != right || (k < QUOTIENTS / EIGHT && one[k] != right)) return 0;
+        const float right = (float)((double)a[k] / (double)b[k]), root = (float)sqrt(fabs((double)a[k]));
+        if (eight[k] != right || roots[k] != root || (k < QUOTIENTS / EIGHT && one[k] != right)) return 0;
     }
     return 1;
 }
@@ -74,8 +82,8 @@ static int are_quotients(const float *a, const float *b, const float *one, const
 static int divides_exactly(gffe *g) {
     const size_t nbytes = QUOTIENTS * sizeof(float);
     const cl_mem_flags given = CL_MEM_READ_ONLY | CL_MEM_COPY_HOST_PTR;
-    float *numbers = (float *)malloc(4 * nbytes), *a = numbers, *b, *one, *eight;
-    cl_mem buffers[4] = {NULL, NULL, NULL, NULL};
+    float *numbers = (float *)malloc(5 * nbytes), *a = numbers, *b, *one, *eight, *roots;
+    cl_mem buffers[5] = {NULL, NULL, NULL, NULL, NULL};
     cl_program program = NULL;
     cl_kernel kernel = NULL;
     int k, works = 0;
@@ -83,17 +91,19 @@ static int divides_exactly(gffe *g) {
     b = a + QUOTIENTS;
     one = b + QUOTIENTS;
     eight = one + QUOTIENTS;
+    roots = eight + QUOTIENTS;
     fill_with_numbers(a, QUOTIENTS, 1);
     fill_with_numbers(b, QUOTIENTS, 2);
     kernel = try_kernel(g, gffe_division_source, gffe_division_source_count, "divide", &program);
     buffers[0] = clCreateBuffer(g->context, given, nbytes, a, NULL);
     buffers[1] = clCreateBuffer(g->context, given, nbytes, b, NULL);
-    for (k = 2; k < 4; ++k) buffers[k] = clCreateBuffer(g->context, CL_MEM_WRITE_ONLY, nbytes, NULL, NULL);
-    works = kernel && run_trial(g, kernel, buffers, 4, QUOTIENTS / EIGHT)
+    for (k = 2; k < 5; ++k) buffers[k] = clCreateBuffer(g->context, CL_MEM_WRITE_ONLY, nbytes, NULL, NULL);
+    works = kernel && run_trial(g, kernel, buffers, 5, QUOTIENTS / EIGHT)
             && clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS
             && clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS
-            && are_quotients(a, b, one, eight);
-    for (k = 0; k < 4; ++k)
+            && clEnqueueReadBuffer(g->queue, buffers[4], CL_TRUE, 0, nbytes, roots, 0, NULL, NULL) == CL_SUCCESS
+            && are_exact(a, b, one, eight, roots);
+    for (k = 0; k < 5; ++k)
         if (buffers[k]) clReleaseMemObject(buffers[k]);
     if (kernel) clReleaseKernel(kernel);
     if (program) clReleaseProgram(program);
@@ -105,8 +115,8 @@ static int divides_exactly(gffe *g) {
 
 static gffe_status build(gffe *g, int number, int int64) {
     const gffe_program *program = &gffe_programs[number];
-    char choices[128] = "", log[3072] = "";
-    size_t used = 0;
+    char choices[192] = "", log[3072] = "";
+    size_t used = (size_t)sprintf(choices, "%s", rounding_options(g));
     cl_int error;
     if (program->flags & GFFE_TAKES_LANES) used += (size_t)sprintf(choices + used, " -DLANES=%d", g->lanes);
     if (program->flags & GFFE_TAKES_RUN) used += (size_t)sprintf(choices + used, " -DRUN=%d", g->lanes > 1 ? 16 : 1);

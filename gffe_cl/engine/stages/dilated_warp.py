@@ -1,0 +1,58 @@
+"""Dilated warp: the warp of the preset "performance", which carries the motion of the nearest of 3×3 pixels."""
+
+from __future__ import annotations
+
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step
+
+_KEYS: dict[str, Access | str] = {"keys": "dilated_warp.keys", "winners": "dilated_warp.winners"}
+
+
+class DilatedWarp(NearestStage):
+    """Carries every pixel's place to where the nearest surface around it moves, and resamples the rendered frame from
+    there. Every pixel is filled."""
+
+    name = "dilated_warp"
+    kernels = (
+        Kernel(
+            "splat",
+            "source",
+            {"depth": "rendered.depth", "target_position": "prediction.target_position"} | _KEYS,
+            _KEYS,
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "resample_dilated",
+            "target",
+            {
+                "color": Access("rendered.color", 0.0),  # where nothing moves
+                "codes": "color_code.codes",
+                "dynamic_mask": "history.dynamic_mask",
+                "target_position": Access("prediction.target_position", planes=1),
+            }
+            | _KEYS,
+            {
+                "out_color": "frame.color",
+                "out_depth": "frame.depth",
+                "out_motion": "frame.motion",
+                "out_dynamic": "frame.dynamic",
+                "disoccluded": "frame.disoccluded",
+                "filled_by": "frame.filled_by",
+            },
+            step=("LANES", 1),
+        ),
+    )
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return not options.warps_footprints
+
+    def __init__(self, board: Board):
+        self.buffers = self.keys(board, "", "target", transient=True)
+        super().__init__(board)
+
+    def extrapolated(self, step: Step) -> None:
+        self.clear_keys("", "target")
+        for splat_pass in self.passes:
+            self.launch("splat", step, **{"pass": splat_pass})
+        self.launch("resample_dilated", step)

@@ -1,0 +1,133 @@
+/* Dilated warp, the cheap one: every pixel carries the motion of the nearest pixel of the 3x3 around it (dilation), so
+   that antialiased edges move along with the nearer surface, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024);
+   here it is the predicted motion (prediction.cl), with a known camera.
+
+   splat: each pixel carries where it comes from to where it goes. There the nearest surface wins (nearest.h).
+   resample: each pixel of the new frame looks up the place that it was given. A pixel without one is as the nearest
+   surface beside, whose surroundings were seen there; far from any it is as far surfaces are. */
+
+#include "frame.h"
+#include "resampling.h"
+#include "nearest.h"
+#include "flow.h"
+#include "dilation.h"
+
+/* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */
+INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Floats *down) {
+    const Ints step = here - nearest, rows = step > 1 ? (Ints)(1) : step < -1 ? (Ints)(-1) : (Ints)(0);
+    *down = to_floats(rows);
+    return to_floats(step - rows * width);
+}
+
+/* LANES pixels of the rendered frame per work-item. A word holds where the new frame's pixel at (x, y) comes from, less
+   (x, y) / zoom. */
+WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                         __global const float *target_position, __global Key *keys, __global uint *winners) {
+    const int width = frame->source_width, height = frame->source_height, plane = width * height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const float2 zoom = frame->zoom;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    Ints nearest;
+    wide_find_nearest(depth, x, y, width, height, &nearest);
+    const Ints here = min((Ints)(y * width + x + LANE_NUMBERS), (Ints)(y * width + width - 1));
+    Places places;
+    find_places(nearest, 0, plane, &places);
+    Floats down;
+    const Floats across = away_from(nearest, here, width, &down);
+    const Floats z = floats_at(target_position + 2 * plane, places);
+    const Floats px_x = floats_at(target_position, places) + zoom.x * across,
+                 px_y = floats_at(target_position + plane, places) + zoom.y * down;
+    const Floats from_x = row_centers(x) - px_x * divide(1.0f, zoom.x),
+                 from_y = (float)y + 0.5f - px_y * divide(1.0f, zoom.y);
+    const Ints lands = (z > 0.0f) & (px_x >= 0.0f) & (px_x < (float)target_width) & (px_y >= 0.0f)
+                       & (px_y < (float)target_height) & (fabs(from_x) <= LONGEST) & (fabs(from_y) <= LONGEST);
+    if (!ANY(lands)) return;
+    const Floats none = (Floats)(0.0f);
+    int lane_lands[LANES], lane_dst[LANES];
+    uint lane_word[LANES];
+    float lane_z[LANES];
+    store_ints(lands, 0, lane_lands);
+    store_ints(to_ints(lands ? px_y : none) * target_width + to_ints(lands ? px_x : none), 0, lane_dst);
+    store_ints(half_word(lands ? from_y : none) << 16 | half_word(lands ? from_x : none), 0, lane_word);
+    store_floats(z, 0, lane_z);
+    for (int k = 0; k < min(LANES, width - x); ++k)
+        if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
+}
+
+/* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom. */
+INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __global const uint *winners, const int x,
+                           const int y) {
+    const uint word = nearest_beside(keys, winners, x, y, frame->target_width, frame->target_height);
+    if (word != NOBODY) return components(word);
+    const float2 px = pixel_center(x, y);
+    const float3 far = reproject(px, INFINITY, frame->to_source);
+    if (!(far.z > 0.0f)) return (float2)(0.0f, 0.0f);
+    return (float2)(far.x - px.x * divide(1.0f, frame->zoom.x), far.y - px.y * divide(1.0f, frame->zoom.y));
+}
+
+/* LANES pixels of the new frame per work-item. */
+WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global const Key *keys,
+                                    __global const uint *winners, __global const half *color,
+                                    __global const half *codes, __global const uchar *dynamic_mask,
+                                    __global const float *target_position, __global half *out_color,
+                                    __global float *out_depth, __global float2 *out_motion, __global uchar *out_dynamic,
+                                    __global uchar *disoccluded, __global uchar *filled_by) {
+    const int width = frame->source_width, height = frame->source_height, plane = width * height;
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), dst = y * target_width + x, count = target_width - x;
+    if (x >= target_width || y >= target_height) return;
+    const Rendered shown = {
+        .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
+    const Uints word = load_words(count, keys, winners, dst);
+    const Ints reached = word != NOBODY;
+    Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);
+    if (!ALL(reached)) {
+        int lane_reached[LANES];
+        float lane_x[LANES], lane_y[LANES];
+        store_ints(reached, 0, lane_reached);
+        store_floats(from_x, 0, lane_x);
+        store_floats(from_y, 0, lane_y);
+        for (int k = 0; k < min(LANES, count); ++k) {
+            if (lane_reached[k]) continue;
+            const float2 from = place_beside(frame, keys, winners, x + k, y);
+            lane_x[k] = from.x;
+            lane_y[k] = from.y;
+        }
+        from_x = load_floats(0, lane_x);
+        from_y = load_floats(0, lane_y);
+    }
+    const Floats center_x = row_centers(x);
+    const float center_y = (float)y + 0.5f;
+    const Floats px_x = clamp(from_x + center_x * divide(1.0f, frame->zoom.x), 0.5f, (float)width - 0.5f),
+                 px_y = clamp(from_y + center_y * divide(1.0f, frame->zoom.y), 0.5f, (float)height - 0.5f);
+
+    /* Depth, motion and labels are those of the pixel that holds the place. */
+    const Ints src = to_ints(px_y) * width + to_ints(px_x);
+    Places places;
+    find_places(src, 0, plane, &places);
+    const Floats z = floats_at(target_position + 2 * plane, places);
+    store_some_floats(z > 0.0f ? z : (Floats)(INFINITY), count, out_depth + dst);
+    store_some_xy(px_x - center_x, px_y - center_y, count, out_motion + dst);
+    store_some_bytes(min(bytes_at(dynamic_mask, places), (Bytes)(DYNAMIC)), count, out_dynamic + dst);
+    store_some_bytes(to_bytes(reached ? (Ints)(0) : (Ints)(1)), count, disoccluded + dst);
+    store_some_bytes(to_bytes(reached ? (Ints)(BY_WARP) : (Ints)(BY_HOLE_FILLING)), count, filled_by + dst);
+
+    /* Color: cubic, at the image's border bilinear. */
+    const Floats left = floor(px_x - 0.5f), top = floor(px_y - 0.5f);
+    const Ints tap_x = to_ints(left), tap_y = to_ints(top);
+    const Ints whole = (tap_x >= 1) & (tap_y >= 1) & (tap_x < width - 2) & (tap_y < height - 2);
+    const Ints right = tap_x + 1 < width, below = tap_y + 1 < height, none = (Ints)(0);
+    const Ints within =
+        1 | (right ? (Ints)(2) : none) | (below ? (Ints)(4) : none) | ((right & below) ? (Ints)(8) : none);
+    const Samples samples = {.src = src,
+                             .tap = tap_y * width + tap_x,
+                             .alike = whole ? (Ints)(ALL_ALIKE) : within,
+                             .u = px_x - 0.5f - left,
+                             .v = px_y - 0.5f - top};
+#if LANES == 8
+    resample_lanes(samples, LANE_NUMBERS < count, width, shown, dst, out_color);
+#else
+    store_color(resample(samples, width, shown), out_color, dst);
+#endif
+}

@@ -1,0 +1,124 @@
+/* Resampling of the rendered frame at any place: cubic, and bilinear over some of the taps, of colors' codes. One
+   pixel, and LANES at once. */
+
+#include "simd_rgb.h"
+#include "color_code.h"
+#include "cubic.h"
+
+/* Images of the rendered frame that its fragments bring along. */
+typedef struct {
+    __global const half *color, *codes;
+    __global const uchar *dynamic_mask;
+    float code_offset;
+} Rendered;
+
+#define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
+
+/* Color at (u, v) from pixel `tap`, bilinear, of those of the four taps that move alike; else that of the winner. */
+INLINE float3 of_those_alike(const int alike, const int tap, const float u, const float v, const int source_width,
+                             const int winner, const Rendered shown) {
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int k = 0; k < 4; ++k) {
+        if (!((alike >> k) & 1)) continue;
+        const float weight = bilinear_weight(k, u, v);
+        sum += weight * load_color(shown.codes, tap + (k >> 1) * source_width + (k & 1));
+        weight_sum += weight;
+    }
+    return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset)
+                              : load_color(shown.color, winner);
+}
+
+/* Where a pixel is resampled: at (u, v) from the pixel `tap`, next to the winner `src`. */
+typedef struct {
+    int src, tap, alike;
+    float u, v;
+} Sample;
+
+/* Cubic where the neighborhood moves alike; else bilinear over those of the four taps that move alike. */
+INLINE float3 resample(const Sample s, const int source_width, const Rendered shown) {
+    if (s.tap == s.src && s.u == 0.0f && s.v == 0.0f) return load_color(shown.color, s.src);
+    if (s.alike != ALL_ALIKE) return of_those_alike(s.alike, s.tap, s.u, s.v, source_width, s.src, shown);
+    const float3 code =
+        cubic(s.tap - source_width - 1, cubic_weights(s.u), cubic_weights(s.v), source_width, shown.codes);
+    return decode_color(code, shown.code_offset);
+}
+
+#if LANES == 8
+/* Sample of LANES pixels. */
+typedef struct {
+    Ints src, tap, alike;
+    Floats u, v;
+} Samples;
+#else
+typedef Sample Samples;
+#endif
+
+INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const int source_width, Samples *s) {
+    const Floats ox = floor(dx), oy = floor(dy);
+    s->src = src;
+    s->tap = src + to_ints(oy) * source_width + to_ints(ox);
+    s->alike = (Ints)(ALL_ALIKE);
+    s->u = dx - ox;
+    s->v = dy - oy;
+}
+
+#if LANES == 8
+DEFINE_ROOT(Texels, texel_roots)
+
+/* decode_color of four pixels. */
+INLINE Texels decode_texels(const Texels code, const float offset) {
+    const Texels root = texel_roots(2.0f * fabs(code) + offset * offset) - offset;
+    return offset > 0.0f ? copysign(root * root, code) : code;
+}
+
+/* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`,
+   keep its bits. False where they are to be made one by one. */
+INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const int source_width,
+                          const Rendered shown, __global half *out_color) {
+    if (any(exact) && !all(exact)) return false;
+    const Texels c = all(exact) ? finite_texels(vload_half16(0, shown.color + 4 * tap))
+                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes),
+                                                shown.code_offset);
+    vstore_half16_rte(WITHOUT_ALPHA(c), 0, out_color);
+    return true;
+}
+
+/* The samples of the lanes in `use`. */
+INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
+                           __global half *out_color) {
+    const Ints tap = s.tap, alike = s.alike;
+    const Floats u = s.u, v = s.v;
+    int lane_tap[LANES], lane_use[LANES], lane_alike[LANES], lane_src[LANES];
+    float lane_u[LANES], lane_v[LANES];
+    Floats wx[4], wy[4];
+    store_ints(tap, 0, lane_tap);
+    wide_cubic_weights(u, wx);
+    wide_cubic_weights(v, wy);
+    const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
+    /* Halves whose taps lie in a row; elsewhere one lane after another. */
+    const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
+    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo},
+                 left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
+    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi},
+                 right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
+    const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
+                      && resample_four(lane_tap[0], exact.lo, left_x, left_y, source_width, shown, out_color + 4 * dst);
+    const bool right =
+        all(whole.hi & (in_row.hi == lane_tap[4] - 4))
+        && resample_four(lane_tap[4], exact.hi, right_x, right_y, source_width, shown, out_color + 4 * (dst + 4));
+    if (left && right) return;
+    const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
+    store_ints(rest, 0, lane_use);
+    store_ints(alike, 0, lane_alike);
+    store_ints(s.src, 0, lane_src);
+    store_floats(u, 0, lane_u);
+    store_floats(v, 0, lane_v);
+    for (int k = 0; k < LANES; ++k) {
+        if (!lane_use[k]) continue;
+        const Sample one = {
+            .src = lane_src[k], .tap = lane_tap[k], .alike = lane_alike[k], .u = lane_u[k], .v = lane_v[k]};
+        store_color(resample(one, source_width, shown), out_color, dst + k);
+    }
+}
+#endif

@@ -1,0 +1,65 @@
+"""Twin of dilated_warp.cl."""
+
+import numpy as np
+
+from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, reproject
+from twins.dilate_splat import NOTHING, SPLAT, components, dilate, with_neighbors, words_of
+from twins.warp import codes_of, load_color, resampled
+
+
+def dilated_splat(target_position, depth, zoom, target_size):
+    """Keys (H', W') uint64 that the splat leaves: depth bits << 32 | word, or all bits."""
+    height, width = depth.shape
+    target_width, target_height = target_size
+    _, nearest = dilate(depth)
+    y, x = np.mgrid[:height, :width]
+    step = y * width + x - nearest
+    down = np.clip(np.where(np.abs(step) > 1, step, 0), -1, 1)
+    away = np.stack([step - down * width, down], -1).astype(F)
+    there = target_position.reshape(-1, 3)[nearest]
+    px = there[..., :2] + zoom * away
+    come_from = centers(height, width) - px * (F(1) / zoom)
+    lands = (there[..., 2] > 0) & (px >= 0).all(-1) & (px < target_size).all(-1)
+    lands &= (np.abs(come_from) <= SPLAT.LONGEST).all(-1)
+    half_words = (come_from[lands] * SPLAT.STEPS + (SPLAT.ZERO + F(0.5))).astype(np.uint64)
+    dst, z = px[lands].astype(int), np.ascontiguousarray(there[..., 2][lands])
+    keys = np.full((target_height, target_width), NOTHING)
+    offers = z.view(np.uint32).astype(np.uint64) << np.uint64(32) | half_words[:, 1] << np.uint64(16) | half_words[:, 0]
+    np.minimum.at(keys, (dst[:, 1], dst[:, 0]), offers)
+    return keys
+
+
+def resample_dilated(keys, target_position, color, dynamic, zoom, to_source):
+    """All outputs of the stage, as a dict of (H', W', …) arrays named like the frame's buffers."""
+    height, width = keys.shape
+    source_height, source_width = dynamic.shape
+    filling, center = with_neighbors(keys), centers(height, width)
+    reached = words_of(keys) != NOBODY
+    far = reproject(center, np.full(keys.shape, INF, F), to_source)
+    far_from = np.where(far[..., 2:] > 0, far[..., :2] - center * (F(1) / zoom), F(0))
+    come_from = np.where((filling == NOTHING)[..., None], far_from, components(words_of(filling)))
+    px = np.clip(come_from + center * (F(1) / zoom), F(0.5), np.array((source_width, source_height), F) - F(0.5))
+    sx, sy = np.moveaxis(px.astype(int), -1, 0)
+    first = np.floor(px - F(0.5))
+    u, v = np.moveaxis(px - F(0.5) - first, -1, 0)
+    x0, y0 = np.moveaxis(first.astype(int), -1, 0)
+    whole = (x0 >= 1) & (y0 >= 1) & (x0 < source_width - 2) & (y0 < source_height - 2)
+    rgb, codes = load_color(color), codes_of(color).astype(F)
+    taps, alike = {}, {}
+    for ty in range(4):
+        for tx in range(4):
+            x, y = x0 + tx - 1, y0 + ty - 1
+            inside = (x < source_width) & (y < source_height) & (tx in (1, 2)) & (ty in (1, 2))
+            alike[ty, tx] = whole | inside
+            taps[ty, tx] = codes[np.clip(y, 0, source_height - 1), np.clip(x, 0, source_width - 1)]
+    out = resampled(taps, alike, u, v, rgb[sy, sx])
+    out = np.where(((u == 0) & (v == 0))[..., None], rgb[sy, sx], out)
+    z = target_position[sy, sx, 2]
+    return {
+        "color": np.clip(out, -COLOR_MAX, COLOR_MAX).astype(np.float16),
+        "depth": np.where(z > 0, z, INF),
+        "motion": px - center,
+        "dynamic": (dynamic[sy, sx] > 0).astype(np.uint8),
+        "disoccluded": (~reached).astype(np.uint8),
+        "filled_by": np.where(reached, COMMON.BY_WARP, COMMON.BY_HOLE_FILLING).astype(np.uint8),
+    }
