@@ -38,6 +38,7 @@ ifdef PICTURES
 	$(VENV)/bin/python docs/tools/measure_encodings.py --seeds 2 --write
 	$(VENV)/bin/python docs/tools/make_pictures.py
 	$(VENV)/bin/python docs/tools/make_stage_pictures.py
+	$(VENV)/bin/python docs/tools/make_symptoms.py
 endif
 	$(VENV)/bin/python docs/tools/make_performance.py
 	$(VENV)/bin/python docs/tools/make_tables.py

@@ -67,7 +67,14 @@ _COMMAND_LINE = (sys.executable, "-m", "typer", "gffe_cl.cli.commands", "utils",
 
 def _link_pages_elsewhere(app: Sphinx, page: str, source: list[str]) -> None:
     for there, here in _PAGES_ELSEWHERE.items():
-        source[0] = source[0].replace(f"]({there})", f"]({here})")
+        for end in ")#":
+            source[0] = source[0].replace(f"]({there}{end}", f"]({here}{end}")
+
+
+def _link_names(app: Sphinx, page: str, source: list[str]) -> None:
+    """Link the names in the table of the Python interface to their descriptions."""
+    if page == "api":
+        source[0] = re.sub(r"^\| `(\w+)`", r"| {py:obj}`\1 <gffe_cl.\1>`", source[0], flags=re.MULTILINE)
 
 
 def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
@@ -76,10 +83,8 @@ def _append_commands(app: Sphinx, page: str, source: list[str]) -> None:
         made = subprocess.run(_COMMAND_LINE, capture_output=True, text=True, check=True).stdout
         made = re.sub(r"</?span[^>]*>", "", html.unescape(made))
         made = made[made.index("\n**Usage**") :]
-        # typer cuts the summaries in its list of commands: replace them by the first lines of the sections, with links.
-        summaries = dict(re.findall(r"^## `gffe (\w+)`\n\n(.+)$", made, re.MULTILINE))
-        listed = re.compile(rf"^\* `({'|'.join(summaries)})`: .*$", re.MULTILINE)
-        source[0] += listed.sub(lambda line: f"* [`{line[1]}`](#gffe-{line[1]}): {summaries[line[1]]}", made)
+        sections = made[re.search(r"^## `gffe", made, re.MULTILINE).start() :]  # without typer's own list of commands
+        source[0] = re.sub(r"^\| (`gffe (\w+)[^`]*`)", r"| [\1](#gffe-\2)", source[0], flags=re.MULTILINE) + sections
 
 
 def _link_public_name(
@@ -95,5 +100,6 @@ def _link_public_name(
 
 def setup(app: Sphinx) -> None:
     app.connect("source-read", _link_pages_elsewhere)
+    app.connect("source-read", _link_names)
     app.connect("source-read", _append_commands)
     app.connect("missing-reference", _link_public_name)

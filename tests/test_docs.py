@@ -119,6 +119,19 @@ def test_pictures_are_used():
     assert {picture.name for picture in (ROOT / "docs" / "pictures").iterdir()} == used
 
 
+def test_every_symptom_has_its_picture():
+    from make_symptoms import MAKERS
+
+    pictures = [f"symptom_{name}.jpg" for name in MAKERS]
+    assert re.findall(r"\(pictures/([\w.]+)\)", TEXTS["docs/symptoms.md"]) == pictures
+    assert sum((ROOT / "docs" / "pictures" / name).stat().st_size for name in pictures) < 600_000
+
+
+def test_the_glossary_is_short_and_in_order():
+    words = re.findall(r"^\| \*?\*?([^|*]+?)[*,| ]", TEXTS["docs/glossary.md"].partition("| --- | --- |\n")[2], re.M)
+    assert len(words) <= 40 and words[1:] == sorted(words[1:], key=str.lower)  # the first one is α
+
+
 def test_no_paths_of_one_machine():
     for name, text in TEXTS.items():
         assert not re.search(r"(?<![\w.~$}/])/(home|root|tmp|work)\b", text), name

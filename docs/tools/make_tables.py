@@ -11,11 +11,15 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from types import FunctionType
 
 from pages import DOCS, table, with_all
+from typer.main import get_command
 
+import gffe_cl
 from gffe_cl.captures.formats import FORMATS
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
+from gffe_cl.cli.commands import app
 from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, PRESETS, Option
 from gffe_cl.engine.pipeline.pipeline import STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
@@ -98,6 +102,27 @@ def formats_table() -> str:
     return table(("format", "description", "folder, for example"), rows)
 
 
+def names_table() -> str:
+    """Every public name: what it is, and the methods and properties of classes."""
+    rows = []
+    for name in gffe_cl.__all__:
+        value = getattr(gffe_cl, name)
+        if callable(value):
+            rows.append((f"`{name}`", _first_sentence(inspect.getdoc(value)), _quoted(_members(value))))
+    return table(("name", "what it is or does", "methods and properties"), sorted(rows))
+
+
+def commands_table() -> str:
+    """Every command with its arguments, and what it does."""
+    rows = []
+    for name, command in get_command(app).commands.items():
+        given = [p for p in command.params if p.param_type_name == "argument"]
+        arguments = [p.name.upper() if p.required else f"[{p.name.upper()}]" for p in given]
+        if not command.hidden:
+            rows.append((f"`{' '.join(('gffe', name, *arguments))}`", _first_sentence(command.help)))
+    return table(("command", "what it does"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "options": options_table,
     "presets": presets_table,
@@ -108,12 +133,20 @@ TABLES: dict[str, Callable[[], str]] = {
     "scenes": scenes_table,
     "situation_scenes": situation_scenes_table,
     "formats": formats_table,
+    "names": names_table,
+    "commands": commands_table,
 }
 
 
 def with_tables(text: str) -> str:
     """A page with all its tables as the program has them now."""
     return with_all(text, {name: make() for name, make in TABLES.items()})
+
+
+def _members(kind: type) -> list[str]:
+    """Return the names of the public methods and properties of a class in their order; none of anything else."""
+    own = vars(kind).items() if isinstance(kind, type) else ()
+    return [name for name, value in own if name[0] != "_" and isinstance(value, property | classmethod | FunctionType)]
 
 
 def _accessed(stage: type[Stage], kind: str) -> list[str]:
