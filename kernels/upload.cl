@@ -1,7 +1,8 @@
 /* Frames from the host, or in an engine's own formats, as other kernels take them, and counts of bad pixels. Arrays
-   begin at value `start` of the given buffers. Geometry: depth and motion. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs
-   consecutive ones, on GPUs those that lie as far apart as there are runs, so that neighbors load neighbors. No other
-   kernel knows about formats (gffe_cl/engine/frame/frame_format.py). */
+   begin at value `start` of the given buffers. "Geometry" is depth and motion, which may be smaller than color. A
+   work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs consecutive ones, on GPUs those that lie as far
+   apart as there are runs, so that neighbors load neighbors. No other kernel knows about formats
+   (gffe_cl/engine/frame/frame_format.py). */
 
 #include "frame.h"
 #include "sampling.h"
@@ -13,7 +14,7 @@
 /* Of geometry that is smaller than color. */
 #define SAME_DEPTH 0.03f  /* of depth: samples nearer to each other show one surface */
 #define SAME_MOTION 4.0f  /* pixels of color, each way */
-#define NEARNESS 0.4f  /* what a sample's distance counts for, beside the difference of its color */
+#define NEARNESS 0.05f  /* what a sample's distance counts for, beside the difference of its color */
 
 /* Types of given values. Integers stand for 0 to 1, or -1 to 1 (SNORM16); UNORM24 are the low bits of 32. */
 enum { NO_BUFFER, FLOAT32, FLOAT16, UNORM8, UNORM16, SNORM16, UNORM24 };

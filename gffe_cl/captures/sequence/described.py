@@ -73,7 +73,8 @@ def spread_geometry(
 
     *_, alike = of((offsets[0] >= 0.5) + 2 * (offsets[1] >= 0.5))
     smooth, light = alike.all(0), rgb[..., 0] + rgb[..., 1] + rgb[..., 2]
-    far, least, chosen = f(numbers["NEARNESS"]) * (light * light + f(1e-6)), np.inf, np.zeros((height, width), np.intp)
+    far, least = f(numbers["NEARNESS"]) * (light * light + f(1e-6)), np.float32(np.inf)
+    chosen = np.zeros((height, width), np.intp)
     for tap in range(4):
         off, dx, dy = colors[tap] - rgb, offsets[0] - f(tap & 1), offsets[1] - f(tap >> 1)
         squared = off * off

@@ -141,8 +141,7 @@ class Upload(Stage):
         given_motion, motion_start = places.get("motion", (frame.motion, 0))  # then its type is none
         is_small, depth, motion = self._is_small(step), frame.depth, frame.motion
         if is_small:
-            if "small_depth" not in self.buffer:
-                self.buffer |= self.allocate([self.spec("small_depth"), self.spec("small_motion")])
+            self.allocate_small()
             depth, motion = self.buffer["small_depth"], self.buffer["small_motion"]
         self.launch(
             "convert_geometry", step,
@@ -151,6 +150,11 @@ class Upload(Stage):
         )  # fmt: skip
         if is_small:
             self.launch("spread_geometry", step, color=frame.color, depth=frame.depth, motion=frame.motion)
+
+    def allocate_small(self) -> None:
+        """Allocate the buffers for depth and motion that are smaller than color, unless they are there."""
+        if "small_depth" not in self.buffer:
+            self.buffer |= self.allocate([self.spec("small_depth"), self.spec("small_motion")])
 
     def _is_small(self, step: Step) -> bool:
         """Return whether depth and motion are smaller than color."""
