@@ -5,7 +5,6 @@
    (gffe_cl/engine/frame/frame_format.py). */
 
 #include "frame.h"
-#include "sampling.h"
 #include "simd_rgb.h"
 
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
@@ -363,9 +362,9 @@ INLINE float3 color_of_sample(__constant Frame *frame, __global const half *colo
     return sum;
 }
 
-/* Depth, and motion x and y, of pixel i of color beside an edge of the geometry. Its surface is that of the sample among
-   the four around it whose color is like the pixel's and which is near; the others add to it only if they show that
-   surface. `taps`: their indices; (u, v): the pixel's position from the first. */
+/* Depth, and motion x and y, of pixel i of color beside an edge of the geometry. Its surface is that of the sample
+   among the four around it whose color is like the pixel's and which is near; the others add to it only if they show
+   that surface. `taps`: their indices; (u, v): the pixel's position from the first. */
 INLINE float3 geometry_at_edge(__constant Frame *frame, __global const half *color, __global const float *depths,
                                __global const float2 *vectors, const int i, const int4 taps, const float u,
                                const float v) {
@@ -408,22 +407,26 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
     const int width = frame->source_width, x = (int)get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= frame->source_height) return;
     const float4 to = frame->to_geometry;
-    const Floats at_x = row_centers(x) * to.x + to.z - 0.5f;
-    const Floats at_y = (Floats)((y + 0.5f) * to.y + to.w - 0.5f);
+    const int columns = frame->geometry_width, last_x = columns - 1, last_y = frame->geometry_height - 1;
+    const Floats at_x = clamp(row_centers(x) * to.x + to.z - 0.5f, (Floats)(0.0f), (Floats)((float)last_x));
+    const Floats at_y = (Floats)(clamp((y + 0.5f) * to.y + to.w - 0.5f, 0.0f, (float)last_y));
     __global const float *vectors = (__global const float *)small_motion;
-    Sample s;
-    find_sample(at_x, at_y, frame->geometry_width, frame->geometry_height, &s);
-    const Ints taps[4] = {s.tap, s.tap + s.right, s.tap + s.down, s.tap + s.right + s.down};
-    const Ints in_right = s.u >= 0.5f, in_lower = s.v >= 0.5f;
+    const Ints left = to_ints(at_x), top = to_ints(at_y);
+    const Ints right = min(left + 1, (Ints)(last_x)), bottom = min(top + 1, (Ints)(last_y));
+    const Floats u = at_x - to_floats(left), v = at_y - to_floats(top);
+    const Ints taps[4] = {top * columns + left, top * columns + right, bottom * columns + left,
+                          bottom * columns + right};
+    const Ints in_right = u >= 0.5f, in_lower = v >= 0.5f;
     const Ints nearest = in_lower ? (in_right ? taps[3] : taps[2]) : (in_right ? taps[1] : taps[0]);
     const Floats z = gather_floats(small_depth, nearest);
     const Floats own_x = gather_floats(vectors, 2 * nearest), own_y = gather_floats(vectors, 2 * nearest + 1);
     Ints smooth = (Ints)(ALL_LANES);
     Floats sum_z = (Floats)(0.0f), sum_x = (Floats)(0.0f), sum_y = (Floats)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
-        const Floats weight = ((tap & 1) ? s.u : 1.0f - s.u) * ((tap >> 1) ? s.v : 1.0f - s.v);
+        const Floats weight = ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
         const Floats other_z = gather_floats(small_depth, taps[tap]);
-        const Floats other_x = gather_floats(vectors, 2 * taps[tap]), other_y = gather_floats(vectors, 2 * taps[tap] + 1);
+        const Floats other_x = gather_floats(vectors, 2 * taps[tap]),
+                     other_y = gather_floats(vectors, 2 * taps[tap] + 1);
         smooth = smooth & is_alike(z, own_x, own_y, other_z, other_x, other_y);
         sum_z = sum_z + weight * other_z;
         sum_x = sum_x + weight * other_x;
@@ -431,20 +434,20 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
     }
     sum_z = isinf(z) ? z : sum_z;
     if (!ALL(smooth)) {
-        float lanes_z[LANES], lanes_x[LANES], lanes_y[LANES], u[LANES], v[LANES];
+        float lanes_z[LANES], lanes_x[LANES], lanes_y[LANES], lanes_u[LANES], lanes_v[LANES];
         int is_smooth[LANES], indices[4][LANES];
         store_floats(sum_z, 0, lanes_z);
         store_floats(sum_x, 0, lanes_x);
         store_floats(sum_y, 0, lanes_y);
-        store_floats(s.u, 0, u);
-        store_floats(s.v, 0, v);
+        store_floats(u, 0, lanes_u);
+        store_floats(v, 0, lanes_v);
         store_ints(smooth, 0, is_smooth);
         for (int tap = 0; tap < 4; ++tap) store_ints(taps[tap], 0, indices[tap]);
         for (int k = 0; k < min(count, LANES); ++k) {
             if (is_smooth[k]) continue;
             const int4 around = (int4)(indices[0][k], indices[1][k], indices[2][k], indices[3][k]);
-            const float3 found =
-                geometry_at_edge(frame, color, small_depth, small_motion, y * width + x + k, around, u[k], v[k]);
+            const float3 found = geometry_at_edge(frame, color, small_depth, small_motion, y * width + x + k, around,
+                                                  lanes_u[k], lanes_v[k]);
             lanes_z[k] = found.x;
             lanes_x[k] = found.y;
             lanes_y[k] = found.z;

@@ -179,7 +179,7 @@ def test_the_quick_check_takes_a_description():
                         motion_direction="from_previous")  # fmt: skip
     assert check(frames) is None and check(stored, format=right) is None
     assert "motion" in check(stored, format=replace(right, motion_direction="to_previous"))
-    with pytest.raises(GffeError, match=r"images are 9×9 \(expected the render size 96×64\)"):
+    with pytest.raises(GffeError, match=r"color is 9×9 \(expected the render size 96×64\)"):
         check(stored, format=replace(right, color_size=(9, 9), geometry_size=(9, 9)))
 
 
@@ -201,7 +201,7 @@ def test_run_leaves_our_conventions_behind(device, tmp_path):
         ({"frame_format": {"depth": "far"}}, "frame_format: depth must be one of linear, device"),
         ({"frame_format": {"colour": 1}}, "frame_format: unknown field 'colour'"),
         ({"frame_format": [1]}, "frame_format: .*must be an object"),
-        ({"frame_format": {"geometry_size": [4, 4], "color_size": [4, 4]}}, r"images are 4×4 \(expected the render"),
+        ({"frame_format": {"geometry_size": [4, 4], "color_size": [4, 4]}}, r"color is 4×4 \(expected the render"),
     ],
 )
 def test_wrong_descriptions_are_refused(tmp_path, change, text):
