@@ -54,7 +54,7 @@ def spread_geometry(
     height, width = rgb.shape[:2]
     rows, columns = depth.shape
     depth, motion = depth.astype(f), motion.astype(f)
-    to, back = f(given["to_geometry"]), f(given["from_geometry"])
+    to, back = (np.array(given[name], f) for name in ("to_geometry", "from_geometry"))
     x, y = np.arange(width, dtype=f) + f(0.5), np.arange(height, dtype=f)[:, None] + f(0.5)
     taps, weights, offsets = _taps(x * to[0] + to[2] - f(0.5), y * to[1] + to[3] - f(0.5), columns, rows)
     x, y = np.arange(columns, dtype=f) + f(0.5), np.arange(rows, dtype=f)[:, None] + f(0.5)

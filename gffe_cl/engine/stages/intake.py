@@ -89,15 +89,14 @@ def prepare(
         s.name: given_buffer(given[s.name], s, sizes if s.name == "color" else replace(sizes, source=geometry), device)
         for s in specs
     }
-    taken: Any = geometry, format
     if not any(buffers.values()):
         width, height = sizes.source
         if format is None:
-            return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width), *taken)
+            return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width), geometry, format)
         arrays = described_arrays(frame, sizes.source, geometry)
         types = {s.name: None if (a := getattr(arrays, s.name)) is None else type_of(a) for s in specs}
         channels = {"color": arrays.color.shape[2], "motion": 2}
-        return PreparedFrame(frame, display_camera, {}, arrays, *taken, types, channels)
+        return PreparedFrame(frame, display_camera, {}, arrays, geometry, format, types, channels)
     if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
         del buffers["motion"]
     if other := next((name for name, buffer in buffers.items() if not buffer), None):
@@ -106,10 +105,10 @@ def prepare(
             f" got {other} as {shown(given[other])}"
         )
     if format is None:
-        return PreparedFrame(frame, display_camera, buffers, None, *taken)
+        return PreparedFrame(frame, display_camera, buffers, None, geometry, format)
     types = {name: getattr(format, f"{name}_type") if name in buffers else None for name in given}
     channels = {"color": format.color_channels, "motion": format.motion_channels}
-    return PreparedFrame(frame, display_camera, buffers, None, *taken, types, channels)
+    return PreparedFrame(frame, display_camera, buffers, None, geometry, format, types, channels)
 
 
 def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
