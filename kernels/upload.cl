@@ -352,7 +352,7 @@ INLINE float3 color_of_sample(__constant Frame *frame, __global const half *colo
     const float4 from = frame->from_geometry;
     const float px_x = clamp((x + 0.5f) * from.x + from.z - 0.5f, 0.0f, (float)(width - 1));
     const float px_y = clamp((y + 0.5f) * from.y + from.w - 0.5f, 0.0f, (float)(height - 1));
-    const int x0 = px_x, y0 = px_y, right = x0 < width - 1, down = y0 < height - 1;
+    const int x0 = (int)px_x, y0 = (int)px_y, right = x0 < width - 1, down = y0 < height - 1;
     const float u = px_x - (float)x0, v = px_y - (float)y0;
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
@@ -405,7 +405,7 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
                                    __global const float *small_depth, __global const float2 *small_motion,
                                    __global float *depth, __global float2 *motion) {
     const int width = frame->source_width, x = (int)get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
-    if (count <= 0 || y >= frame->source_height) return;
+    if (x >= width || y >= frame->source_height) return;
     const float4 to = frame->to_geometry;
     const int columns = frame->geometry_width, last_x = columns - 1, last_y = frame->geometry_height - 1;
     const Floats at_x = clamp(row_centers(x) * to.x + to.z - 0.5f, (Floats)(0.0f), (Floats)((float)last_x));
