@@ -24,11 +24,14 @@ typedef struct {
     float4 to_previous_display; /* previous -> its display */
     float4 given_motion; /* of an engine's buffers, for upload.cl: factors and addends of x and y, in stored numbers */
     float4 given_depth; /* of the same: factor, origin, addend, the value of sky */
+    float4 to_geometry; /* color -> given depth and motion: scale x, y, offset x, y in pixels */
+    float4 from_geometry; /* these -> color */
     int4 given_types; /* of color, depth, motion; and what vectors have of the camera's motion */
     int4 level_starts; /* first texels of background levels 1, 2 and 3, and the end of all levels */
     float2 zoom; /* target pixels per source pixel of points equally far from both cameras */
     float2 pixel_size; /* of the source, display pixels */
     int2 given_channels; /* of color and motion */
+    int geometry_width, geometry_height; /* of given depth and motion */
     int source_width, source_height;
     int target_width, target_height;
     int network_width, network_height;

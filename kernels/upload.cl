@@ -1,13 +1,19 @@
 /* Frames from the host, or in an engine's own formats, as other kernels take them, and counts of bad pixels. Arrays
-   begin at value `start` of the given buffers. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs
-   consecutive ones, on GPUs those that lie as far apart as there are runs, so that neighbors load neighbors. No other
-   kernel knows about formats (gffe_cl/engine/frame/frame_format.py). */
+   begin at value `start` of the given buffers. "Geometry" is depth and motion, which may be smaller than color. A
+   work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs consecutive ones, on GPUs those that lie as far
+   apart as there are runs, so that neighbors load neighbors. No other kernel knows about formats
+   (gffe_cl/engine/frame/frame_format.py). */
 
 #include "frame.h"
 #include "simd_rgb.h"
 
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
+
+/* Of geometry that is smaller than color. */
+#define SAME_DEPTH 0.03f  /* of depth: samples nearer to each other show one surface */
+#define SAME_MOTION 4.0f  /* pixels of color, each way */
+#define NEARNESS 0.05f  /* what a sample's distance counts for, beside the difference of its color */
 
 /* Types of given values. Integers stand for 0 to 1, or -1 to 1 (SNORM16); UNORM24 are the low bits of 32. */
 enum { NO_BUFFER, FLOAT32, FLOAT16, UNORM8, UNORM16, SNORM16, UNORM24 };
@@ -33,7 +39,7 @@ INLINE int lanes_where(const Ints condition, const int count) {
     return number;
 }
 
-/* Counts of this work-item, into two planes of a texel for each run. */
+/* Counts of this work-item, into two planes of a texel for each run of an image of this size. */
 INLINE void store_counts(const int width, const int height, const int first, const int second, __global uchar *counts) {
     const int runs = runs_of(width), place = get_global_id(1) * runs + get_global_id(0) * LANES;
     counts[place] = first;
@@ -273,23 +279,24 @@ INLINE Floats planar_depth(__constant Frame *frame, const Floats stored) {
     return is_sky ? (Floats)(INFINITY) : wide_divide((Floats)(1.0f), value);
 }
 
-/* Motion of static points at depth z, in pixels: 0 where depth is invalid or there is no frame before, NaN where the
-   point was behind the camera. */
+/* Motion of static points at depth z, in pixels of color: 0 where depth is invalid or there is no frame before, NaN
+   where the point was behind the camera. (px_x, px_y): pixel of the geometry. */
 INLINE Floats motion_by_camera(__constant Frame *frame, const int px_x, const int px_y, const Floats z, Floats *y) {
-    const Floats here_x = row_centers(px_x);
-    const float here_y = px_y + 0.5f;
+    const float4 from = frame->from_geometry;
+    const Floats here_x = row_centers(px_x) * from.x + from.z;
+    const float here_y = (px_y + 0.5f) * from.y + from.w;
     const Wide3 before = wide_reproject(here_x, (Floats)(here_y), z, frame->to_previous);
     const Ints known = z > 0.0f, front = before.z > 0.0f;
     *y = known ? (front ? before.y - here_y : (Floats)(NAN)) : (Floats)(0.0f);
     return known ? (front ? before.x - here_x : (Floats)(NAN)) : (Floats)(0.0f);
 }
 
-/* Depth and motion of any type and convention that a description allows. Values of the description's own for unwritten
-   vectors are not counted as bad. */
+/* Depth and motion of any type and convention that a description allows, at the size of the geometry; motion becomes
+   pixels of color. Values of the description's own for unwritten vectors are not counted as bad. */
 WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global const uchar *given_depth,
                                     const int depth_start, __global const uchar *given_motion, const int motion_start,
                                     __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
-    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
+    const int width = frame->geometry_width, height = frame->geometry_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     const int depth_type = frame->given_types.y, motion_type = frame->given_types.z;
     const int camera_motion = frame->given_types.w, channels = frame->given_channels.y;
@@ -325,6 +332,130 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
         }
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
-    store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);
-    store_counts(width, height, far, too_long, bad_pixels + 4 * runs_of(width) * height);
+    const int full_width = frame->source_width, full_height = frame->source_height;
+    const int plane = runs_of(full_width) * full_height;
+    store_counts(full_width, full_height, bad_depth, bad_motion, bad_pixels + 2 * plane);
+    store_counts(full_width, full_height, far, too_long, bad_pixels + 4 * plane);
+}
+
+/* Whether a sample of the geometry shows the surface of another one, with depth z and motion (x, y); never, if a number
+   of either is NaN. */
+INLINE Ints is_alike(const Floats z, const Floats x, const Floats y, const Floats other_z, const Floats other_x,
+                     const Floats other_y) {
+    const Ints near = isinf(z) ? isinf(other_z) : fabs(other_z - z) <= SAME_DEPTH * z;
+    return near & (fabs(other_x - x) <= SAME_MOTION) & (fabs(other_y - y) <= SAME_MOTION);
+}
+
+/* Color at the position of the geometry's sample (x, y), interpolated. */
+INLINE float3 color_of_sample(__constant Frame *frame, __global const half *color, const int x, const int y) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float4 from = frame->from_geometry;
+    const float px_x = clamp((x + 0.5f) * from.x + from.z - 0.5f, 0.0f, (float)(width - 1));
+    const float px_y = clamp((y + 0.5f) * from.y + from.w - 0.5f, 0.0f, (float)(height - 1));
+    const int x0 = (int)px_x, y0 = (int)px_y, right = x0 < width - 1, down = y0 < height - 1;
+    const float u = px_x - (float)x0, v = px_y - (float)y0;
+    float3 sum = (float3)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const int i = (y0 + (tap >> 1) * down) * width + x0 + (tap & 1) * right;
+        sum += load_color(color, i) * bilinear_weight(tap, u, v);
+    }
+    return sum;
+}
+
+/* Depth, and motion x and y, of pixel i of color beside an edge of the geometry. Its surface is that of the sample
+   among the four around it whose color is like the pixel's and which is near; the others add to it only if they show
+   that surface. `taps`: their indices; (u, v): the pixel's position from the first. */
+INLINE float3 geometry_at_edge(__constant Frame *frame, __global const half *color, __global const float *depths,
+                               __global const float2 *vectors, const int i, const int4 taps, const float u,
+                               const float v) {
+    const int indices[4] = {taps.x, taps.y, taps.z, taps.w};
+    const float3 own = load_color(color, i);
+    const float light = own.x + own.y + own.z, far = NEARNESS * (light * light + 1e-6f);
+    float least = INFINITY;
+    int chosen = 0;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int row = indices[tap] / frame->geometry_width, column = indices[tap] - row * frame->geometry_width;
+        const float3 off = color_of_sample(frame, color, column, row) - own;
+        const float x = u - (float)(tap & 1), y = v - (float)(tap >> 1);
+        const float cost = off.x * off.x + off.y * off.y + off.z * off.z + far * (x * x + y * y);
+        chosen = cost < least ? indices[tap] : chosen;
+        least = cost < least ? cost : least;
+    }
+    const float z = depths[chosen];
+    const float2 motion = vectors[chosen];
+    float sum = 0.0f, sum_z = 0.0f;
+    float2 sum_motion = (float2)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const float other_z = depths[indices[tap]];
+        const bool near = is_same_surface(other_z, z, SAME_DEPTH * z);
+        const float2 other = vectors[indices[tap]];
+        if (!near || !(fabs(other.x - motion.x) <= SAME_MOTION) || !(fabs(other.y - motion.y) <= SAME_MOTION)) continue;
+        const float weight = bilinear_weight(tap, u, v);
+        sum += weight;
+        sum_z += weight * other_z;
+        sum_motion += weight * other;
+    }
+    if (!(sum > 0.0f)) return (float3)(z, motion.x, motion.y);
+    return (float3)(isinf(z) ? z : divide(sum_z, sum), divide(sum_motion.x, sum), divide(sum_motion.y, sum));
+}
+
+/* Depth and motion of the size of color from smaller, perhaps jittered ones. Within a surface they are interpolated;
+   edges of depth and motion follow those of color. */
+WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global const half *color,
+                                   __global const float *small_depth, __global const float2 *small_motion,
+                                   __global float *depth, __global float2 *motion) {
+    const int width = frame->source_width, x = (int)get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (x >= width || y >= frame->source_height) return;
+    const float4 to = frame->to_geometry;
+    const int columns = frame->geometry_width, last_x = columns - 1, last_y = frame->geometry_height - 1;
+    const Floats at_x = clamp(row_centers(x) * to.x + to.z - 0.5f, (Floats)(0.0f), (Floats)((float)last_x));
+    const Floats at_y = (Floats)(clamp((y + 0.5f) * to.y + to.w - 0.5f, 0.0f, (float)last_y));
+    __global const float *vectors = (__global const float *)small_motion;
+    const Ints left = to_ints(at_x), top = to_ints(at_y);
+    const Ints right = min(left + 1, (Ints)(last_x)), bottom = min(top + 1, (Ints)(last_y));
+    const Floats u = at_x - to_floats(left), v = at_y - to_floats(top);
+    const Ints taps[4] = {top * columns + left, top * columns + right, bottom * columns + left,
+                          bottom * columns + right};
+    const Ints in_right = u >= 0.5f, in_lower = v >= 0.5f;
+    const Ints nearest = in_lower ? (in_right ? taps[3] : taps[2]) : (in_right ? taps[1] : taps[0]);
+    const Floats z = gather_floats(small_depth, nearest);
+    const Floats own_x = gather_floats(vectors, 2 * nearest), own_y = gather_floats(vectors, 2 * nearest + 1);
+    Ints smooth = (Ints)(ALL_LANES);
+    Floats sum_z = (Floats)(0.0f), sum_x = (Floats)(0.0f), sum_y = (Floats)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const Floats weight = ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
+        const Floats other_z = gather_floats(small_depth, taps[tap]);
+        const Floats other_x = gather_floats(vectors, 2 * taps[tap]),
+                     other_y = gather_floats(vectors, 2 * taps[tap] + 1);
+        smooth = smooth & is_alike(z, own_x, own_y, other_z, other_x, other_y);
+        sum_z = sum_z + weight * other_z;
+        sum_x = sum_x + weight * other_x;
+        sum_y = sum_y + weight * other_y;
+    }
+    sum_z = isinf(z) ? z : sum_z;
+    if (!ALL(smooth)) {
+        float lanes_z[LANES], lanes_x[LANES], lanes_y[LANES], lanes_u[LANES], lanes_v[LANES];
+        int is_smooth[LANES], indices[4][LANES];
+        store_floats(sum_z, 0, lanes_z);
+        store_floats(sum_x, 0, lanes_x);
+        store_floats(sum_y, 0, lanes_y);
+        store_floats(u, 0, lanes_u);
+        store_floats(v, 0, lanes_v);
+        store_ints(smooth, 0, is_smooth);
+        for (int tap = 0; tap < 4; ++tap) store_ints(taps[tap], 0, indices[tap]);
+        for (int k = 0; k < min(count, LANES); ++k) {
+            if (is_smooth[k]) continue;
+            const int4 around = (int4)(indices[0][k], indices[1][k], indices[2][k], indices[3][k]);
+            const float3 found = geometry_at_edge(frame, color, small_depth, small_motion, y * width + x + k, around,
+                                                  lanes_u[k], lanes_v[k]);
+            lanes_z[k] = found.x;
+            lanes_x[k] = found.y;
+            lanes_y[k] = found.z;
+        }
+        sum_z = load_floats(0, lanes_z);
+        sum_x = load_floats(0, lanes_x);
+        sum_y = load_floats(0, lanes_y);
+    }
+    store_some_floats(sum_z, count, depth + y * width + x);
+    store_some_xy(sum_x, sum_y, count, motion + y * width + x);
 }

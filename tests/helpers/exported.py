@@ -75,6 +75,7 @@ class COverlays(ct.Structure):
 
 class CFormat(ct.Structure):
     _fields_ = (
+        *((name, ct.c_int) for name in ("geometry_width", "geometry_height")),
         *((name, ct.c_int) for name in ("color_type", "color_channels", "depth_type", "depth_is_device")),
         *((name, ct.c_double) for name in ("near_z", "far_z")),
         ("depth_range", ct.c_double * 2),
@@ -90,7 +91,10 @@ class CFormat(ct.Structure):
         numbers = {name: 1 + number for number, name in enumerate(TYPES)}
         plain = ("color_channels", "near_z", "far_z", "motion_channels", "motion_jittered")
         pairs = ("depth_range", "motion_scale", "motion_offset")
+        width, height = format.geometry_size or (0, 0)
         return cls(
+            geometry_width=width,
+            geometry_height=height,
             **{name: getattr(format, name) for name in plain},
             **{name: numbers[getattr(format, name)] for name in ("color_type", "depth_type", "motion_type")},
             **{name: (ct.c_double * 2)(*getattr(format, name)) for name in pairs},

@@ -20,7 +20,7 @@ from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.core.validation import require_array, require_exposure, require_kind, require_list
-from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
+from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, described_arrays, host_arrays
 
 _FRAMES = 3
@@ -71,24 +71,26 @@ def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameForma
     """
     frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")[:_FRAMES]
     if format is not None:
-        frames = _converted(frames, require_kind(format, FrameFormat, "check: format", "a FrameFormat or None"))
+        require_kind(format, FrameFormat, "check: format", "a FrameFormat or None")
+    if format is not None or any(frame.geometry_size for frame in frames):
+        frames = _converted(frames, format or FrameFormat())
     warning = quick_warning(_InMemory(frames), require_exposure(exposure))
     return warning and f"{warning}; `gffe check FOLDER` tells more, of frames stored with gffe.SequenceWriter"
 
 
 def _converted(frames: list[RenderedFrame], format: FrameFormat) -> list[RenderedFrame]:
     """Return the frames in our conventions. Raises GffeError for arrays that cannot be described."""
-    made, before = [], None
+    made, before, jitter = [], None, (0.0, 0.0)  # the jitter of the frame before, in pixels of color
     for frame in frames:
         frame = checked_frame(frame)
-        height, width = require_array(frame.depth, "frame: depth", None, None).shape
-        require_render_size(format, (width, height))
-        arrays = described_arrays(frame, height, width)
+        height, width = require_array(frame.color, "frame: color", None, None, (3, 4)).shape[:2]
+        size = width, height
+        geometry = require_render_size(format, size, frame.geometry_size)
+        arrays = described_arrays(frame, size, geometry)
         stored = replace(frame, color=arrays.color[..., :3], depth=arrays.depth, motion=arrays.motion)
         previous = None if frame.reset else before
-        jitter = previous.geometry_jitter if previous else (0.0, 0.0)
-        made.append(described_frame(stored, format, previous and previous.camera, jitter))
-        before = frame
+        made.append(described_frame(stored, format, previous and previous.camera, jitter if previous else (0.0, 0.0)))
+        before, jitter = frame, jitter_in_color(frame.geometry_jitter, size, geometry)
     return made
 
 

@@ -4,29 +4,112 @@ and for the doctor. The pipeline converts on the device."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import FrameFormat, conversion
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame, type_of
+from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, jitter_in_color
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame, type_of
+from gffe_cl.engine.opencl.program import constants
 
 
 def described_frame(
     frame: RenderedFrame, format: FrameFormat, previous: Camera | None, previous_jitter: tuple[float, float]
 ) -> RenderedFrame:
-    """Return `frame` of NumPy arrays in our conventions: depth and motion in float32, color in floats. `previous`: the
-    render camera of the frame before; None if there is none. `previous_jitter`: of its geometry, pixels.
+    """Return `frame` of NumPy arrays in our conventions: depth and motion in float32, of the size of color, color in
+    floats. `previous`: the render camera of the frame before; None if there is none. `previous_jitter`: of its
+    geometry, pixels of color.
 
     Raises GffeError where vectors lack the camera's motion and a frame has no camera.
     """
-    height, width = np.shape(frame.depth)
+    (height, width), (rows, columns) = np.shape(frame.color)[:2], np.shape(frame.depth)
+    size, geometry = (width, height), (columns, rows)
     motion_type = None if frame.motion is None else type_of(frame.motion)
     types = {"color": None, "depth": type_of(frame.depth), "motion": motion_type}
-    jitters = frame.geometry_jitter, previous_jitter if previous else frame.geometry_jitter
-    given = conversion(format, (width, height), types, {"color": 3, "motion": 2}, *jitters)
+    jitter = jitter_in_color(frame.geometry_jitter, size, geometry)
+    jitters = jitter, previous_jitter if previous else jitter
+    given = conversion(format, size, types, {"color": 3, "motion": 2}, *jitters, geometry)
+    made = _converted(frame, format, previous, given)
+    if geometry == size:
+        return made
+    motion = np.zeros((rows, columns, 2), np.float32) if made.motion is None else made.motion
+    depth, motion = spread_geometry(made.color, made.depth, motion, given)
+    jitter = (0.0, 0.0)
+    return replace(
+        made, depth=depth, motion=None if made.motion is None else motion, geometry_size=None, geometry_jitter=jitter
+    )
+
+
+def spread_geometry(
+    color: np.ndarray, depth: np.ndarray, motion: np.ndarray, given: Mapping[str, Any]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return depth (H, W) and motion (H, W, 2) float32 for every pixel of `color` (H, W, 3) from smaller ones, as
+    `spread_geometry` of kernels/upload.cl does, with its bits. `given`: of `conversion`."""
+    numbers, f = constants("upload.cl"), np.float32
+    rgb = np.clip(np.nan_to_num(color[..., :3], posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX).astype(f)
+    height, width = rgb.shape[:2]
+    rows, columns = depth.shape
+    depth, motion = depth.astype(f), motion.astype(f)
+    to, back = (np.array(given[name], f) for name in ("to_geometry", "from_geometry"))
+    x, y = np.arange(width, dtype=f) + f(0.5), np.arange(height, dtype=f)[:, None] + f(0.5)
+    taps, weights, offsets = _taps(x * to[0] + to[2] - f(0.5), y * to[1] + to[3] - f(0.5), columns, rows)
+    x, y = np.arange(columns, dtype=f) + f(0.5), np.arange(rows, dtype=f)[:, None] + f(0.5)
+    in_color, color_weights, _ = _taps(x * back[0] + back[2] - f(0.5), y * back[1] + back[3] - f(0.5), width, height)
+    at_samples = np.zeros((rows, columns, 3), f)
+    for indices, weight in zip(in_color, color_weights, strict=True):
+        at_samples += rgb.reshape(-1, 3)[indices] * weight[..., None]
+    z, moved, colors = depth.reshape(-1)[taps], motion.reshape(-1, 2)[taps], at_samples.reshape(-1, 3)[taps]
+
+    def of(tap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return depth and motion of a sample for each pixel, and which samples show its surface, (4, H, W)."""
+        own_z, own = (np.take_along_axis(a, tap.reshape(1, *tap.shape, *[1] * (a.ndim - 3)), 0)[0] for a in (z, moved))
+        with np.errstate(invalid="ignore"):
+            near = np.where(np.isinf(own_z), np.isinf(z), np.abs(z - own_z) <= f(numbers["SAME_DEPTH"]) * own_z)
+            return own_z, own, near & (np.abs(moved - own) <= f(numbers["SAME_MOTION"])).all(-1)
+
+    *_, alike = of((offsets[0] >= 0.5) + 2 * (offsets[1] >= 0.5))
+    smooth, light = alike.all(0), rgb[..., 0] + rgb[..., 1] + rgb[..., 2]
+    far, least = f(numbers["NEARNESS"]) * (light * light + f(1e-6)), np.float32(np.inf)
+    chosen = np.zeros((height, width), np.intp)
+    for tap in range(4):
+        off, dx, dy = colors[tap] - rgb, offsets[0] - f(tap & 1), offsets[1] - f(tap >> 1)
+        squared = off * off
+        cost = squared[..., 0] + squared[..., 1] + squared[..., 2] + far * (dx * dx + dy * dy)
+        chosen, least = np.where(cost < least, tap, chosen), np.where(cost < least, cost, least)
+    own_z, own, alike = of(chosen)
+    added = alike | smooth
+    sums = [np.zeros((height, width), f) for _ in range(4)]
+    with np.errstate(all="ignore"):
+        for tap in range(4):
+            for total, value in zip(sums, (f(1), z[tap], moved[tap, ..., 0], moved[tap, ..., 1]), strict=True):
+                total += np.where(added[tap], weights[tap] * value, f(0))
+        spread_z, *spread = (np.where(smooth, part, part / sums[0]) for part in sums[1:])
+    kept = ~smooth & ~(sums[0] > 0)
+    spread_z = np.where(kept, own_z, np.where(np.isinf(own_z), own_z, spread_z))
+    return spread_z, np.where(kept[..., None], own, np.stack(spread, -1))
+
+
+def _taps(x: np.ndarray, y: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, tuple]:
+    """Return indices (4, H, W) of the pixels around positions, x (W,) and y (H, 1) with whole numbers at pixel centers,
+    in an image of a size; their bilinear weights; and the offsets (H, W) of x and y from the first."""
+    x, y = np.clip(x, np.float32(0), np.float32(width - 1)), np.clip(y, np.float32(0), np.float32(height - 1))
+    left, top = x.astype(np.intp), y.astype(np.intp)
+    columns, rows = (left, np.minimum(left + 1, width - 1)), (top, np.minimum(top + 1, height - 1))
+    u, v = np.broadcast_arrays(x - left.astype(np.float32), y - top.astype(np.float32))
+    taps = np.stack([rows[tap >> 1] * width + columns[tap & 1] for tap in range(4)])
+    weights = np.stack([(u if tap & 1 else 1 - u) * (v if tap >> 1 else 1 - v) for tap in range(4)])
+    return taps, weights, (u, v)
+
+
+def _converted(
+    frame: RenderedFrame, format: FrameFormat, previous: Camera | None, given: Mapping[str, Any]
+) -> RenderedFrame:
+    """Return `frame` in our conventions, but for the size of depth and motion."""
+    motion_type = None if frame.motion is None else type_of(frame.motion)
     depth = _depth(_values(frame.depth), given)
     color = frame.color
     if color.dtype.kind != "f":
@@ -46,7 +129,8 @@ def described_frame(
         if frame.camera is None:
             raise GffeError("frame: motion without the camera's part needs a camera")
         added = unwritten | (format.camera_motion == "excluded")
-        vectors = np.where(added, vectors + _camera_motion(depth, frame.camera, previous), vectors)
+        static = _camera_motion(depth, frame.camera, previous, given["from_geometry"])
+        vectors = np.where(added, vectors + static, vectors)
     with np.errstate(over="ignore"):
         return replace(frame, color=color, depth=depth.astype(np.float32), motion=vectors.astype(np.float32))
 
@@ -56,7 +140,7 @@ def _values(depth: np.ndarray) -> np.ndarray:
     return (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(np.float64)
 
 
-def _depth(stored: np.ndarray, given: dict) -> np.ndarray:
+def _depth(stored: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
     """Return planar depth (H, W), of device depth sky beyond its range or at the far end."""
     factor, origin, addend, sky = given["given_depth"]
     with np.errstate(all="ignore"):
@@ -66,11 +150,12 @@ def _depth(stored: np.ndarray, given: dict) -> np.ndarray:
         return np.where((stored == np.float32(sky)) | (value <= 0), math.inf, 1 / value)
 
 
-def _camera_motion(depth: np.ndarray, camera: Camera, previous: Camera) -> np.ndarray:
-    """Return the motion (H, W, 2) of static points, pixels: 0 where depth is invalid, NaN behind the camera before."""
+def _camera_motion(depth: np.ndarray, camera: Camera, previous: Camera, mapping: Sequence[float]) -> np.ndarray:
+    """Return the motion (H, W, 2) of static points, pixels of color: 0 where depth is invalid, NaN behind the camera
+    before. `mapping`: from pixels of depth to those of color."""
     height, width = depth.shape
     y, x = np.mgrid[:height, :width] + 0.5
-    here, sky = np.stack([x, y], -1), np.isinf(depth)
+    here, sky = np.stack([x * mapping[0] + mapping[2], y * mapping[1] + mapping[3]], -1), np.isinf(depth)
     known = depth > 0
     turned = np.linalg.norm(camera.position - previous.position)
     far = 1e12 * (1 + turned)  # sky turns and does not move

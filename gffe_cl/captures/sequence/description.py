@@ -67,7 +67,10 @@ class FrameEntry:
     elsewhere : str or None
         Path of the file where that is not in the folder; `file` is then the name of its copies.
     geometry_jitter : (float, float)
-        Jitter of depth and motion of a rendered frame that its color does not have, pixels.
+        Jitter of depth and motion of a rendered frame that its color does not have, pixels of these.
+    geometry_size : (width, height) or None
+        Size of depth and motion of a rendered frame where they are smaller than color: they are stored from the top
+        left corner of their channels on. None: that of the `FrameFormat`, else color's.
     """
 
     file: str
@@ -81,6 +84,7 @@ class FrameEntry:
     alpha: float | None = None
     elsewhere: str | None = None
     geometry_jitter: tuple[float, float] = (0.0, 0.0)
+    geometry_size: tuple[int, int] | None = None
 
     @property
     def place(self) -> str:
@@ -164,7 +168,7 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
             require_kind(camera, Camera, f"{label}{name}", "a Camera or None")
     if entry.source is not None:
         check_file_name(entry.source, f"{label}source")
-    size, alpha = entry.render_size, entry.alpha
+    size, geometry, alpha = entry.render_size, entry.geometry_size, entry.alpha
     return replace(
         entry,
         time=require_number(entry.time, f"{label}time"),
@@ -173,6 +177,7 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
         render_size=None if size is None else require_size(size, f"{label}render_size", whole=True),
         alpha=None if alpha is None else require_positive(alpha, f"{label}alpha"),
         geometry_jitter=_parse_jitter(entry.geometry_jitter, label),
+        geometry_size=None if geometry is None else require_size(geometry, f"{label}geometry_size", whole=True),
     )
 
 
@@ -280,7 +285,9 @@ def read_text(path: Path, most: int = _MAX_BYTES) -> str:
 
 def describe(description: Description, generator: str) -> str:
     """Return the JSON text of a sequence: the inverse of `parse_description`."""
-    is_described = description.format is not None or any(any(entry.geometry_jitter) for entry in description.frames)
+    is_described = description.format is not None or any(
+        any(entry.geometry_jitter) or entry.geometry_size for entry in description.frames
+    )
     document = {
         "format": FORMAT,
         "version": VERSIONS[is_described],
@@ -308,6 +315,8 @@ def _frame_document(entry: FrameEntry, size) -> dict:
         document["render_size"] = [int(n) for n in render_size]
     if any(entry.geometry_jitter):
         document["geometry_jitter"] = list(entry.geometry_jitter)
+    if entry.geometry_size is not None:
+        document["geometry_size"] = list(entry.geometry_size)
     if entry.source is not None:
         document["source"] = entry.source
     if entry.alpha is not None:
@@ -339,6 +348,8 @@ def _parse_frame(frame, index, name) -> FrameEntry:
         entry.render_size = _parse_size(frame["render_size"], label)
     if frame.get("geometry_jitter") is not None:
         entry.geometry_jitter = _parse_jitter(frame["geometry_jitter"], f"{label}: ")
+    if frame.get("geometry_size") is not None:
+        entry.geometry_size = _parse_size(frame["geometry_size"], label, "geometry_size")
     if frame.get("source") is not None:
         entry.source, _ = reference(frame["source"], f"{label}, source")
     if frame.get("alpha") is not None:
@@ -388,10 +399,10 @@ def _parse_camera(document, label) -> Camera:
         raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
 
 
-def _parse_size(value, label) -> tuple[int, int]:
+def _parse_size(value, label, what="render_size") -> tuple[int, int]:
     if not isinstance(value, list) or len(value) != 2:
-        raise GffeError(f"{label}: render_size must be [width, height], got {shown(value)}")
-    return _whole(value[0], label, "render_size"), _whole(value[1], label, "render_size")
+        raise GffeError(f"{label}: {what} must be [width, height], got {shown(value)}")
+    return _whole(value[0], label, what), _whole(value[1], label, what)
 
 
 def _true_or_false(value, what) -> bool:
@@ -408,8 +419,9 @@ def _whole(value, label, what) -> int:
 
 def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:
     """Return the entry of a rendered frame in a sequence on disk, for a display of `size`."""
-    height, width = np.shape(frame.depth)
+    height, width = np.shape(frame.color)[:2]
     render_size = (width, height) if (width, height) != size else None
     cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
-    own = {"reset": frame.reset, "render_size": render_size, "geometry_jitter": frame.geometry_jitter}
-    return FrameEntry(f"frame_{number:06d}.exr", frame.time, **own, **cameras)
+    own = {"reset": frame.reset, "render_size": render_size}
+    geometry = {"geometry_jitter": frame.geometry_jitter, "geometry_size": frame.geometry_size}
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, **own, **geometry, **cameras)

@@ -17,7 +17,8 @@ from gffe_cl.engine.frame.rendered_frame import Overlays, color_of_planes
 
 COLOR = ("R", "G", "B")
 MOTION = ("motion.x", "motion.y")
-RENDERED = (*COLOR, "Z", *MOTION)
+GEOMETRY = ("Z", *MOTION)
+RENDERED = (*COLOR, *GEOMETRY)
 RGBA = ("R", "G", "B", "A")
 # Optional channels of a rendered frame, by the fields of `Overlays`: all channels of one, or none.
 OVERLAY_CHANNELS = {

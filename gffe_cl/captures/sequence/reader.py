@@ -43,7 +43,7 @@ from gffe_cl.engine.core.validation import (
     require_whole,
 )
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import require_render_size
+from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, require_one_pose
 
 _MOST_AHEAD = 1024
@@ -88,9 +88,9 @@ class Sequence:
         self._timeline = Timeline(self.frames + self.known_cameras, self.fps)
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
-        if self.format and self.rendered:
+        for entry in self.rendered:
             try:
-                require_render_size(self.format, self.size_of(self.rendered[0]))
+                self._geometry_of(entry)
             except GffeError as error:
                 raise GffeError(f"{path}: frame_{error}") from None
 
@@ -169,6 +169,10 @@ class Sequence:
         """Return (width, height) of the images of `entry`, in pixels."""
         return _entry(entry).render_size or (self.width, self.height)
 
+    def _geometry_of(self, entry: FrameEntry) -> tuple[int, int]:
+        """Return width and height of depth and motion of a rendered frame, pixels."""
+        return require_render_size(self.format, self.size_of(entry), entry.geometry_size)
+
     def warnings(self) -> list[str]:
         """Return sentences about legal but suspicious input: an unfinished sequence, frame times, and findings in the
         frames read so far."""
@@ -194,13 +198,16 @@ class Sequence:
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
         """Return the rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
-        (H, W, 2) float32 or None, in our conventions; and its overlays. Raises GffeError if the file has been damaged
-        since opening."""
+        (H, W, 2) float32 or None, in our conventions and of the size of color; and its overlays. Raises GffeError if
+        the file has been damaged since opening."""
         frame, previous = self.read_stored(entry), self._previous.get(entry.file)
         before = None if entry.reset or previous is None else previous
-        if self.format:
-            camera = before and before.render_camera
-            frame = described_frame(frame, self.format, camera, before.geometry_jitter if before else (0.0, 0.0))
+        size, geometry = self.size_of(entry), self._geometry_of(entry)
+        if self.format or geometry != size:
+            jitter = (0.0, 0.0)
+            if before:
+                jitter = jitter_in_color(before.geometry_jitter, size, self._geometry_of(before))
+            frame = described_frame(frame, self.format or FrameFormat(), before and before.render_camera, jitter)
         if before and frame.camera and before.render_camera:
             text = zero_motion_warning(frame.motion, frame.depth, frame.camera, before.render_camera)
             if text:
@@ -208,12 +215,14 @@ class Sequence:
         return frame
 
     def read_stored(self, entry: FrameEntry) -> RenderedFrame:
-        """Return the rendered frame `entry` as it is stored, with depth and motion as `format` describes them, for a
-        `Pipeline` with that. Raises GffeError as `read` does."""
+        """Return the rendered frame `entry` as it is stored, with depth and motion as `format` describes them and of
+        their own size, for a `Pipeline` with that. Raises GffeError as `read` does."""
         if _entry(entry).kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
+        width, height = self._geometry_of(entry)
+        depth, motion = (a if a is None or (width, height) == size else a[:height, :width] for a in (depth, motion))
         camera: Any = entry.render_camera  # None if `open_sequence` was called for a sequence without cameras
         shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
         return RenderedFrame(
@@ -226,6 +235,7 @@ class Sequence:
             reset=entry.reset,
             overlays=overlays,
             geometry_jitter=entry.geometry_jitter,
+            geometry_size=entry.geometry_size,
         )
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:

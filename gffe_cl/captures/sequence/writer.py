@@ -28,7 +28,7 @@ from gffe_cl.captures.sequence.description import (
 )
 from gffe_cl.captures.sequence.header_camera import camera_attributes
 from gffe_cl.captures.sequence.output_folder import GENERATOR, OutputFolder
-from gffe_cl.captures.sequence.pixel_source import OVERLAY_CHANNELS
+from gffe_cl.captures.sequence.pixel_source import GEOMETRY, OVERLAY_CHANNELS
 from gffe_cl.captures.sequence.read_ahead import usable_cores
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
@@ -42,7 +42,7 @@ from gffe_cl.engine.core.validation import (
     require_size,
     require_whole,
 )
-from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
 from gffe_cl.engine.frame.rendered_frame import Overlays
 
 _WAITING = 2  # frames, besides those that are being compressed
@@ -126,8 +126,8 @@ class SequenceWriter:
         `owned` the writer takes over the dict and its arrays, copies them later, and empties the dict.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` become float32. (H, W) is the entry's
-        render size, else the display size. Raises GffeError for another shape or type, and entries that could not be
-        read again.
+        render size, else the display size; of these two, the entry's geometry size, else that of the `format`. Raises
+        GffeError for another shape or type, and entries that could not be read again.
         """
         entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
         require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
@@ -139,8 +139,17 @@ class SequenceWriter:
         if entry.kind == "rendered":
             self._first = self._first or entry
             require_one_size((self._first, entry), self._size, str(self.path))
+        geometry = require_render_size(self._description.format, (width, height), entry.geometry_size)
+        padded: dict[str, np.ndarray] = {}
         for name, array in channels.items():
-            require_array(array, f"{entry.file}: channel '{name}'", height, width, kinds="biuf")
+            side, rows = geometry if name in GEOMETRY else (width, height)
+            array = require_array(array, f"{entry.file}: channel '{name}'", rows, side, kinds="biuf")
+            if (side, rows) != (width, height):
+                padded[name] = np.pad(array, ((0, height - rows), (0, width - side)))
+        if owned:
+            channels.update(padded)
+        else:
+            channels = channels | padded
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
         attributes, nbytes = (
             self._further | self._attributes(entry),
@@ -270,15 +279,15 @@ def named_channels(
     motion: ArrayLike | None = None,
     overlays: Overlays | None = None,
 ) -> dict[str, np.ndarray]:
-    """Return the channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and
-    overlays. Raises GffeError for other shapes."""
+    """Return the channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), these two
+    perhaps smaller than color, and overlays. Raises GffeError for other shapes."""
     color = require_array(color, "color", None, None, (3, 4))
     channels = dict(zip("RGB", np.moveaxis(color[..., :3], -1, 0), strict=True))
     if depth is not None:
-        channels["Z"] = require_array(depth, "depth", *color.shape[:2])
+        channels["Z"] = require_array(depth, "depth", None, None)
     if motion is not None:
         channels["motion.x"], channels["motion.y"] = np.moveaxis(
-            require_array(motion, "motion", *color.shape[:2], 2), -1, 0
+            require_array(motion, "motion", *np.shape(color[..., 0] if depth is None else depth), 2), -1, 0
         )
     if overlays is not None:
         require_kind(overlays, Overlays, "overlays", "Overlays or None")

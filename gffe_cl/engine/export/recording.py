@@ -70,9 +70,9 @@ class Operation:
 @dataclass
 class Plan:
     """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
-    without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color" and
-    "convert_geometry"; the `buffers` by their full names, `initial` contents of small ones, memory that is `lent` while
-    frames are extrapolated, and the stages in order."""
+    without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color",
+    "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of small ones, memory
+    that is `lent` while frames are extrapolated, and the stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -131,6 +131,7 @@ class _Rehearsal:
         }
         self.board.memory.place(self.board.turn)
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition, Upload)}
+        others[Upload.name].allocate_small()
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
         for stage in self.all.values():
@@ -161,6 +162,7 @@ class _Rehearsal:
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
             ("convert_color", lambda: self._convert(rendered, "color")),
             ("convert_geometry", lambda: self._convert(rendered, "depth", "motion")),
+            ("convert_small", lambda: self._convert(rendered, "depth", "motion", is_small=True)),
         ):
             self.board.blocks.forget()
             work()
@@ -176,7 +178,9 @@ class _Rehearsal:
     def _present(self, step: Step) -> None:
         self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
 
-    def _convert(self, step: Step, *names: str) -> None:
+    def _convert(self, step: Step, *names: str, is_small: bool = False) -> None:
+        width, height = (0, 0) if is_small else self.sizes.source
+        step = replace(step, given={"geometry_width": width, "geometry_height": height})
         self.all[Upload.name].convert_places({name: (self._engine[name], 0) for name in names}, step.frame, step)
 
     def _take_rendered(self, step: Step) -> None:

@@ -25,7 +25,7 @@ from gffe_cl.engine.stages.upload import Upload
 
 OCCASIONS = (
     "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
-    "compose", "compose_rendered", "convert_color", "convert_geometry",
+    "compose", "compose_rendered", "convert_color", "convert_geometry", "convert_small",
 )  # fmt: skip
 # Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {
@@ -84,6 +84,7 @@ def config(options: Options) -> str:
         "MOST_DISTANCE": camera.MOST_DISTANCE,
         "SAME_POSE": SAME_POSE,
         "MOST_JITTER": frame_format.MOST_JITTER,
+        "MOST_RATIO": frame_format.MOST_RATIO,
         "CAMERA_ORDER": options.camera_order or 0,
         "POSES": camera_prediction.POSES,
         "JUMP": camera_prediction.JUMP,

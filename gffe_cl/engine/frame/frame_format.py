@@ -46,6 +46,7 @@ DEPTHS = ("linear", "device")
 MOTION_UNITS = ("pixels", "color_pixels", "uv", "ndc")
 CAMERA_MOTIONS = ("included", "movers_only", "excluded")  # numbered as in kernels/upload.cl
 MOST_JITTER = 16.0  # pixels
+MOST_RATIO = 3  # of the sides of color and geometry
 
 # Flags of the SDKs' headers.
 _FSR_DISPLAY_RESOLUTION_MOTION_VECTORS, _FSR_JITTER_CANCELLATION = 1 << 1, 1 << 2
@@ -66,7 +67,9 @@ class FrameFormat:
     Parameters
     ----------
     color_size, geometry_size : (int, int) or None
-        Width and height of color, and of depth and motion, in pixels. None: the pipeline's render size.
+        Width and height of color, and of depth and motion, in pixels. None: the pipeline's render size. Depth and
+        motion may be up to three times smaller than color, each way; `RenderedFrame.geometry_size` changes their size
+        from frame to frame.
     color_type : "float16", "float32", "unorm16" or "unorm8"
         Type of a color channel in device buffers. Colors are linear; unorm stands for 0 to 1. NumPy arrays are taken
         by their own types: uint8 and uint16 are unorm.
@@ -355,16 +358,21 @@ class FrameFormat:
 _JSON_INFINITY = "infinity"
 
 
-def require_render_size(format: FrameFormat, size: tuple[int, int]) -> None:
-    """Raise GffeError unless the description is of color, depth and motion of the `size` of rendered images."""
-    color, geometry = format.color_size or size, format.geometry_size or size
-    if color != geometry:
-        raise GffeError(
-            f"format: color {_by(color)} and geometry {_by(geometry)} differ (expected depth and motion at the size of"
-            " color)"
-        )
+def require_render_size(
+    format: FrameFormat | None, size: tuple[int, int], geometry_size: tuple[int, int] | None = None
+) -> tuple[int, int]:
+    """Return the size of depth and motion: `geometry_size`, that of a frame, else that of the description, else `size`,
+    that of color. Raises GffeError for color of another size, and for larger or much smaller geometry."""
+    color = (format and format.color_size) or size
     if color != size:
-        raise GffeError(f"format: images are {_by(color)} (expected the render size {_by(size)})")
+        raise GffeError(f"format: color is {_by(color)} (expected the render size {_by(size)})")
+    geometry = geometry_size or (format and format.geometry_size) or size
+    if not all(n // MOST_RATIO <= m <= n for n, m in zip(size, geometry, strict=True)):
+        raise GffeError(
+            f"format: geometry is {_by(geometry)} and color {_by(size)} (expected depth and motion of the size of color"
+            f" or up to {MOST_RATIO} times smaller, each way)"
+        )
+    return geometry
 
 
 def require_jitter(value: Any) -> tuple[float, float]:
@@ -382,26 +390,47 @@ def conversion(
     channels: Mapping[str, int],
     jitter: tuple[float, float] = (0.0, 0.0),
     previous_jitter: tuple[float, float] = (0.0, 0.0),
+    geometry: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
-    """Return the members `given_…` of the frame block (kernels/frame.h) that convert a frame.
+    """Return the members `given_…` of the frame block (kernels/frame.h), and those about the geometry, that convert a
+    frame.
 
-    `size`: width and height of its images, pixels. `types`: of color, depth and motion as given, by name, None for
-    missing motion. `channels`: of color and motion. `jitter`, `previous_jitter`: of the geometry of this frame and the
-    one before, pixels.
+    `size`: width and height of color, pixels. `types`: of color, depth and motion as given, by name, None for missing
+    motion. `channels`: of color and motion. `jitter`, `previous_jitter`: of the geometry of this frame and the one
+    before, pixels of color. `geometry`: width and height of depth and motion (None: `size`).
     """
-    motion_type, depth_type = types["motion"], types["depth"]
+    motion_type, depth_type, geometry = types["motion"], types["depth"], geometry or size
+    scale = scale_of(size, geometry)
+    shift = jitter if geometry != size else (0.0, 0.0)  # of geometry that is spread over color
     numbered = [_number(types[name]) for name in ("color", "depth", "motion")]
     invalid = math.nan
     if format.motion_invalid is not None and motion_type:
         invalid = _stored(format.motion_invalid, motion_type)
     return {
-        "given_motion": _motion_numbers(format, size, motion_type, jitter, previous_jitter),
+        "given_motion": _motion_numbers(format, size, motion_type, jitter, previous_jitter, scale),
         "given_depth": _depth_numbers(format, depth_type),
         "motion_invalid": invalid,
         "given_types": (*numbered, CAMERA_MOTIONS.index(format.camera_motion)),
         "given_channels": (channels["color"], channels["motion"]),
         "depth_is_device": format.depth == "device",
+        "geometry_width": geometry[0],
+        "geometry_height": geometry[1],
+        "to_geometry": (*(1 / n for n in scale), *(j / n for j, n in zip(shift, scale, strict=True))),
+        "from_geometry": (*scale, *(-j for j in shift)),
     }
+
+
+def scale_of(size: tuple[int, int], geometry: tuple[int, int]) -> tuple[float, float]:
+    """Return how many pixels of color, of `size`, are as wide and as high as one of the `geometry`."""
+    return size[0] / geometry[0], size[1] / geometry[1]
+
+
+def jitter_in_color(
+    jitter: tuple[float, float], size: tuple[int, int], geometry: tuple[int, int]
+) -> tuple[float, float]:
+    """Return the jitter of the geometry in pixels of color, of `size`."""
+    scale = scale_of(size, geometry)
+    return jitter[0] * scale[0], jitter[1] * scale[1]
 
 
 def _number(name: str | None) -> int:
@@ -423,14 +452,15 @@ def _motion_numbers(
     type_name: str | None,
     jitter: tuple[float, float],
     previous_jitter: tuple[float, float],
+    scale: tuple[float, float],
 ) -> tuple[float, ...]:
-    """Return factors and addends for x and y that make motion in pixels from stored numbers."""
+    """Return factors and addends for x and y that make motion in pixels of color from stored numbers. `scale`: such
+    pixels in a pixel of the motion image."""
     most = TYPES[type_name][1] if type_name else 1.0
     sign = DIRECTIONS[format.motion_direction]
     factors, addends = [], []
     for axis in range(2):
-        color = (format.color_size or size)[axis]
-        unit = {"pixels": 1.0, "color_pixels": size[axis] / color, "uv": float(size[axis]), "ndc": size[axis] / 2}
+        unit = {"pixels": scale[axis], "color_pixels": 1.0, "uv": float(size[axis]), "ndc": size[axis] / 2}
         factor = sign * unit[format.motion_unit] * (-1.0 if axis and format.motion_y == "up" else 1.0)
         factors.append(factor * format.motion_scale[axis] / most)
         jittered = jitter[axis] - previous_jitter[axis] if format.motion_jittered else 0.0

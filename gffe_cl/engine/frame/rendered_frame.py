@@ -86,9 +86,13 @@ class RenderedFrame:
     overlays : Overlays or None
         Layers that are not warped with the picture.
     geometry_jitter : (float, float)
-        Jitter of depth and motion that color does not have, because it was antialiased over time: pixels to the right
-        and down by which their image is shifted. It is no part of the camera. Vectors that include it need a
+        Jitter of depth and motion that color does not have, because it was antialiased over time: pixels of these to
+        the right and down by which their image is shifted. It is no part of the camera. Vectors that include it need a
         `FrameFormat` with `motion_jittered`.
+    geometry_size : (int, int) or None
+        Width and height of depth and motion where they are smaller than color, up to three times each way. None: those
+        of the `FrameFormat`, else color's. It may change from frame to frame. Motion is then in pixels of depth and
+        motion, if a `FrameFormat` does not say otherwise.
 
     Notes
     -----
@@ -105,6 +109,7 @@ class RenderedFrame:
     reset: bool = False
     overlays: Overlays | None = None
     geometry_jitter: tuple[float, float] = (0.0, 0.0)
+    geometry_size: tuple[int, int] | None = None
     # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -124,7 +129,9 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
         require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
     time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
     jitter = require_jitter(frame.geometry_jitter)
-    checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter)
+    size = frame.geometry_size
+    size = None if size is None else require_size(size, "frame: geometry_size", whole=True)
+    checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter, geometry_size=size)
     checked._known_bad = frame._known_bad
     return checked
 
@@ -265,17 +272,17 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
     return HostArrays(_uploadable(color), np.require(depth, requirements="A"), motion, frame._known_bad)
 
 
-def described_arrays(frame: RenderedFrame, height: int, width: int) -> HostArrays:
+def described_arrays(frame: RenderedFrame, size: tuple[int, int], geometry: tuple[int, int]) -> HostArrays:
     """Check a frame's NumPy arrays, which a `FrameFormat` describes, and return them. Those in a type that kernels take
-    are not copied. Depth of uint32 is unorm24.
+    are not copied. Depth of uint32 is unorm24. `size`, `geometry`: width and height of color, and of depth and motion.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
-    color = require_array(frame.color, "frame: color", height, width, (3, 4))
-    depth = require_array(frame.depth, "frame: depth", height, width)
+    color = require_array(frame.color, "frame: color", size[1], size[0], (3, 4))
+    depth = require_array(frame.depth, "frame: depth", geometry[1], geometry[0])
     motion = require_motion(frame)
     if motion is not None:
-        motion = require_array(motion, "frame: motion", height, width, (2, 3, 4))[..., :2]
+        motion = require_array(motion, "frame: motion", geometry[1], geometry[0], (2, 3, 4))[..., :2]
         motion = _described(motion, "motion", MOTION_TYPES)
     color = _uploadable(color) if color.dtype.kind == "f" else _described(color, "color", ("unorm16", "unorm8"))
     return HostArrays(color, _described(depth, "depth", DEPTH_TYPES), motion, frame._known_bad)

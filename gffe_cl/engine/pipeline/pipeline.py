@@ -27,7 +27,7 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import MOST_ALPHA, Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
-from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, require_render_size
+from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
@@ -253,7 +253,8 @@ class Pipeline:
     @property
     def format(self) -> FrameFormat | None:
         """Description of the buffers of rendered frames, None if they have the conventions of `RenderedFrame`. Set it
-        before `submit`. Raises GffeError for other values, and for images of other sizes than the render size."""
+        before `submit`. Raises GffeError for other values, for color of another size than the render size, and for
+        depth and motion that are larger or much smaller."""
         return self._format
 
     @format.setter
@@ -438,14 +439,14 @@ class Pipeline:
             "camera": frame.camera,
             "display_camera": prepared.display_camera,
             "time": frame.time,
-            "geometry_jitter": frame.geometry_jitter,
+            "geometry_jitter": jitter_in_color(frame.geometry_jitter, self.sizes.source, prepared.geometry),
         }
         if host is None:
             return self._on_device_already(prepared, seen)
         if self._upload is None:
             self._upload = Upload(self.board)
         self._count_conversions(frame, host)
-        if self.format:
+        if prepared.format:
             taken = DeviceFrame(**self._slot(seen), **seen)
             self._upload.take(host, taken, step=self._conversion(prepared, taken))
             return taken
@@ -459,7 +460,8 @@ class Pipeline:
     def _on_device_already(self, prepared: PreparedFrame, seen: Mapping[str, Any]) -> DeviceFrame:
         """Return the frame of device buffers: with the buffers themselves, or converted ones."""
         given = prepared.buffers
-        ours = self.format.is_ours if self.format else {"color": True, "geometry": True}
+        ours = prepared.format.is_ours if prepared.format else {"color": True, "geometry": True}
+        ours["geometry"] &= prepared.geometry == self.sizes.source
         converted = {n: b for n, b in given.items() if not ours["color" if n == "color" else "geometry"]}
         if not converted:
             return DeviceFrame(**({} if "motion" in given else {"motion": self._zero_motion()}) | given, **seen)
@@ -478,8 +480,9 @@ class Pipeline:
         """Return the step with the numbers that convert a frame into the buffers of `taken`."""
         previous = None if prepared.frame.reset else self._current
         jitters = taken.geometry_jitter, previous.geometry_jitter if previous else taken.geometry_jitter
-        assert self.format is not None  # as it is only called with one
-        given = conversion(self.format, self.sizes.source, prepared.types, prepared.channels, *jitters)
+        assert prepared.format is not None  # as it is only called with one
+        told = prepared.types, prepared.channels
+        given = conversion(prepared.format, self.sizes.source, *told, *jitters, prepared.geometry)
         return Step(taken, previous, [taken.time, *self._times], given=given)
 
     def _slot(self, seen: Mapping[str, Any]) -> dict[str, cl.Buffer]:

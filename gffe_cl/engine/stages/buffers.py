@@ -299,7 +299,8 @@ class ExtrapolatedBuffers(Owner):
 @dataclass
 class DeviceFrame:
     """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers); `camera` in
-    pixels of these images, `display_camera` in pixels of the display; `geometry_jitter` of depth and motion."""
+    pixels of these images, `display_camera` in pixels of the display; `geometry_jitter` that depth and motion had,
+    pixels of color."""
 
     color: cl.Buffer
     depth: cl.Buffer

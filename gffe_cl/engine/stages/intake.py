@@ -10,7 +10,7 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import TYPES, FrameFormat
+from gffe_cl.engine.frame.frame_format import TYPES, FrameFormat, require_render_size
 from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import (
     HostArrays,
@@ -41,6 +41,10 @@ class PreparedFrame:
         Device buffers of color, depth and motion, the latter missing if a reset has none; empty for NumPy arrays.
     arrays : HostArrays or None
         NumPy arrays as `Upload` takes them; None for device buffers.
+    geometry : (int, int)
+        Width and height of depth and motion.
+    format : FrameFormat or None
+        The description of its buffers; also of geometry that only the frame says to be smaller.
     types : dict of str to str or None
         With a `FrameFormat`: the types of the values given, by name as `TYPES` has them; None for missing motion.
     channels : dict of str to int
@@ -51,6 +55,8 @@ class PreparedFrame:
     display_camera: Camera
     buffers: dict[str, cl.Buffer]
     arrays: HostArrays | None
+    geometry: tuple[int, int]
+    format: FrameFormat | None
     types: dict[str, str | None] = field(default_factory=dict)
     channels: dict[str, int] = field(default_factory=dict)
 
@@ -75,16 +81,22 @@ def prepare(
     display_camera = display_camera_of(plain, sizes.source, sizes.target)
     require_one_pose(frame.camera, display_camera)
     given: dict[str, Any] = {spec.name: getattr(frame, spec.name) for spec in RENDERED}
+    geometry = require_render_size(format, sizes.source, frame.geometry_size)
+    if geometry != sizes.source and format is None:
+        format = FrameFormat()
     specs = RENDERED if format is None else described_specs(format)
-    buffers: dict[str, Any] = {s.name: given_buffer(given[s.name], s, sizes, device) for s in specs}
+    buffers: dict[str, Any] = {
+        s.name: given_buffer(given[s.name], s, sizes if s.name == "color" else replace(sizes, source=geometry), device)
+        for s in specs
+    }
     if not any(buffers.values()):
         width, height = sizes.source
         if format is None:
-            return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width))
-        arrays = described_arrays(frame, height, width)
+            return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width), geometry, format)
+        arrays = described_arrays(frame, sizes.source, geometry)
         types = {s.name: None if (a := getattr(arrays, s.name)) is None else type_of(a) for s in specs}
         channels = {"color": arrays.color.shape[2], "motion": 2}
-        return PreparedFrame(frame, display_camera, {}, arrays, types, channels)
+        return PreparedFrame(frame, display_camera, {}, arrays, geometry, format, types, channels)
     if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
         del buffers["motion"]
     if other := next((name for name, buffer in buffers.items() if not buffer), None):
@@ -93,10 +105,10 @@ def prepare(
             f" got {other} as {shown(given[other])}"
         )
     if format is None:
-        return PreparedFrame(frame, display_camera, buffers, None)
+        return PreparedFrame(frame, display_camera, buffers, None, geometry, format)
     types = {name: getattr(format, f"{name}_type") if name in buffers else None for name in given}
     channels = {"color": format.color_channels, "motion": format.motion_channels}
-    return PreparedFrame(frame, display_camera, buffers, None, types, channels)
+    return PreparedFrame(frame, display_camera, buffers, None, geometry, format, types, channels)
 
 
 def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:

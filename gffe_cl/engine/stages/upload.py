@@ -11,7 +11,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
-from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame
+from gffe_cl.engine.stages.buffers import RENDERED, XY, BufferSpec, DeviceFrame
 from gffe_cl.engine.stages.host_view import pinned_array
 
 _MOST_BYTES = 28  # per pixel: color float × 4, depth float, motion float × 2
@@ -22,7 +22,7 @@ _KINDS = len(fields(BadPixels))
 
 class Upload(Stage):
     """Copies NumPy arrays to the device, converts their colors to half and counts bad pixels. Converts arrays and
-    device buffers that a `FrameFormat` describes.
+    device buffers that a `FrameFormat` describes, and spreads depth and motion that are smaller than color over it.
 
     CPUs read the arrays where they lie. For other devices the arrays are gathered in pinned memory, and copied from
     there at once, while the host continues: there are two such places, in turn.
@@ -37,6 +37,14 @@ class Upload(Stage):
         BufferSpec(
             "given", np.uint8, (), "source", "color, depth and motion as the host has them, one after another",
             planes=_MOST_BYTES, scratch=True, transient=True,
+        ),
+        BufferSpec(
+            "small_depth", np.float32, (), "source", "depth that is smaller than color, converted", scratch=True,
+            transient=True,
+        ),
+        BufferSpec(
+            "small_motion", np.float32, XY, "source", "motion that is smaller than color, in pixels of color",
+            scratch=True, transient=True,
         ),
         BufferSpec(
             "bad_pixels", np.uint8, (), "runs",
@@ -69,6 +77,13 @@ class Upload(Stage):
             )
             for name in ("take_geometry", "convert_geometry")
         ),
+        Kernel(
+            "spread_geometry",
+            "source",
+            {"color": "rendered.color", "small_depth": "upload.small_depth", "small_motion": "upload.small_motion"},
+            {"depth": "rendered.depth", "motion": "rendered.motion"},
+            step=("LANES", 1),
+        ),
     )
 
     def __init__(self, board: Board):
@@ -86,7 +101,7 @@ class Upload(Stage):
         may be changed afterwards; only in them bad pixels are counted. `step`: with the numbers that convert arrays
         which a `FrameFormat` describes."""
         copied = [spec.name for spec in RENDERED if spec.name not in shared]
-        if 0 < len(copied) < len(RENDERED):
+        if 0 < len(copied) < len(RENDERED) or (step and self._is_small(step)):
             self.fill("bad_pixels", 0)
         given = {name: array for name in copied if (array := getattr(arrays, name)) is not None}
         if self._in_place:
@@ -109,7 +124,7 @@ class Upload(Stage):
     def convert(self, given: Mapping[str, cl.Buffer], frame: DeviceFrame, step: Step) -> None:
         """Enqueue the conversion of device buffers that a `FrameFormat` describes, color or depth and motion or all,
         into those of `frame`, and count their bad pixels. `step` has the numbers."""
-        if not {"color", "depth"} <= given.keys():
+        if not {"color", "depth"} <= given.keys() or self._is_small(step):
             self.fill("bad_pixels", 0)
         self.convert_places({name: (buffer, 0) for name, buffer in given.items()}, frame, step)
         self._count()
@@ -124,11 +139,26 @@ class Upload(Stage):
             return
         given_depth, depth_start = places["depth"]
         given_motion, motion_start = places.get("motion", (frame.motion, 0))  # then its type is none
+        is_small, depth, motion = self._is_small(step), frame.depth, frame.motion
+        if is_small:
+            self.allocate_small()
+            depth, motion = self.buffer["small_depth"], self.buffer["small_motion"]
         self.launch(
             "convert_geometry", step,
             given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
-            depth=frame.depth, motion=frame.motion,
+            depth=depth, motion=motion,
         )  # fmt: skip
+        if is_small:
+            self.launch("spread_geometry", step, color=frame.color, depth=frame.depth, motion=frame.motion)
+
+    def allocate_small(self) -> None:
+        """Allocate the buffers for depth and motion that are smaller than color, unless they are there."""
+        if "small_depth" not in self.buffer:
+            self.buffer |= self.allocate([self.spec("small_depth"), self.spec("small_motion")])
+
+    def _is_small(self, step: Step) -> bool:
+        """Return whether depth and motion are smaller than color."""
+        return (step.given["geometry_width"], step.given["geometry_height"]) != self.sizes.source
 
     def shared(self, arrays: HostArrays) -> dict[str, cl.Buffer]:
         """Return those of the arrays that kernels can use in place, by name, depth and motion both or neither: on a

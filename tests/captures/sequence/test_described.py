@@ -107,6 +107,41 @@ def test_frames_are_read_in_our_conventions(device, tmp_path, format):
         assert frame.geometry_jitter == entry.geometry_jitter
 
 
+def test_smaller_geometry_is_stored_at_its_size(device, tmp_path):
+    """By the description, and by another size in a frame; the reader gives what a pipeline makes of it."""
+    frames, made = plain_frames(), replace(FORMAT, motion_invalid=None, geometry_size=(20, 13))
+    sizes = (20, 13), (27, 16), (20, 13)
+    with SequenceWriter(tmp_path / "small", W, H, 30, format=made) as writer:
+        for k, (frame, size) in enumerate(zip(frames, sizes, strict=True)):
+            entry = FrameEntry(f"frame_{k}.exr", frame.time, render_camera=frame.camera)
+            entry.geometry_jitter, entry.geometry_size = JITTERS[k], size if k == 1 else None
+            y, x = (np.arange(m) * n // m for m, n in zip(size[::-1], (H, W), strict=True))
+            depth, motion = (a[np.ix_(y, x)] for a in (0.5 / frame.depth, frame.motion / (W, H)))
+            writer.add(entry, named_channels(frame.color, depth, motion))
+            with pytest.raises(GffeError, match="channel 'Z' must have shape"):
+                writer.add(replace(entry, file="a", geometry_size=(21, 13)), named_channels(frame.color, depth))
+    sequence = open_sequence(tmp_path / "small")
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False), format=sequence.format)
+    for entry, frame, size in zip(sequence.rendered, sequence, sizes, strict=True):
+        stored = sequence.read_stored(entry)
+        assert stored.depth.shape == size[::-1] and frame.depth.shape == (H, W) and frame.geometry_size is None
+        pipeline.submit(stored)
+        depth, motion = on_device(pipeline)
+        np.testing.assert_allclose(depth, frame.depth, rtol=1e-6)
+        np.testing.assert_allclose(motion, frame.motion, atol=1e-3)
+    import_capture(sequence, tmp_path / "copy")
+    copy = open_sequence(tmp_path / "copy")
+    assert copy.format == made and [e.geometry_size for e in copy.rendered] == [None, (27, 16), None]
+    import_capture(sequence, tmp_path / "ours", encoding=Encoding.parse("half-depth"))
+    ours = open_sequence(tmp_path / "ours")
+    assert ours.format is None and not any(e.geometry_size or any(e.geometry_jitter) for e in ours.rendered)
+    document = json.loads((tmp_path / "copy/sequence.json").read_text())
+    document["frames"][1]["geometry_size"] = [41, 16]
+    (tmp_path / "copy/sequence.json").write_text(json.dumps(document))
+    with pytest.raises(GffeError, match="geometry is 41×16 and color 40×26"):
+        open_sequence(tmp_path / "copy")
+
+
 def test_without_a_description_it_is_version_1(tmp_path):
     sequence = write(tmp_path / "plain", plain_frames(), None)
     document = json.loads((tmp_path / "plain/sequence.json").read_text())
@@ -144,7 +179,7 @@ def test_the_quick_check_takes_a_description():
                         motion_direction="from_previous")  # fmt: skip
     assert check(frames) is None and check(stored, format=right) is None
     assert "motion" in check(stored, format=replace(right, motion_direction="to_previous"))
-    with pytest.raises(GffeError, match=r"images are 9×9 \(expected the render size 96×64\)"):
+    with pytest.raises(GffeError, match=r"color is 9×9 \(expected the render size 96×64\)"):
         check(stored, format=replace(right, color_size=(9, 9), geometry_size=(9, 9)))
 
 
@@ -166,7 +201,7 @@ def test_run_leaves_our_conventions_behind(device, tmp_path):
         ({"frame_format": {"depth": "far"}}, "frame_format: depth must be one of linear, device"),
         ({"frame_format": {"colour": 1}}, "frame_format: unknown field 'colour'"),
         ({"frame_format": [1]}, "frame_format: .*must be an object"),
-        ({"frame_format": {"geometry_size": [4, 4], "color_size": [4, 4]}}, r"images are 4×4 \(expected the render"),
+        ({"frame_format": {"geometry_size": [4, 4], "color_size": [4, 4]}}, r"color is 4×4 \(expected the render"),
     ],
 )
 def test_wrong_descriptions_are_refused(tmp_path, change, text):

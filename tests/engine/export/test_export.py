@@ -182,9 +182,10 @@ def in_format(device, frame, format, rng):
             array = values.astype(dtype) if most == 1 else np.round(values * most).astype(dtype)
         return cl.Buffer(device.context, cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
 
+    width, height = format.geometry_size or (W, H)
     color = rng.uniform(0, 1, (H, W, format.color_channels))
-    depth = rng.uniform(0.1, 1, (H, W))
-    motion = rng.uniform(0, 0.1, (H, W, format.motion_channels))
+    depth = rng.uniform(0.1, 1, (height, width))
+    motion = rng.uniform(0, 0.1, (height, width, format.motion_channels))
     motion[:9] = 0.25 if format.motion_invalid is None else format.motion_invalid
     missing = frame.reset and format.motion_y == "up"
     return replace(
@@ -204,17 +205,20 @@ FORMATS = (
     ),
     FrameFormat.openxr(nearZ=np.inf, farZ=0.2, minDepth=0.1, maxDepth=0.9, motionVectorOffset=(0.01, -0.02, 0, 0)),
     FrameFormat(near_z=1, far_z=90, motion_unit="uv", motion_y="up", camera_motion="excluded", motion_jittered=True),
-    FrameFormat(motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3),
-)
+    FrameFormat(
+        motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3, geometry_size=(W // 2, -(-H // 3))
+    ),
+    FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True),
+)  # fmt: skip
 
 
 def test_engines_own_formats_have_the_same_bits(device, library):
     """Every type, from frame to frame another description, or none; a reset without motion."""
-    rng, frames, formats = np.random.default_rng(2), moving(device, 8), [*FORMATS, None, FORMATS[4]]
-    types = zip(2 * COLOR_TYPES, 2 * (*DEPTH_TYPES, "float32"), 2 * MOTION_TYPES, strict=True)
+    rng, frames, formats = np.random.default_rng(2), moving(device, 9), [*FORMATS, None, FORMATS[4]]
+    types = zip(3 * COLOR_TYPES, 3 * (*DEPTH_TYPES, "float32"), 3 * MOTION_TYPES, strict=True)
     names = [dict(zip(("color_type", "depth_type", "motion_type"), t, strict=True)) for t in types]
     formats = [f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)
-               for k, (f, n) in enumerate(zip(formats, names, strict=True))]  # fmt: skip
+               for k, (f, n) in enumerate(zip(formats, names, strict=False))]  # fmt: skip
     frames = [f if g is None else in_format(device, f, g, rng) for f, g in zip(frames, formats, strict=True)]
     frames[-1] = replace(frames[-1], reset=True, motion=None)
     run_both(device, library, DEFAULT, frames, formats=formats)
@@ -231,6 +235,7 @@ def test_wrong_formats_are_refused(device, library):
         ({"near_z": 1.0}, "near_z and far_z must differ"),
         ({"motion_unit": 3}, "motion_unit and camera_motion"),
         ({"camera_motion": 1}, "needs motion_invalid"),
+        ({"geometry_width": W + 1}, f"geometry is {W + 1}x{H} and color {W}x{H}"),
     ):
         made = CFormat.of(FrameFormat())
         for name, value in wrong.items():

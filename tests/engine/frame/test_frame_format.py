@@ -236,12 +236,75 @@ def test_wrong_descriptions_are_refused(wrong, text):
     assert text in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_sizes_that_differ_are_refused(device):
+def still_and_mover(size, k, jitter=NONE, color_size=None):
+    """Depth and motion at the centers of pixels of an image of `size`, without jitter in the vectors, and color of
+    `color_size` or none. A bright square moves by (4, 1.6) pixels of 160×96 in front of a wall; each has its texture.
+    """
+    width, height = size
+    scale = np.array([160 / width, 96 / height])
+
+    def seen(size, jitter):
+        x, y = np.meshgrid(*((np.arange(n) + 0.5 - j) * m / n for n, j, m in zip(size, jitter, (160, 96), strict=True)))
+        return x, y, (np.abs(x - 60 - 4 * k) < 22) & (np.abs(y - 40 - 1.6 * k) < 17)
+
+    x, y, in_front = seen(size, jitter)
+    depth = np.where(in_front, 3.0, 9 + y / 48)
+    motion = np.where(in_front[..., None], np.array([-4, -1.6]) / scale, 0)
+    if color_size is None:
+        return None, depth.astype(np.float32), motion.astype(np.float32)
+    x, y, in_front = seen(color_size, NONE)
+    texture = 1 + 0.3 * np.sin((x - 4 * k * in_front) / 3) * np.sin((y - 1.6 * k * in_front) / 4)
+    return (np.where(in_front, 0.7, 0.2) * texture)[..., None].repeat(3, -1), depth, motion
+
+
+def test_edges_of_smaller_geometry_follow_color(device):
+    """Depth and motion of half the size and less, by another size in every frame, are those of the full size but for
+    few pixels; nothing is a reset, and static pixels stay static."""
+    size = 160, 96
+    pipeline = Pipeline(device, *size, Options(shading_correction=False))
+    view = camera(*size)
+    shares = []
+    sizes = (80, 48), (107, 64), (61, 37), (160, 96), (80, 33)
+    for k, (geometry, jitter) in enumerate(zip(sizes, (NONE, (0.3, -0.4), (-0.2, 0.1), NONE, (0, 0.25)), strict=True)):
+        color, full_depth, full_motion = still_and_mover(size, k, color_size=size)
+        _, depth, motion = still_and_mover(geometry, k, jitter)
+        how = {"reset": k == 0, "geometry_jitter": jitter, "geometry_size": geometry}
+        pipeline.submit(RenderedFrame(color.astype(np.float16), depth, motion, view, k / 30, **how))
+        found, moved = np.empty(size[::-1], np.float32), np.empty((*size[::-1], 2), np.float32)
+        for array, buffer in ((found, pipeline._current.depth), (moved, pipeline._current.motion)):
+            cl.enqueue_copy(device.queue, array, buffer)
+        wrong = (np.abs(found / full_depth - 1) > 0.01) | (np.abs(moved - full_motion).max(-1) > 0.01)
+        y, x = (np.arange(n) * m // n for n, m in zip(size[::-1], geometry[::-1], strict=True))
+        repeated = np.abs(depth[np.ix_(y, x)] / full_depth - 1) > 0.01
+        shares.append((wrong.mean(), repeated.mean()))
+    worst, by_repeating = np.max(shares, 0)
+    assert worst < 0.002 and by_repeating > 0.005
+    assert len(pipeline._times) == len(sizes) and not pipeline.is_cut
+    dynamic = pipeline.stages["history"].read("dynamic_mask") != 0
+    assert (dynamic != (full_motion != 0).any(-1)).mean() < 0.005
+
+
+def test_sizes_that_cannot_be_are_refused(device):
     made = FrameFormat.fsr3(renderSize=(20, 12), displaySize=(40, 24), cameraNear=1)
-    with pytest.raises(GffeError, match="color 40×24 and geometry 20×12 differ"):
-        Pipeline(device, 40, 24, format=made)
-    with pytest.raises(GffeError, match=r"images are 20×12 \(expected the render size 40×24\)"):
+    pipeline = Pipeline(device, 40, 24, format=made)
+    with pytest.raises(GffeError, match=r"color is 20×12 \(expected the render size 40×24\)"):
         Pipeline(device, 40, 24, format=replace(made, color_size=(20, 12)))
+    for wrong in ((12, 12), (40, 7), (41, 24), (20, 25)):
+        with pytest.raises(GffeError, match=f"geometry is {wrong[0]}×{wrong[1]} and color 40×24"):
+            pipeline.format = replace(made, geometry_size=wrong)
+    pipeline.format = replace(made, geometry_size=(13, 8))  # 3.08 and 3 times smaller: 40 / 3 rounded down
+    frame = RenderedFrame(np.ones((24, 40, 3), np.uint8), np.ones((12, 20)), np.zeros((12, 20, 2)), NOW, 0.0)
+    with pytest.raises(GffeError, match=r"depth must have shape \(8, 13\)"):
+        pipeline.submit(frame)
+    pipeline.submit(replace(frame, geometry_size=(20, 12)))
+    with pytest.raises(GffeError, match="geometry_size must be"):
+        pipeline.submit(replace(frame, geometry_size=20))
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    pipeline.format = FrameFormat()
+    buffers = [cl.Buffer(device.context, flags, hostbuf=np.ones((12, 20, n), np.float32)) for n in (8, 1, 2)]
+    given = RenderedFrame(*buffers, NOW, 1.0, geometry_size=(20, 13))
+    with pytest.raises(GffeError, match=r"depth buffer must hold 1040 bytes \(20×13\)"):
+        pipeline.submit(given)
     with pytest.raises(GffeError, match="fsr3: motion vectors at display resolution 40×24"):
         FrameFormat.fsr3(renderSize=(20, 12), displaySize=(40, 24), cameraNear=1, flags=1 << 1)
 

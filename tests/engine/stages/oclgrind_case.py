@@ -97,17 +97,19 @@ def upload(device):
 def described(stage, frame, size):
     """Buffers of all types that a description allows, no larger than they must be, and motion from cameras."""
     format = FrameFormat(depth="device", near_z=1, far_z=2, motion_invalid=0.0, camera_motion="movers_only")
+    small = -(-size[0] // 2), size[1] // 2
     for number, (depth_type, motion_type) in enumerate(product(DEPTH_TYPES, (*MOTION_TYPES, None))):
+        geometry = small if number % 4 == 1 else size
         types = {"color": COLOR_TYPES[number % 4], "depth": depth_type, "motion": motion_type}
         channels = {"color": 3 + number % 2, "motion": 2 + number % 3}
         given = {}
         for name, type_name in types.items():
             if type_name:
                 texel = TYPES[type_name][0], channels.get(name, 1)
-                zeros = np.zeros((*size[::-1], texel[1]), texel[0])
+                zeros = np.zeros((*(size if name == "color" else geometry)[::-1], texel[1]), texel[0])
                 flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
                 given[name] = cl.Buffer(stage.device.context, flags, hostbuf=zeros)
-        step = Step(frame, frame, [0.1, 0.0], given=conversion(format, size, types, channels))
+        step = Step(frame, frame, [0.1, 0.0], given=conversion(format, size, types, channels, geometry=geometry))
         stage.convert(given, frame, step)
         assert not stage.take_bad_pixels()
 

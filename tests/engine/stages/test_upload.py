@@ -211,6 +211,55 @@ def test_described_frames_equal_their_twin(device, stage_of, described):
         assert stage.take_bad_pixels() == BadPixels(infinite, clamped, *counts), names
 
 
+def of_regions(rng, size):
+    """Color, depth and motion with edges: of each its own regions, noise within them, and numbers that are none."""
+    x, y = np.meshgrid(*(np.arange(n) for n in size))
+    region = ((x + y // 2) // 5 + y // 7) % 4
+    color = np.array([0, 0.1, 0.8, 9])[region][..., None] * rng.uniform(0.8, 1.2, (*size[::-1], 3))
+    depth = np.array([2.0, 2.01, 7, np.inf])[region] * rng.uniform(0.99, 1.01, size[::-1])
+    motion = rng.normal(np.array([0, 3, 7, -2])[region][..., None], 1, (*size[::-1], 2))
+    color[rng.random(size[::-1]) < 0.02], depth[rng.random(size[::-1]) < 0.02] = np.nan, 0
+    motion[rng.random(size[::-1]) < 0.02] = np.nan
+    return color.astype(np.float16), depth.astype(np.float32), motion.astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("size", "geometry"),
+    [((61, 33), (31, 17)), ((61, 33), (61, 11)), ((250, 7), (84, 6)), ((3, 2), (1, 1)), ((61, 33), (41, 22))],
+    ids=str,
+)
+def test_smaller_geometry_equals_its_twin(device, stage_of, size, geometry):
+    """Bit for bit, in arrays and in buffers; bad pixels are counted once, those of the frame before not at all."""
+    rng, now, before = np.random.default_rng(5), camera(*size, (0.3, -0.1, 0.6), 0.1), camera(*size)
+    stage, format = stage_of(size), FrameFormat(camera_motion="movers_only", motion_invalid=-3.0)
+    color, (_, depth, motion) = of_regions(rng, size)[0], of_regions(rng, geometry)
+    motion[::3, ::2] = -3
+    types = {"color": "float16", "depth": "float32", "motion": "float32"}
+    given = conversion(format, size, types, {"color": 3, "motion": 2}, (0.6, -0.9), (0.1, 0.0), geometry)
+    previous, taken = (DeviceFrame.allocate(device, size, view, view, 0.0) for view in (before, now))
+    rgb, *bad_colors = twins.convert_color(color)
+    small = twins.convert_described_geometry(depth, motion, given, reprojection(now, before), size[::-1])
+    expected = twins.spread_geometry(rgb, *small[:2], given)
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    for of_host in (True, False):
+        step = Step(taken, previous, [0.1, 0.0], given=given)
+        if of_host:
+            whole = conversion(format, size, types, {"color": 3, "motion": 2})
+            many = np.full(size[::-1], -1, np.float32), np.full((*size[::-1], 2), np.nan, np.float32)
+            stage.take(HostArrays(color, *many), taken, step=Step(taken, None, [0.0], given=whole))
+            assert stage.take_bad_pixels() == BadPixels(*bad_colors, many[0].size, many[0].size)
+            stage.take(HostArrays(color, depth, motion), taken, step=step)
+        else:
+            arrays = {"color": color, "depth": depth, "motion": motion}
+            buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
+            stage.convert(buffers, taken, step)
+        assert stage.take_bad_pixels() == BadPixels(*bad_colors, *small[2])
+        for array, buffer in zip(expected, (taken.depth, taken.motion), strict=True):
+            found = np.empty_like(array)
+            cl.enqueue_copy(device.queue, found, buffer)
+            np.testing.assert_array_equal(found, array)
+
+
 def test_kernel_and_description_number_alike():
     numbers = constants("upload.cl")
     assert [numbers[name.upper()] for name in TYPES] == [*range(1, len(TYPES) + 1)] and numbers["NO_BUFFER"] == 0

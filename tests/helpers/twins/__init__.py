@@ -20,7 +20,13 @@ from twins.presentation import present
 from twins.shading import prepare_inputs
 from twins.shading_flow import find_candidates
 from twins.shading_trend import carry_trends, find_change, find_trend, measure_changes
-from twins.upload import convert_color, convert_described_color, convert_described_geometry, convert_geometry
+from twins.upload import (
+    convert_color,
+    convert_described_color,
+    convert_described_geometry,
+    convert_geometry,
+    spread_geometry,
+)
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
@@ -68,6 +74,7 @@ __all__ = [
     "resolve",
     "smooth_blocks",
     "splat",
+    "spread_geometry",
     "static_threshold",
     "track_acceleration",
     "track_history",

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gffe_cl.captures.sequence.described import spread_geometry as spread_geometry  # of sequences on disk, too
 from twins.common import COLOR_MAX, INF, F, centers, kernel_constants, reproject
 
 UPLOAD = kernel_constants("upload.cl")
@@ -19,13 +20,14 @@ def convert_color(color):
     return out, (~finite).any(-1).sum(), over.any(-1).sum()
 
 
-def convert_geometry(depth, motion):
-    """Depth without denormal numbers and with sky beyond 1e37, motion without vectors as long as the diagonal, and how
-    many depths are invalid, how many vectors not finite, how many depths too far, and how many vectors too long."""
+def convert_geometry(depth, motion, size=None):
+    """Of images of `size`, by default that of depth (height, width): depth without denormal numbers and with sky beyond
+    1e37, motion without vectors as long as the diagonal, and how many depths are invalid, how many vectors not finite,
+    how many depths too far, and how many vectors too long."""
     invalid, far = ~(depth >= np.finfo(F).tiny), np.isfinite(depth) & (depth > 1e37)
     finite = np.isfinite(motion).all(-1)
     with np.errstate(over="ignore", invalid="ignore"):
-        short = np.square(motion).sum(-1, dtype=F) < np.square(depth.shape, dtype=F).sum(dtype=F)
+        short = np.square(motion).sum(-1, dtype=F) < np.square(size or depth.shape, dtype=F).sum(dtype=F)
     converted = np.where(far, F(np.inf), np.where(invalid & (depth >= 0), F(0), depth))
     unwritten = finite & ~short
     vectors = np.where(unwritten[..., None], F(np.nan), motion)
@@ -38,9 +40,10 @@ def convert_described_color(color):
     return convert_color(color if unit is None else color.astype(F) * unit)
 
 
-def convert_described_geometry(depth, motion, given, to_previous=None):
+def convert_described_geometry(depth, motion, given, to_previous=None, size=None):
     """Depth and motion in pixels of stored ones, converted by the members `given` of the frame block (motion None:
-    there is none), and the counts as of `convert_geometry`. `to_previous` (6, 4): None without a frame before."""
+    there is none), and the counts as of `convert_geometry`. `to_previous` (6, 4): None without a frame before. `size`:
+    height and width of color, by default those of depth."""
     factor, origin, addend, sky = F(given["given_depth"])
     stored = (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(F)
     with np.errstate(all="ignore"):
@@ -55,12 +58,12 @@ def convert_described_geometry(depth, motion, given, to_previous=None):
     unwritten = (motion.astype(F) == F(given["motion_invalid"])).all(-1, keepdims=True)
     with np.errstate(all="ignore"):
         vectors = np.where(unwritten, F(0), motion.astype(F) * numbers[:2] + numbers[2:])
-    z, vectors, counts = convert_geometry(value, vectors)
+    z, vectors, counts = convert_geometry(value, vectors, size)
     if given["given_types"][3] == UPLOAD.CAMERA_INCLUDED:
         return z, np.where(unwritten, F(np.nan), vectors), counts
     if to_previous is None:
         return z, vectors, counts
-    here = centers(*depth.shape)
+    here = centers(*depth.shape) * F(given["from_geometry"][:2]) + F(given["from_geometry"][2:])
     before = reproject(here, z, to_previous)
     camera = np.where(before[..., 2:] > 0, before[..., :2] - here, F(np.nan))
     camera = np.where((z > 0)[..., None], camera, F(0))

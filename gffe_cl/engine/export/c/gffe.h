@@ -112,15 +112,17 @@ typedef enum gffe_type {
     GFFE_UNORM24
 } gffe_type;
 
-/* Units of motion: pixels, 0 to 1 across the image, or -1 to 1 across it. */
+/* Units of motion: pixels of the motion image, 0 to 1 across the image, or -1 to 1 across it. */
 enum { GFFE_PIXELS, GFFE_UV, GFFE_NDC };
 
 /* What motion vectors have of the camera's motion: all of it; all of it, but only movers have vectors, and the camera's
    own motion is taken where both components hold `motion_invalid`; nothing, it is added. */
 enum { GFFE_CAMERA_INCLUDED, GFFE_CAMERA_MOVERS_ONLY, GFFE_CAMERA_EXCLUDED };
 
-/* Describes buffers of rendered frames in an engine's own formats, of the render size. */
+/* Describes buffers of rendered frames in an engine's own formats. Color has the render size; depth and motion have it,
+   too, or are up to three times smaller, each way, by another size in every frame. */
 typedef struct gffe_format {
+    int geometry_width, geometry_height; /* of depth and motion, pixels; 0: as color */
     int color_type, color_channels; /* float16, float32, unorm16 or unorm8, linear; 3 or 4 channels */
     int depth_type; /* float32, unorm16 or unorm24 */
     int depth_is_device; /* whether depth is that of a depth buffer, in which 1/z is linear, instead of planar depth */
@@ -143,8 +145,8 @@ gffe_format gffe_default_format(void);
    device. Buffers that need that may be overwritten when the event of their gffe_submit_after is complete. */
 gffe_status gffe_set_format(gffe *g, const gffe_format *format);
 
-/* Sets the jitter that depth and motion of the next submitted frame have and its color does not: pixels to the right
-   and down. */
+/* Sets the jitter that depth and motion of the next submitted frame have and its color does not: pixels of these to
+   the right and down. */
 gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y);
 
 /* Layers over the picture of the next submitted frame, which are not warped with it. Each may be NULL, and NULL in

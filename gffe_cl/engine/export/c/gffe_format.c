@@ -49,13 +49,27 @@ static int is_color_ours(const gffe_format *format) {
     return format->color_type == GFFE_FLOAT16 && format->color_channels == 4;
 }
 
-static int is_geometry_ours(const gffe_format *format) {
-    return format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && format->near_z == 0 && format->far_z == 1
-           && format->depth_range[0] == 0 && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32
-           && format->motion_channels == 2 && format->motion_scale[0] == 1 && format->motion_scale[1] == 1
-           && format->motion_offset[0] == 0 && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS
-           && !format->motion_from_previous && !format->motion_y_up && !format->motion_jittered
-           && isnan(format->motion_invalid) && format->camera_motion == GFFE_CAMERA_INCLUDED;
+/* Width and height of depth and motion. */
+static void geometry_of(const gffe_format *format, const int source[2], int size[2]) {
+    size[0] = format->geometry_width ? format->geometry_width : source[0];
+    size[1] = format->geometry_height ? format->geometry_height : source[1];
+}
+
+static int is_small(const gffe_step *step) {
+    int size[2];
+    geometry_of(&step->format, step->source, size);
+    return size[0] != step->source[0] || size[1] != step->source[1];
+}
+
+static int is_geometry_ours(const gffe_step *step) {
+    const gffe_format *format = &step->format;
+    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && format->near_z == 0
+           && format->far_z == 1 && format->depth_range[0] == 0 && format->depth_range[1] == 1
+           && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2 && format->motion_scale[0] == 1
+           && format->motion_scale[1] == 1 && format->motion_offset[0] == 0 && format->motion_offset[1] == 0
+           && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous && !format->motion_y_up
+           && !format->motion_jittered && isnan(format->motion_invalid)
+           && format->camera_motion == GFFE_CAMERA_INCLUDED;
 }
 
 static int is_one_of(int value, const int *allowed, int count) {
@@ -98,8 +112,16 @@ static const char *fault_of(const gffe_format *format) {
 gffe_status gffe_set_format(gffe *g, const gffe_format *format) {
     const char *fault = format ? fault_of(format) : NULL;
     gffe_status status = gffe_need(g, g, "gffe");
+    int size[2], k;
     if (status) return status;
     if (fault) return gffe_fail(g, GFFE_INVALID, "format: %s", fault);
+    if (format) geometry_of(format, g->step.source, size);
+    for (k = 0; k < 2 && format; ++k)
+        if (size[k] < g->step.source[k] / GFFE_MOST_RATIO || size[k] > g->step.source[k])
+            return gffe_fail(g, GFFE_INVALID,
+                             "format: geometry is %dx%d and color %dx%d (expected depth and motion of the size of color"
+                             " or up to %d times smaller, each way)",
+                             size[0], size[1], g->step.source[0], g->step.source[1], GFFE_MOST_RATIO);
     g->has_format = format != NULL;
     if (!format) return GFFE_OK;
     g->step.format = *format;
@@ -119,12 +141,13 @@ gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y) {
 
 gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]) {
     const gffe_step *step = &g->step;
-    int k;
+    int k, geometry[2];
+    geometry_of(&step->format, step->source, geometry);
     for (k = 0; k < BUFFERS; ++k) {
         const size_t texel = bytes_of(type_of(&step->format, k)) * channels_of(&step->format, k);
         gffe_status status;
         if (k == MOTION && !buffers[k]) continue;
-        status = gffe_check_bytes(g, buffers[k], NAMES[k], step->source, texel);
+        status = gffe_check_bytes(g, buffers[k], NAMES[k], k == COLOR ? step->source : geometry, texel);
         if (status) return status;
     }
     return GFFE_OK;
@@ -152,14 +175,22 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
                  nearest = swapped ? format->far_z : format->near_z;
     const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
     const double depth_most = most_of(format->depth_type);
-    int k;
+    int k, geometry[2];
+    geometry_of(format, step->source, geometry);
+    block->geometry_width = geometry[0];
+    block->geometry_height = geometry[1];
     for (k = 0; k < 2; ++k) {
-        const double side = step->source[k];
-        const double unit = format->motion_unit == GFFE_UV ? side : format->motion_unit == GFFE_NDC ? side / 2 : 1;
+        const double side = step->source[k], scale = side / geometry[k];
+        const double shift = is_small(step) ? step->jitter[k] : 0;
+        const double unit = format->motion_unit == GFFE_UV ? side : format->motion_unit == GFFE_NDC ? side / 2 : scale;
         const double factor = sign * unit * (k && format->motion_y_up ? -1 : 1);
         const double jitter = format->motion_jittered ? step->jitter[k] - step->previous_jitter[k] : 0;
         block->given_motion.s[k] = (float)(factor * format->motion_scale[k] / most);
         block->given_motion.s[2 + k] = (float)(factor * format->motion_offset[k] + jitter);
+        block->to_geometry.s[k] = (float)(1 / scale);
+        block->to_geometry.s[2 + k] = (float)(shift / scale);
+        block->from_geometry.s[k] = (float)scale;
+        block->from_geometry.s[2 + k] = (float)-shift;
     }
     if (format->depth_is_device) {
         block->given_depth.s[0] = (float)((1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most);
@@ -206,7 +237,7 @@ static gffe_status need_converted(gffe *g, int turn) {
 }
 
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]) {
-    const int color = !is_color_ours(&g->step.format), geometry = !is_geometry_ours(&g->step.format);
+    const int color = !is_color_ours(&g->step.format), geometry = !is_geometry_ours(&g->step);
     int k;
     g->converts[0] = color;
     g->converts[1] = geometry;
@@ -222,19 +253,21 @@ gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[
 gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     gffe_step *step = &g->step;
     gffe_status status = GFFE_OK;
-    int k;
+    int k, geometry[2] = {step->source[0], step->source[1]};
     step->has_motion = given[MOTION] != NULL;
     step->converts_after = has_previous;
+    if (g->has_format) geometry_of(&step->format, step->source, geometry);
     for (k = 0; k < 2; ++k) {
-        step->previous_jitter[k] = has_previous ? step->jitter[k] : g->jitter[k];
-        step->jitter[k] = g->jitter[k];
+        const double jitter = g->jitter[k] * ((double)step->source[k] / geometry[k]);
+        step->previous_jitter[k] = has_previous ? step->jitter[k] : jitter;
+        step->jitter[k] = jitter;
     }
     if (!g->has_format) return GFFE_OK;
     for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = given[k];
     if (!given[MOTION]) g->memory[GFFE_ENGINE_COLOR + 2 * MOTION] = g->memory[GFFE_RENDERED_MOTION];
     step->converts = 1;
     if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR, 0);
-    if (!status && g->converts[1]) status = gffe_run(g, GFFE_CONVERT_GEOMETRY, 0);
+    if (!status && g->converts[1]) status = gffe_run(g, is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY, 0);
     step->converts = 0;
     for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
     return status;

@@ -53,6 +53,7 @@ enum {
     GFFE_COMPOSE_RENDERED,
     GFFE_CONVERT_COLOR,
     GFFE_CONVERT_GEOMETRY,
+    GFFE_CONVERT_SMALL,
     GFFE_OCCASIONS
 };
 
@@ -173,7 +174,7 @@ typedef struct gffe_step {
     gffe_format format;             /* of the engine's buffers, for a frame that `converts` */
     int converts, converts_after;   /* whether they are, and there is a frame before */
     int has_motion;                 /* whether the frame brings any */
-    double jitter[2], previous_jitter[2]; /* of the geometry, pixels */
+    double jitter[2], previous_jitter[2]; /* of the geometry, pixels of color */
     size_t alignment;               /* of parts of buffers, bytes or texels */
 } gffe_step;
 
@@ -193,7 +194,7 @@ struct gffe {
     cl_mem no_motion;
     cl_mem overlays[4]; /* of the next frame */
     int has_format, converts[2]; /* color; depth and motion */
-    double jitter[2]; /* of the next frame's geometry */
+    double jitter[2]; /* of the next frame's geometry, pixels of this */
     cl_mem converted[2][3]; /* color, depth and motion of two frames in turn */
     int turn;
     int counts;     /* of a cut: the buffer's reference, or -1 */
