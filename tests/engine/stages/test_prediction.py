@@ -70,3 +70,26 @@ def test_movers_that_enter_go_on(device):
     np.testing.assert_allclose(predicted[True][entered][:, 2], depth, rtol=1e-4)
     assert np.abs(predicted[False][entered][:, 0] - there[:, 0]).min() > 4
     assert np.array_equal(predicted[True][~entered], predicted[False][~entered])
+
+
+def test_movers_that_come_from_behind_others_go_on(device):
+    """Fragments that a bar hid in the frame before are predicted where they are then, not where they are now."""
+    width, height, velocity = 160, 80, np.array([9.0, 0.0, 0.0])
+    still = camera(width, height)
+    mover = Rect((-1.0, 0, 6), (0.8, 0.6), velocity=tuple(velocity), frequency=0.1)
+    scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover, Rect((0.5, 0, 4), (0.4, 3), frequency=0.2)])
+    predicted, before = {}, None
+    for entering in (True, False):
+        pipeline, before = Pipeline(device, width, height, Options(acceleration=False, entering=entering)), None
+        for k in range(7):
+            frame = scene.frame(still, k / 30, width, height, before, reset=k == 0)
+            pipeline.submit(frame)
+            before = (still, k / 30)
+        pipeline.extrapolate(still, 6.5 / 30)
+        predicted[entering] = pipeline.stages["prediction"].read("target_position")
+    unseen = (np.abs(frame.depth - 6) < 0.1) & ~(pipeline.stages["history"].read("met_depth") > 0)
+    assert unseen.sum() > 20
+    place = still.unproject(twins.centers(height, width)[unseen], frame.depth[unseen])
+    there = still.project(place + velocity / 60)[0]
+    np.testing.assert_allclose(predicted[True][unseen][:, :2], there, atol=0.02)
+    assert np.abs(predicted[False][unseen][:, 0] - there[:, 0]).min() > 0.5
