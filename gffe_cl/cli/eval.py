@@ -8,6 +8,7 @@ import shlex
 import sys
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -173,13 +174,13 @@ def _subjects(texts, encodings, *scenes, **more: float) -> tuple[tuple[Subject, 
     from gffe_cl.lab.table.datasets import parse_subject
 
     chosen, broken = [], {}
-    for text in texts:
+    for text, encoding in product(texts, encodings):
         try:
-            chosen += [parse_subject(text, *scenes, **more, encoding=encoding) for encoding in encodings]
+            chosen.append(parse_subject(text, *scenes, **more, encoding=encoding))
         except GffeError as error:
             if len(texts) == 1 or not Path(text).is_dir():
                 raise
-            broken[text] = str(error)
+            broken[f"{text} ({encoding})" if encoding else text] = str(error)
     if not chosen:
         raise GffeError("; ".join(broken.values()))
     return tuple(chosen), broken

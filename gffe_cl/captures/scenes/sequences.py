@@ -159,17 +159,14 @@ class EncodedFrames:
     def _rendered(self, frame: RenderedFrame, number: int) -> RenderedFrame:
         """Return `frame` antialiased over time, or its geometry jittered, or both."""
         sample = self._samples.rendered(frame.time, None if frame.reset else self._sample, number)
-        last, self._sample = self._sample or sample, sample
-        jitter, jitter_before = (_jitter_of(one) for one in (sample, sample if sample.reset else last))
-        motion = sample.motion - np.subtract(jitter_before, jitter).astype(np.float32)
+        self._sample = sample
+        x, y = self._samples.jitter.offset(number)
+        x_before, y_before = (x, y) if frame.reset else self._samples.jitter.offset(number - 1)
+        motion = sample.motion - np.array((x - x_before, y - y_before), np.float32)
+        jitter = -x, -y
         sample = replace(sample, motion=motion, geometry_jitter=jitter)
         if TAA in self.encoding.parts:
             frame = replace(frame, color=self._antialiasing.resolve(sample, frame.color))
         if JITTERED in self.encoding.parts:
             frame = replace(frame, depth=sample.depth, motion=motion, geometry_jitter=jitter)
         return frame
-
-
-def _jitter_of(frame: RenderedFrame) -> tuple[float, float]:
-    """Return the jitter of a frame's image: pixels by which it is shifted."""
-    return frame.camera.cx - frame.shown_camera.cx, frame.camera.cy - frame.shown_camera.cy

@@ -85,7 +85,8 @@ def bicubic(image: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarr
     y, x = np.mgrid[:height, :width].astype(np.float32)
     place = np.stack([x, y], -1) + motion
     with np.errstate(invalid="ignore"):
-        known = (place >= -0.5).all(-1) & (place < (width - 0.5, height - 0.5)).all(-1)
+        inside = (place >= -0.5) & (place < np.array((width - 0.5, height - 0.5)))
+    known = np.logical_and(inside[..., 0], inside[..., 1])
     place = np.where(known[..., None], place, 0).astype(np.float32)
     low = np.floor(place)
     weights = _catmull_rom(place - low)

@@ -179,10 +179,10 @@ def encodings(filled: Filled, cells: list[dict]) -> list[dict]:
             if not own:
                 continue
             against = [cell["against"] for cell in own if cell["against"] is not None]
-            row = {"encoding": encoding or "exact", "method": name}
-            row["psnr"] = float(np.mean([cell["psnr"] for cell in own]))
-            row |= {"against": float(np.mean(against)) if against else None, "most": max(against, default=None)}
-            rows.append(row)
+            psnr = float(np.mean([cell["psnr"] for cell in own]))
+            mean = float(np.mean(against)) if against else None
+            row = {"encoding": encoding or "exact", "method": name, "psnr": psnr, "against": mean}
+            rows.append(row | {"most": max(against, default=None)})
     return rows
 
 
