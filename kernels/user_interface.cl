@@ -41,7 +41,7 @@ INLINE int pixel_at(const float2 px, const int width, const int height) {
     return holds ? (int)px.y * width + (int)px.x : -1;
 }
 
-__kernel void count_evidence(__constant Frame *restrict frame, __global const half *color,
+SPARSE __kernel void count_evidence(__constant Frame *restrict frame, __global const half *color,
                              __global const half *color_prev, __global const float *depth,
                              __global const float *depth_prev, __global const float2 *motion,
                              __global uchar *evidence) {
@@ -75,7 +75,7 @@ INLINE bool has_evidence(__global const uchar *evidence, const int x, const int 
 }
 
 /* A user interface covers its pixels and their neighbors, which its antialiased edges share. */
-__kernel void mark_user_interface(__constant Frame *restrict frame, __global const uchar *evidence,
+SPARSE __kernel void mark_user_interface(__constant Frame *restrict frame, __global const uchar *evidence,
                                   __global const uchar *given_mask, __global uchar *mask) {
     const int width = frame->source_width, height = frame->source_height;
     const int x = get_global_id(0), y = get_global_id(1);

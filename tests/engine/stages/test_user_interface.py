@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from device_arrays import copy_to
 from synthetic import Rect, Rects, camera, psnr
-from twins import user_interface as twin
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
+from gffe_cl.captures.doctor import user_interface as twin
+from gffe_cl.captures.doctor.quick import check
 from gffe_cl.captures.sequence.post_effects import user_interface, with_ui
 from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.frame.rendered_frame import HostArrays
@@ -63,7 +64,8 @@ def test_kernels_equal_their_twin(device, size):
         layers = stage.found({} if given is None else {"fixed_mask": given}, *buffers, 1.7)
         evidence = twin.count_evidence(evidence, color, color_prev, depth, depth_prev, motion, 1.7)
         np.testing.assert_array_equal(stage.read("evidence"), evidence)
-        np.testing.assert_array_equal(stage.read("mask"), twin.mark_user_interface(evidence, given))
+        expected = twin.user_interface_mask(evidence) | (False if given is None else given > 0)
+        np.testing.assert_array_equal(stage.read("mask"), expected)
         assert layers["fixed_mask"] is stage.buffer["mask"]
     assert size == (3, 2) or (0.02 < (evidence == 2).mean() < 0.9 and 0.02 < stage.read("mask").mean() < 0.9)
     stage.found({}, buffers[0], None, 1.0)
@@ -101,7 +103,7 @@ def test_nothing_is_found_without_one(device):
         made, usual = (pipeline.extrapolate(seen_from(4.5), 4.5 / 30).numpy("color") for pipeline in pipelines)
         assert not mask_of(pipelines[0]).any() and np.array_equal(made, usual)
     pipeline = pipelines[0]
-    still = list(frames(1))[0]
+    still = next(iter(frames(1)))
     for k in range(4):
         pipeline.submit(replace(still, time=1 + k / 30, reset=k == 0, motion=np.zeros((H, W, 2), np.float32)))
     assert not mask_of(pipeline).any()
@@ -122,3 +124,15 @@ def test_it_ends_with_a_reset_and_adds_to_a_given_mask(device):
 def test_export_refuses_it(device):
     with pytest.raises(GffeError, match="user interface detection is not exported"):
         record(device, FINDS, False)
+
+
+def test_the_quick_check_and_the_doctor_say_so():
+    """With the share; not of color without it, nor if it is masked."""
+    made, plain = list(frames(3)), list(frames(3, change=lambda color: color))
+    said = check(made)
+    assert said.startswith("user interface in the color: ") and "--ui-detection" in said and check(plain) is None
+    share = twin.interface_share(made, 1.0)
+    assert f"{share:.1%}" in said and 0.5 * OPAQUE.mean() < share < (UI[..., 3] > 0).mean() + 0.05
+    masked = [replace(frame, overlays=Overlays(fixed_mask=UI[..., 3] > 0)) for frame in made]
+    assert twin.interface_share(masked, 1.0) < 0.3 * share
+    assert twin.interface_share([replace(made[0]), replace(made[1], motion=None), made[2]], 1.0) == 0
