@@ -67,7 +67,7 @@ class SceneSubject:
 
     @property
     def exact(self) -> bool:
-        """As of `Footage`."""
+        """Whether moments have a `Guide`, as of `Footage`."""
         return not self.encoding
 
     windows = exact
@@ -98,7 +98,7 @@ class FolderSubject:
 
     @property
     def exact(self) -> bool:
-        """As of `Footage`."""
+        """Whether moments have a `Guide`, as of `Footage`."""
         return False
 
     windows = exact

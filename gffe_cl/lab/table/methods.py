@@ -208,6 +208,7 @@ _ALL = (
         needs=frozenset({"guide"}),
         pipelines=TrueMotion,
     ),
+    _gffe("ui-detection", "a user interface in the color is found and kept in place", "interface", ui_detection=True),
     Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
     _gffe(
         "static-reprojection",
@@ -264,7 +265,7 @@ _ALL = (
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
-_ON_REQUEST = ("filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
+_ON_REQUEST = ("interface", "filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
 LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 
