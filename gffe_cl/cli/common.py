@@ -107,7 +107,8 @@ EncodeOption = Annotated[
         "--encode",
         metavar="PART,…[:WxH]",
         help="Encoding of rendered frames: half-uv, unorm8, unorm16 or rounded; two-lookups, half-depth,"
-        " 8bit-color, noisy-camera; engine (all). WxH: of the motion's units.",
+        " 8bit-color, noisy-camera; engine (these with half-uv); taa, jittered, dilated, grain, hud; game (these five)."
+        " WxH: of the motion's units.",
     ),
 ]
 WindowOption = Annotated[

@@ -8,6 +8,7 @@ import shlex
 import sys
 from contextlib import contextmanager
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -93,6 +94,14 @@ def evaluate(
             " adds the group upscaling."
         ),
     ] = 0.0,
+    encode: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PART,…",
+            help="Encoding of rendered frames, as for `gffe render`, or exact; may be given several times, for a table"
+            " of methods and encodings.",
+        ),
+    ] = None,
     turn_rate: Annotated[
         float,
         typer.Option(
@@ -137,7 +146,8 @@ def evaluate(
         raise GffeError("--upscale and --late-warp exclude each other")
     scenes = parse_size(size), frames, fps, alphas
     named = [name for text in subjects or SCENES for name in _seeded(text, seeds)]
-    chosen, broken = _subjects(named, *scenes, upscale=upscale, turn_rate=turn_rate)
+    encodings = ["" if text == "exact" else text for text in encode or ("",)]
+    chosen, broken = _subjects(named, encodings, *scenes, upscale=upscale, turn_rate=turn_rate)
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
@@ -159,18 +169,18 @@ def evaluate(
         )
 
 
-def _subjects(texts, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
+def _subjects(texts, encodings, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
     """Return the subjects, and why folders among several cannot be opened, by their names."""
     from gffe_cl.lab.table.datasets import parse_subject
 
     chosen, broken = [], {}
-    for text in texts:
+    for text, encoding in product(texts, encodings):
         try:
-            chosen.append(parse_subject(text, *scenes, **more))
+            chosen.append(parse_subject(text, *scenes, **more, encoding=encoding))
         except GffeError as error:
             if len(texts) == 1 or not Path(text).is_dir():
                 raise
-            broken[text] = str(error)
+            broken[f"{text} ({encoding})" if encoding else text] = str(error)
     if not chosen:
         raise GffeError("; ".join(broken.values()))
     return tuple(chosen), broken
@@ -315,6 +325,7 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
     out.print(table)
     count = len(results["sequences"])
     out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.lab.metrics.flicker`.")
+    _print_encodings(results["encodings"])
     if with_regions:
         _print_regions(results)
     _print_gains(results)
@@ -325,6 +336,23 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
     for skip in results["skipped"]:
         where = f" ({', '.join(skip['sequences'])})" if skip["sequences"] else ""
         warn(f"left out: {skip['what']}{where}: {skip['reason']}")
+
+
+def _print_encodings(rows: list[dict]) -> None:
+    """Print mean PSNR by method and encoding, with the mean and the highest difference to GFFE."""
+    if not rows:
+        return
+    names = dict.fromkeys(row["encoding"] for row in rows)
+    table = Table("PSNR, dB (against gffe: mean, highest)", *map(plain, names), box=None, header_style="bold")
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = {row["encoding"]: row for row in rows if row["method"] == method}
+        table.add_row(method, *(_encoded(own[name]) if name in own else "–" for name in names))
+    out.print(table)
+
+
+def _encoded(row: dict) -> str:
+    against = f" ({_db(row['against'])}, {_db(row['most'])})" if row["against"] is not None else ""
+    return f"{row['psnr']:.2f}{against}"
 
 
 def _print_regions(results: dict) -> None:

@@ -316,6 +316,13 @@ class Options:
         "Overlays of rendered frames, effects and user interface, that stay in place; off: they are ignored.",
         flag="--no-overlays",
     )
+    ui_detection: bool = _option(
+        False,
+        "user interface detection",
+        "Detection of a user interface in the color: what stays in place although vectors move it is kept in place;"
+        " off: it is warped, unless overlays mark it.",
+        flag="--ui-detection",
+    )
     shading_inputs: bool = _option(
         False,
         "inputs of shading correction",

@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from gffe_cl.captures.scenes.sequences import JITTER_LENGTH
 from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.captures.sequence.encoding import Encoding
+from gffe_cl.engine.frame.jitter import Jitter
 
 SIZE = ("--size", "160x90")
 
@@ -28,12 +31,35 @@ def test_import_encodes_what_render_does(gffe, tmp_path):
     assert all(truth.display_camera is not None for truth in ours.ground_truth)
 
 
+def test_render_as_a_game_does(gffe, tmp_path):
+    """Jittered geometry with its jitter, described dilated vectors, a user interface in color and truth."""
+    exact, game = tmp_path / "exact", tmp_path / "game"
+    for folder, more in ((exact, ()), (game, ("--encode", "game"))):
+        assert gffe("render", "forest", folder, *SIZE, "--frames", 2, "--ground-truth", *more)[0] == 0
+    ours, good = open_sequence(game), open_sequence(exact)
+    assert ours.format.motion_dilated and good.format is None
+    ui = Encoding.parse("hud").user_interface((160, 90), ours.exposure)[..., 3]
+    for k, entry in enumerate(ours.rendered):
+        made, plain = ours.read(entry), good.read(good.rendered[k])
+        x, y = made.geometry_jitter
+        assert (x, y) == tuple(-np.array(Jitter(JITTER_LENGTH).offset(k))) and made.camera == plain.camera
+        # A slanted surface: jitter moves its depth by its gradient.
+        gradient = np.stack(np.gradient(plain.depth.astype(np.float64))[::-1], -1)
+        smooth = (np.abs(gradient).sum(-1) < 0.02 * plain.depth) & np.isfinite(made.depth + gradient.sum(-1))
+        moved, said = (made.depth - plain.depth)[smooth], -(gradient[smooth] @ (x, y))
+        assert np.median(np.abs(moved - said)) < 0.2 * np.median(np.abs(moved)) and (x or y)
+    truths = [sequence.read_color(sequence.ground_truth[1]) for sequence in (ours, good)]
+    assert np.array_equal(*(truth[ui == 0] for truth in truths)) and not np.array_equal(*truths)
+
+
 def test_errors(gffe, tmp_path):
     gffe("render", "forest", tmp_path / "in", *SIZE, "--frames", 1)
     for arguments, said in (
         (("render", "forest", tmp_path / "out", "--encode", "half"), "unknown encoding 'half'"),
         (("render", "forest", tmp_path / "out", "--encode", "engine:1920"), "must look like 1920x1080"),
+        (("render", "forest", tmp_path / "out", "--encode", "hud", "--window", "fixed:1.2"), "exclude --window"),
         (("import", tmp_path / "in", tmp_path / "out", "--encode", "engine"), "expected --every 2 or more"),
+        (("import", tmp_path / "in", tmp_path / "out", "--encode", "game"), "need a renderer"),
     ):
         code, _, err = gffe(*arguments)
         assert code == 2 and said in err and not (tmp_path / "out").exists()

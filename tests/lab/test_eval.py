@@ -275,3 +275,22 @@ def test_ticks_are_round_numbers(low, high):
     assert 2 <= len(ticks) <= 6 and low <= ticks[0] + 1e-9 * step and ticks[-1] <= high + 1e-9 * abs(high)
     assert f"{step:.0e}"[0] in "125" and step == pytest.approx(float(f"{step:.0e}"), rel=1e-6)
     assert len({f"{tick:.{digits}f}" for tick in ticks}) == len(ticks)
+
+
+def test_encodings_are_columns(gffe, tmp_path):
+    """Frames with a user interface and by antialiasing: a row for each method, truth with the user interface."""
+    sequence, report = tmp_path / "plaza", tmp_path / "report"
+    assert gffe("render", "plaza", sequence, "--size", "64x36", "--frames", 4, "--ground-truth")[0] == 0
+    call = ("eval", "forest", sequence, "--out", report, *SMALL, "--methods", "gffe,repeat,guided", "--encode", "hud")
+    code, text, err = gffe(*call, "--encode", "taa")
+    assert code == 2 and "highest" in text and "plaza: --encode taa needs a renderer" in err
+    assert "guided (forest:0 (hud), forest:0 (taa), plaza (hud))" in err
+    document = json.loads((report / "results.json").read_text())
+    rows = {(row["encoding"], row["method"]): row["psnr"] for row in document["encodings"]}
+    cells = {(cell["sequence"], cell["method"]): cell for cell in document["cells"]}
+    assert len(rows) == 4 and rows["taa", "repeat"] == cells["forest:0 (taa)", "repeat"]["psnr"]
+    mixed = cells["plaza (hud)", "repeat"]
+    assert min(mixed["ui_psnr"], mixed["scene_psnr"]) < mixed["psnr"] < max(mixed["ui_psnr"], mixed["scene_psnr"])
+    assert cells["forest:0 (taa)", "repeat"]["ui_psnr"] is None
+    shares = [one["shares"] for one in document["sequences"] if one["name"].startswith("forest")]
+    assert len(shares) == 2 and shares[0] == shares[1]

@@ -20,6 +20,7 @@ from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 
@@ -144,6 +145,8 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _note_late(found, clip.rendered)
     _note_sky(found, search)
     _judge_colors(found)
+    if not found.faults:
+        found.findings += user_interface_notes(clip, deep, exposure)
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
     return found

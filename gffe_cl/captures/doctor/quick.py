@@ -16,6 +16,7 @@ from gffe_cl.captures.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Clip,
 from gffe_cl.captures.doctor.hypotheses.scoring import Bench, frame_offsets, mostly_nothing, moving, trimmed
 from gffe_cl.captures.doctor.hypotheses.search import EDIT, Reading, Search
 from gffe_cl.captures.doctor.quantization import largest_step, motion_steps
+from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.engine.core.errors import printable
@@ -61,8 +62,9 @@ class _Fit:
 
 def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameFormat | None = None) -> str | None:
     """Return a sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras,
-    motion vectors and colors, camera jitter in the vectors, or a buffer that is upside down. It names the likely cause
-    where a single buffer is misread. This is the quick form of `gffe check`: only the first three frames are examined.
+    motion vectors and colors, camera jitter in the vectors, or a buffer that is upside down; or if the color contains a
+    user interface. It names the likely cause where a single buffer is misread. This is the quick form of `gffe check`:
+    only the first three frames are examined.
 
         assert gffe.check([first, second, third]) is None
 
@@ -109,7 +111,8 @@ class _InMemory:
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     """Return a sentence if the first rendered frames of `clip` do not fit, else None: motion vectors and depth with
-    cameras, motion vectors and colors, or a buffer that is upside down. Raises GffeError if a frame cannot be read."""
+    cameras, motion vectors and colors, or a buffer that is upside down; or if the color contains a user interface.
+    Raises GffeError if a frame cannot be read."""
     count = min(_FRAMES, len(clip.rendered))
     if not count:
         return None
@@ -141,7 +144,8 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
         return f"{_JITTERED}: camera jitter is in them, or in the cameras, alone"
     if given.still > given.along + _COLORS:
         return "motion vectors do not fit the colors"
-    return None
+    notes = user_interface_notes(clip, [1], exposure)
+    return notes[0].sentence if notes else None
 
 
 def _likely_cause(looks: dict[int, Look], edges: float) -> tuple[str, float]:

@@ -52,8 +52,10 @@ def import_capture(
         raise GffeError(f"--every must be 1 to {_MOST_EVERY}, got {every}")
     if encoding.looks_up_twice and every == 1:
         raise GffeError("--encode: two-lookups adds the vectors of several frames (expected --every 2 or more)")
+    if encoding.is_rendered:
+        raise GffeError("--encode: taa and jittered need a renderer (expected `gffe render --encode`)")
     refuse_same_folder(output, sequence.path)
-    if every > 1:
+    if every > 1 or encoding.is_on_display:
         _require_unwindowed(sequence)
     if not sequence.rendered and not sequence.ground_truth:
         raise GffeError(f"{sequence.path}: neither rendered frames nor ground truth to import")
@@ -61,7 +63,7 @@ def import_capture(
     fps, size = sequence.fps / every, (sequence.width, sequence.height)
     writing = SequenceWriter(
         output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression,
-        attributes=sequence.attributes, format=sequence.format if every == 1 and encoding == EXACT else None,
+        attributes=sequence.attributes, format=sequence.format if every == 1 and encoding == EXACT else encoding.format,
     )  # fmt: skip
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every, encoding):
@@ -70,12 +72,13 @@ def import_capture(
                 entry = replace(entry, geometry_size=frame.geometry_size, geometry_jitter=frame.geometry_jitter)
                 writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
             else:
-                _add_truth(writer, replace(entry, file=_truth_name(entry.file, names)), frame.color)
+                truth = encoding.truth(frame.color, sequence.exposure)
+                _add_truth(writer, replace(entry, file=_truth_name(entry.file, names)), truth)
             report.rendered += stays
             report.ground_truth += not stays
             on_frame()
         for entry, color in sequence.prefetch(sequence.ground_truth, sequence.read_color):
-            _add_truth(writer, _fitted(entry, encoding), color)
+            _add_truth(writer, _fitted(entry, encoding), encoding.truth(color, sequence.exposure))
             report.ground_truth += 1
             on_frame()
     report.warnings = sequence.warnings()
@@ -140,4 +143,4 @@ def _truth_name(file: str, taken: set[str]) -> str:
 def _require_unwindowed(sequence: Sequence) -> None:
     for entry in sequence.rendered:
         if sequence.size_of(entry) != (sequence.width, sequence.height) or entry.display_camera != entry.render_camera:
-            raise GffeError(f"{entry.file}: rendered through a window (expected none, or no --every)")
+            raise GffeError(f"{entry.file}: rendered through a window (expected none, or neither --every nor hud)")

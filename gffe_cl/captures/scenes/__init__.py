@@ -20,7 +20,7 @@ import numpy as np
 
 from gffe_cl.captures.scenes.renderer import SceneArrays, SceneImage, SceneRenderer
 from gffe_cl.captures.scenes.scene_types import Scene
-from gffe_cl.captures.scenes.sequences import SceneFrames
+from gffe_cl.captures.scenes.sequences import EncodedFrames, SceneFrames
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_seed
 
@@ -55,6 +55,7 @@ SITUATIONS = {
 __all__ = [
     "SCENES",
     "SITUATIONS",
+    "EncodedFrames",
     "Scene",
     "SceneArrays",
     "SceneFrames",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.captures.scenes import EncodedFrames, Scene, SceneFrames, SceneRenderer
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.captures.sequence.description import rendered_entry
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
@@ -47,10 +47,10 @@ def render_sequence(
     before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
     `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
     display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
-    exact but for its camera. `compression` is that of the EXRs (see `SequenceWriter`). With a `cluster` its workers
-    render the frames that are written here, each on the device that GFFE_DEVICE chooses there; `device` may be None,
-    and windows not adaptive, because these follow from frame to frame. `on_frame` is called after every frame. Raises
-    GffeError.
+    exact but for its camera and a user interface. `compression` is that of the EXRs (see `SequenceWriter`). With a
+    `cluster` its workers render the frames that are written here, each on the device that GFFE_DEVICE chooses there;
+    `device` may be None, but adaptive windows and jittered samples are not possible, because they follow from frame to
+    frame. `on_frame` is called after every frame. Raises GffeError.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -65,11 +65,16 @@ def render_sequence(
         raise GffeError(f"--scale must be 1 to {_MOST_SCALE}, got {scale:g}")
     WindowChooser(window, (width, height), alphas)
     jitter = jitter or Jitter()
+    if encoding.is_on_display and not (window == "off" and jitter.length == 1 and scale == 1):
+        raise GffeError("--encode: taa, jittered and hud exclude --window, --jitter and --scale")
+    if cluster and encoding.is_rendered:
+        raise GffeError("--encode: taa and jittered follow from frame to frame (expected neither with --scheduler)")
     samples = samples or (1 if jitter.length > 1 else 8)
     job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
     writing = SequenceWriter(
-        output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression
-    )
+        output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression,
+        format=encoding.format,
+    )  # fmt: skip
     with writing as writer:
         for entry, channels in _on_workers(job, frames, cluster) if cluster else _here(job, frames, device):
             writer.add(entry, channels)
@@ -101,8 +106,8 @@ class _Job:
 
 def _here(job: _Job, count: int, device: Device | None) -> Iterator[tuple[FrameEntry, dict]]:
     assert device is not None  # without a cluster
-    made, before = job.frames(device), None
-    for k, frame in enumerate(made.sequence(count, job.fps)):
+    made, before = EncodedFrames(job.frames(device), job.encoding), None
+    for k, frame in enumerate(made.frames.sequence(count, job.fps)):
         yield from _written(job, made, k, frame, before)
         before = frame
 
@@ -113,22 +118,23 @@ def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[Frame
 
 
 def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
-    made = job.frames(device_of_worker(None))
-    before = made.unrendered((k - 1) * (1.0 / job.fps), k - 1) if k else None
-    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before, k), before))
+    frames = job.frames(device_of_worker(None))
+    before = frames.unrendered((k - 1) * (1.0 / job.fps), k - 1) if k else None
+    frame = frames.rendered(k * (1.0 / job.fps), before, k)
+    return list(_written(job, EncodedFrames(frames, job.encoding), k, frame, before))
 
 
 def _written(
-    job: _Job, made: SceneFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
+    job: _Job, made: EncodedFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
 ) -> Iterator[tuple[FrameEntry, dict]]:
     """Yield the written frames for frame `k`, rendered after `before`: the frame and the truth after it."""
-    halves = made.half_motions(frame, before) if before and job.encoding.looks_up_twice else None
-    stored = job.encoding.frame(frame, job.scene.exposure, halves)
+    stored = made.encoded(frame, before, k)
     yield rendered_entry(k, stored, job.size), named_channels(stored.color, stored.depth, stored.motion)
     for alpha in job.alphas if job.ground_truth else ():
         time = (k + alpha) * (1.0 / job.fps)
-        image = made.truth(time, frame).numpy()
+        image = made.frames.truth(time, frame).numpy()
+        color = job.encoding.truth(image.color, job.scene.exposure)
         file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
-        (camera,) = job.encoding.cameras(time, made.display_camera(time))
+        (camera,) = job.encoding.cameras(time, made.frames.display_camera(time))
         entry = FrameEntry(file, time, "ground_truth", display_camera=camera)
-        yield entry, named_channels(image.color, image.depth, image.motion)
+        yield entry, named_channels(color, image.depth, image.motion)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from gffe_cl.captures.scenes.renderer import SceneImage, SceneRenderer
 from gffe_cl.captures.scenes.scene_types import Scene
+from gffe_cl.captures.sequence.encoding import JITTERED, TAA, Encoding
+from gffe_cl.captures.sequence.post_effects import TemporalAntialiasing
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.jitter import Jitter
@@ -122,3 +125,48 @@ class SceneFrames:
         for k in range(count):
             before = self.rendered(start + k * step, before, k)
             yield before
+
+
+class EncodedFrames:
+    """Rendered frames of `frames`, stored by `encoding`. Jittered samples, where it needs them, are rendered beside."""
+
+    def __init__(self, frames: SceneFrames, encoding: Encoding):
+        self.frames, self.encoding = frames, encoding
+        self._antialiasing = TemporalAntialiasing(frames.scene.exposure)
+        self._sample: RenderedFrame | None = None
+        if encoding.is_rendered:
+            renderer = frames.renderer
+            one = SceneRenderer(renderer.device, frames.scene, *frames.size, samples=1)
+            self._samples = SceneFrames(one, jitter=Jitter(JITTER_LENGTH))
+
+    def encoded(self, frame: RenderedFrame, before: RenderedFrame | None, number: int) -> RenderedFrame:
+        """Return `frame`, number `number`, after being stored; `before`: the one before it, None after a reset. Where
+        encodings are `is_rendered`, frames must come in order."""
+        halves = None
+        if before and self.encoding.looks_up_twice:
+            halves = self.frames.half_motions(frame, before)
+        if self.encoding.is_rendered:
+            frame = self._rendered(frame, number)
+        return self.encoding.frame(frame, self.frames.scene.exposure, halves)
+
+    def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
+        """Yield stored frames as `SceneFrames.sequence` yields exact ones."""
+        before = None
+        for k, frame in enumerate(self.frames.sequence(count, fps, start)):
+            yield self.encoded(frame, before, k)
+            before = frame
+
+    def _rendered(self, frame: RenderedFrame, number: int) -> RenderedFrame:
+        """Return `frame` antialiased over time, or its geometry jittered, or both."""
+        sample = self._samples.rendered(frame.time, None if frame.reset else self._sample, number)
+        self._sample = sample
+        x, y = self._samples.jitter.offset(number)
+        x_before, y_before = (x, y) if frame.reset else self._samples.jitter.offset(number - 1)
+        motion = sample.motion - np.array((x - x_before, y - y_before), np.float32)
+        jitter = -x, -y
+        sample = replace(sample, motion=motion, geometry_jitter=jitter)
+        if TAA in self.encoding.parts:
+            frame = replace(frame, color=self._antialiasing.resolve(sample, frame.color))
+        if JITTERED in self.encoding.parts:
+            frame = replace(frame, depth=sample.depth, motion=motion, geometry_jitter=jitter)
+        return frame

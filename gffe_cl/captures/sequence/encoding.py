@@ -1,10 +1,10 @@
-"""Encodings: precision loss of exact buffers by the formats of engines and captures.
+"""Encodings: exact frames as engines and captures keep them, by precision and by the conditions of games.
 
     encoding = Encoding.parse("half-uv,two-lookups,half-depth")
     stored = encoding.frame(frame, exposure, half_motions)
 
-An encoding is a function on finished frames, so one rendering serves all of them (`gffe render --encode`, `gffe import
---encode`).
+Most parts are functions on finished frames, so one rendering serves all of them (`gffe render --encode`, `gffe import
+--encode`). Those that need jittered samples (`is_rendered`) are made by `EncodedFrames` of the built-in scenes.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gffe_cl.captures.sequence.post_effects import nearest_motion, user_interface, with_grain, with_ui
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 
@@ -43,13 +45,24 @@ MOTION_CODES: dict[str, tuple[str, Code]] = {
     "rounded": ("motion in whole pixels", np.array),
 }
 TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA = "two-lookups", "half-depth", "8bit-color", "noisy-camera"
+TAA, JITTERED, DILATED, GRAIN, HUD = "taa", "jittered", "dilated", "grain", "hud"
 PARTS: dict[str, str] = {name: sentence for name, (sentence, _) in MOTION_CODES.items()} | {
     TWO_LOOKUPS: "motion is the sum of vectors over half the interval, the second one that of the nearest pixel",
     HALF_DEPTH: "depth as half floats",
     COLOR_8BIT: "display values of 8 bits",
     NOISY_CAMERA: f"cameras turned by {CAMERA_NOISE:g} px (standard deviation) about each axis",
+    TAA: "color by temporal antialiasing of jittered samples, one per pixel",
+    JITTERED: "depth and motion jittered by parts of a pixel, color not",
+    DILATED: "motion is that of the nearest surface within a pixel",
+    GRAIN: "film grain in the color",
+    HUD: "a user interface in the color",
 }
-PRESETS = {"engine": ("half-uv", TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA)}
+PRESETS = {
+    "exact": (),
+    "engine": ("half-uv", TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA),
+    "game": (TAA, JITTERED, DILATED, GRAIN, HUD),
+}
+_RENDERED, _ON_DISPLAY = {TAA, JITTERED}, {TAA, JITTERED, HUD}
 
 
 @dataclass(frozen=True)
@@ -73,11 +86,28 @@ class Encoding:
         if len(parts & set(MOTION_CODES)) > 1:
             codes = ", ".join(MOTION_CODES)
             raise GffeError(f"--encode: '{text}' stores motion in several ways (expected one of {codes})")
+        if TWO_LOOKUPS in parts and parts & _RENDERED:
+            raise GffeError(f"--encode: '{text}' looks up jittered vectors twice (expected {TWO_LOOKUPS} without them)")
         return cls(frozenset(parts), size)
 
     @property
     def looks_up_twice(self) -> bool:
         return TWO_LOOKUPS in self.parts
+
+    @property
+    def is_rendered(self) -> bool:
+        """Whether frames need jittered samples, which only a renderer has."""
+        return bool(self.parts & _RENDERED)
+
+    @property
+    def is_on_display(self) -> bool:
+        """Whether rendered images must be the displayed ones: neither windows nor other sizes."""
+        return bool(self.parts & _ON_DISPLAY)
+
+    @property
+    def format(self) -> FrameFormat | None:
+        """Description of the frames, None where our conventions hold."""
+        return FrameFormat(motion_dilated=True) if DILATED in self.parts else None
 
     def motion(self, motion: np.ndarray) -> np.ndarray:
         """Return motion (H, W, 2) float32, pixels, after being stored. NaN stays NaN."""
@@ -95,16 +125,19 @@ class Encoding:
         half_motions: Iterable[np.ndarray] | None = None,
     ) -> RenderedFrame:
         """Return `frame`, of host arrays, after being stored. `half_motions`: see `looked_up`; None: its motion is
-        looked up once."""
+        looked up once. Where `is_rendered`, it must be antialiased and jittered already."""
         motion = frame.motion
         if motion is not None:
             motion = self.looked_up(half_motions or [np.asarray(motion)])
+            if DILATED in self.parts:
+                motion = nearest_motion(motion, np.asarray(frame.depth))
         depth = np.asarray(frame.depth)
         if HALF_DEPTH in self.parts:
             with np.errstate(over="ignore"):
                 depth = depth.astype(np.float16).astype(np.float32)
         camera, shown = self.cameras(frame.time, frame.camera, frame.display_camera)
-        color = self.color(frame.color, exposure)
+        color = with_grain(frame.color, frame.time, exposure) if GRAIN in self.parts else frame.color
+        color = self.color(self.truth(color, exposure), exposure)
         return replace(frame, color=color, depth=depth, motion=motion, camera=camera, display_camera=shown)
 
     def looked_up(self, motions: Iterable[np.ndarray]) -> np.ndarray:
@@ -118,6 +151,16 @@ class Encoding:
             at = np.clip(np.nan_to_num(np.stack([x, y], -1) + total), 0, (width - 1, height - 1)).astype(int)
             total = (total + self.motion(motion)[at[..., 1], at[..., 0]]).astype(np.float32)
         return total
+
+    def truth(self, color: np.ndarray, exposure: float = 1.0) -> np.ndarray:
+        """Return linear color (H, W, 3) of ground truth: with the user interface, if there is one."""
+        ui = self.user_interface((color.shape[1], color.shape[0]), exposure)
+        return color if ui is None else with_ui(color, ui)
+
+    def user_interface(self, size: tuple[int, int], exposure: float = 1.0) -> np.ndarray | None:
+        """Return the user interface over images of `size` (width, height): (H, W, 4), as for `Overlays.ui`; None if
+        there is none."""
+        return user_interface(*size, exposure) if HUD in self.parts else None
 
     def color(self, color: np.ndarray, exposure: float = 1.0) -> np.ndarray:
         """Return linear color (H, W, 3) after being stored."""

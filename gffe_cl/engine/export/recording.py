@@ -228,8 +228,11 @@ class _Rehearsal:
 def record(device: Device, options: Options, int64: bool) -> Plan:
     """Return the operations of a pipeline with these options. `int64`: whether keys take 64-bit atomics.
 
-    Raises GffeError where that depends on the size of images or changes from frame to frame.
+    Raises GffeError where that depends on the size of images or changes from frame to frame, and with the detection of
+    user interfaces.
     """
+    if options.ui_detection:
+        raise GffeError("export: user interface detection is not exported (expected a mask in the overlays, or none)")
     rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
     operations = {}
     for first in (True, False):

@@ -66,10 +66,12 @@ from gffe_cl.engine.stages.sharpening import Sharpening
 from gffe_cl.engine.stages.silhouettes import Silhouettes
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.stages.upscaling import Upscaling
+from gffe_cl.engine.stages.user_interface import UserInterface
 from gffe_cl.engine.stages.warp import Warp
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
+    UserInterface,
     SceneCuts,
     HistoryTracking,
     Acceleration,
@@ -328,10 +330,14 @@ class Pipeline:
         self._wait(events)
         before = self._previous, self._current
         overlays = frame.overlays if self.options.overlays else None
-        if overlays and self.composition is None:
+        detection = self.stages.get(UserInterface.name)
+        if (overlays or detection) and self.composition is None:
             self.composition = Composition(self.board)
         layers = self.composition.prepared(overlays) if self.composition else {}
+        shown_before = None if frame.reset else self._shown
         self._shown = on_device = self._on_device(prepared, zero_copy)
+        if detection:
+            layers = detection.found(layers, on_device, shown_before, self.exposure)
         if self.composition:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current

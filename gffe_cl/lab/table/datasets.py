@@ -12,14 +12,23 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 
 from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.offline.source import Recorded
-from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
+from gffe_cl.captures.scenes import (
+    EncodedFrames,
+    Scene,
+    SceneFrames,
+    SceneRenderer,
+    is_scene,
+    is_scene_name,
+    load_scene,
+    scene_names,
+)
 from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.encoding import EXACT, Encoding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
@@ -36,7 +45,8 @@ class SceneSubject:
     """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
     views at their own time from a camera that has turned by so many degrees (late warp). With `upscale` frames are
     rendered so many times smaller, each way, with jitter and one sample per pixel. With `turn_rate` the camera turns to
-    the right, by so many degrees per second, and back after half of the frames. The first frame is number `start`."""
+    the right, by so many degrees per second, and back after half of the frames. The first frame is number `start`.
+    Frames are stored by `encoding`, a text as of `Encoding.parse`."""
 
     scene: str
     seed: int
@@ -49,12 +59,18 @@ class SceneSubject:
     upscale: float = 0.0
     turn_rate: float = 0.0
     start: int = 0
-    exact: ClassVar[bool] = True  # as of `Footage`
-    windows: ClassVar[bool] = True
+    encoding: str = ""
 
     @property
     def name(self) -> str:
-        return f"{self.scene}:{self.seed}"
+        return _named(f"{self.scene}:{self.seed}", self.encoding)
+
+    @property
+    def exact(self) -> bool:
+        """Whether moments have a `Guide`, as of `Footage`."""
+        return not self.encoding
+
+    windows = exact
 
     @property
     def moments(self) -> int:
@@ -68,17 +84,24 @@ class SceneSubject:
 @dataclass(frozen=True)
 class FolderSubject:
     """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. `upscale`: the
-    factor by which its frames were rendered smaller, if they go through upscaling."""
+    factor by which its frames were rendered smaller, if they go through upscaling. Frames are stored by `encoding`, a
+    text as of `Encoding.parse`."""
 
     path: str
     moments: int
     upscale: float = 0.0
-    exact: ClassVar[bool] = False
-    windows: ClassVar[bool] = False
+    encoding: str = ""
 
     @property
     def name(self) -> str:
-        return Path(self.path).resolve().name
+        return _named(Path(self.path).resolve().name, self.encoding)
+
+    @property
+    def exact(self) -> bool:
+        """Whether moments have a `Guide`, as of `Footage`."""
+        return False
+
+    windows = exact
 
     def identity(self) -> dict:
         """Return the identity: by the contents of all files, not by their place."""
@@ -88,10 +111,14 @@ class FolderSubject:
         for path in sorted(p for p in root.rglob("*") if p.is_file()):
             with path.open("rb") as file:
                 total.update(os.fsencode(path.relative_to(root)) + b"\0" + hashlib.file_digest(file, "sha256").digest())
-        return {"folder": total.hexdigest(), "upscale": self.upscale}
+        return {"folder": total.hexdigest(), "upscale": self.upscale, "encoding": self.encoding}
 
 
 Subject = SceneSubject | FolderSubject
+
+
+def _named(name: str, encoding: str) -> str:
+    return f"{name} ({encoding})" if encoding else name
 
 
 @dataclass(frozen=True)
@@ -136,22 +163,25 @@ class Shot:
 
 
 class Footage:
-    """Rendered frames and moments of a subject. `exact`: whether moments have a `Guide`; `windows`: whether frames can
-    be rendered through a window of choice; `upscale`: as of the subject; `labels`: of each moment in order (`regions`),
-    filled in by callers that need them."""
+    """Rendered frames and moments of a subject. `exact`: whether moments have a `Guide`, of which rendered frames are
+    the exact surfaces; `windows`: whether frames can be rendered through a window of choice; `upscale`: as of the
+    subject; `encoding`: by which frames are stored; `labels`: of each moment in order (`regions`), filled in by callers
+    that need them."""
 
     exact = windows = False
 
-    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float, upscale: float = 0.0):
+    def __init__(
+        self, name: str, width: int, height: int, fps: float, exposure: float, upscale: float = 0.0,
+        encoding: Encoding = EXACT,
+    ):  # fmt: skip
         self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
-        self.upscale = upscale
+        self.upscale, self.encoding = upscale, encoding
         self.labels: list[np.ndarray] = []
         self._kept: dict[str, list[Shot]] = {}
 
     def shots(self, window: str = "off") -> Iterator[Shot]:
         """Yield the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded, small
         ones with upscaling; or, if `windows` are available, any other mode of `WindowChooser`."""
-        window = "off" if self.windows and window == "given" and not self.upscale else window
         if window in self._kept:
             yield from self._kept[window]
             return
@@ -179,15 +209,15 @@ class Footage:
 
 
 class _Scene(Footage):
-    exact = windows = True
-
     def __init__(self, subject: SceneSubject, device: Device):
         self._scene, self._device = load_scene(subject.scene, subject.seed), device
         if subject.turn_rate:
             self._scene = turning(self._scene, subject.turn_rate, subject.frames // 2 / subject.fps)
         self._subject = subject
         size = (subject.width, subject.height)
-        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale)
+        self.exact = self.windows = subject.exact
+        encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
+        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale, encoding)
         self._renderer = SceneRenderer(device, self._scene, *size)
         self._small = SceneFrames.for_upscaling(device, self._scene, size, subject.upscale) if subject.upscale else None
 
@@ -195,6 +225,9 @@ class _Scene(Footage):
         if self._small is None or window != "given":
             return rendered_size(window, (self.width, self.height))
         return self._small.render_size
+
+    def shots(self, window="off"):
+        return super().shots("off" if window == "given" and not self.upscale else window)
 
     def _make(self, window):
         size = (self.width, self.height)
@@ -206,9 +239,10 @@ class _Scene(Footage):
             if (larger := self.render_size(window)) != size:
                 renderer = SceneRenderer(self._device, self._scene, *larger)
             frames = SceneFrames(renderer, chooser_of(window, size, self._subject.alphas), size)
+        frames = frames if self.exact else EncodedFrames(frames, self.encoding)
         rendered = frames.sequence(self._subject.frames + 1, self.fps, self._subject.start / self.fps)
         for (frame, following), (shown, moments, moving) in zip(pairwise(rendered), self._reference(), strict=False):
-            yield Shot(frame, shown, moments, following, moving)
+            yield Shot(frame, shown if self.exact else frame.color, moments, following, moving)
 
     def _reference(self):
         """Yield the displayed picture, the later moments and the movers of each rendered frame: the same for all
@@ -242,13 +276,15 @@ class _Scene(Footage):
         def true_positions() -> np.ndarray:
             return _positions(self._renderer.render(source_time, source, time, camera).numpy())
 
-        return Moment(time, alpha, camera, image.color, guide, turn, true_positions)
+        color = self.encoding.truth(image.color, self.exposure)
+        return Moment(time, alpha, camera, color, guide if self.exact else None, turn, true_positions)
 
 
 class _Folder(Footage):
     def __init__(self, subject: FolderSubject, device: Device):
         self._sequence = s = open_capture(subject.path)
-        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, subject.upscale)
+        encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
+        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, subject.upscale, encoding)
         self._sources = {"off": Recorded(s, device, "off"), "given": Recorded(s, device, upscale=subject.upscale)}
 
     def render_size(self, window):
@@ -257,7 +293,7 @@ class _Folder(Footage):
     def _make(self, window):
         source, truths = self._sources[window], truths_after(self._sequence)
         shown = self.shots("off") if window != "off" else None
-        frames = (frame for _, frame in source.frames([], strict=False))
+        frames = (self.encoding.frame(frame, self.exposure) for _, frame in source.frames([], strict=False))
         for k, (frame, following) in enumerate(pairwise(chain(frames, [None]))):
             assert frame is not None  # only the last of `following` is
             following = None if following is None or following.reset else following
@@ -270,7 +306,8 @@ class _Folder(Footage):
     def _moment(self, source: Recorded, k: int, truth: FrameEntry) -> Moment:
         """Return the moment of `truth` after rendered frame `k`."""
         alpha = (truth.time - source.time(k)) / source.interval(k)
-        return Moment(truth.time, alpha, self._sequence.camera_at(truth.time), self._sequence.read_color(truth))
+        color = self.encoding.truth(self._sequence.read_color(truth), self.exposure)
+        return Moment(truth.time, alpha, self._sequence.camera_at(truth.time), color)
 
 
 _MOVES = 0.5  # pixels from which a surface counts as moving by itself
@@ -290,17 +327,25 @@ def parse_subject(
     *,
     upscale: float = 0.0,
     turn_rate: float = 0.0,
+    encoding: str = "",
 ) -> Subject:
     """Return the subject of a text: "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder
-    without ground truth, or of frames that are not `upscale` times smaller than that."""
+    without ground truth, of frames that are not `upscale` times smaller than that, or for which `encoding` needs a
+    renderer."""
+    parsed = Encoding.parse(encoding) if encoding else EXACT
+    if encoding and upscale:
+        raise GffeError("--upscale and --encode exclude each other")
     name, colon, seed = text.partition(":")
     if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
         if colon and not seed.isdigit():
             raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
         load_scene(name, int(seed or 0))
-        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), (), upscale, turn_rate)
+        own = {"upscale": upscale, "turn_rate": turn_rate, "encoding": encoding}
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), **own)
     if not Path(text).exists():
         raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
+    if parsed.is_rendered or parsed.looks_up_twice:
+        raise GffeError(f"{text}: --encode {encoding} needs a renderer (expected a built-in scene)")
     sequence = open_capture(text)
     count = sum(map(len, truths_after(sequence).values()))
     if not count:
@@ -314,7 +359,9 @@ def parse_subject(
             f"{text}: its frames are as large as its ground truth, {sequence.width}×{sequence.height} (expected smaller"
             " ones for --upscale, as `gffe render --scale` writes)"
         )
-    return FolderSubject(text, count, upscale)
+    if parsed.is_on_display and recorded.windowed:
+        raise GffeError(f"{text}: --encode {encoding} needs frames that are displayed as they were rendered")
+    return FolderSubject(text, count, upscale, encoding)
 
 
 def truths_after(sequence: Sequence) -> dict[int, list[FrameEntry]]:

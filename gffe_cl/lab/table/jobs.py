@@ -7,7 +7,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -61,8 +61,17 @@ def _bandwidth(name: str | None) -> float:
 def _footage(subject: Subject, device: str | None) -> Footage:
     """Return the footage of a subject. One at a time is cached: its cells are computed one after the other."""
     footage = open_subject(subject, _device(device))
-    footage.labels = list(find_labels(footage, _device(device)))
+    if subject.encoding:
+        footage.labels = _exact_labels(replace(subject, encoding=""), device)
+    else:
+        footage.labels = list(find_labels(footage, _device(device)))
     return footage
+
+
+@lru_cache(maxsize=1)
+def _exact_labels(subject: Subject, device: str | None) -> list[np.ndarray]:
+    """Return labels of the frames before they are encoded: all encodings are measured in the same regions."""
+    return list(find_labels(open_subject(subject, _device(device)), _device(device)))
 
 
 def machine_of(device: str | None) -> str:
@@ -127,6 +136,8 @@ def _measure(
     frames, errors, flicker, pictures = [], [], Flicker(), {}
     shown_all: list[tuple[np.ndarray, np.ndarray, bool]] = []
     upscaled: list[dict[str, float]] = []
+    ui = footage.encoding.user_interface((footage.width, footage.height))
+    parts = {} if ui is None else {"ui_psnr": ui[..., 3] > 0, "scene_psnr": ui[..., 3] == 0}
     number = 0
     for shot in footage.shots(method.window):
         with clock.submitting():
@@ -153,6 +164,7 @@ def _measure(
             errors.append(one)
             row = {metric.name: _number(one.figure(metric.name, "whole")) for metric in metrics}
             row["flicker"] = flicker.add(shown, truth) if in_order else None
+            row |= {name: _number(psnr(shown, truth, part)) for name, part in parts.items()}
             frames.append({"time": moment.time, "alpha": moment.alpha, "turn": moment.turn} | row)
             if number == picture:
                 pictures = {"shown": _webp(shown), "error": _webp(error_image(shown, truth))}

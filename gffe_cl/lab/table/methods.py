@@ -87,9 +87,9 @@ class Method:
         if self.package and importlib.util.find_spec(self.package[0]) is None:
             return f"needs {self.package[0]}: {how_to_install(self.package[1])}"
         if "guide" in self.needs and not footage.exact:
-            return "needs G-buffers of the new frames, which only built-in scenes have"
+            return "needs G-buffers of the new frames, which only exact built-in scenes have"
         if "windows" in self.needs and not footage.windows:
-            return "windows can be chosen for built-in scenes only"
+            return "windows can be chosen for exact built-in scenes only"
         if "upscale" in self.needs and not footage.upscale:
             return "needs rendered frames smaller than the display (--upscale)"
         if footage.upscale and self.window != GIVEN:
@@ -208,6 +208,7 @@ _ALL = (
         needs=frozenset({"guide"}),
         pipelines=TrueMotion,
     ),
+    _gffe("ui-detection", "a user interface in the color is found and kept in place", "interface", ui_detection=True),
     Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
     _gffe(
         "static-reprojection",
@@ -264,7 +265,7 @@ _ALL = (
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
-_ON_REQUEST = ("filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
+_ON_REQUEST = ("interface", "filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
 LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 

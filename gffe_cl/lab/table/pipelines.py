@@ -67,7 +67,9 @@ class PipelineRunner(DeviceRunner):
         super().__init__()
         size, render_size = (footage.width, footage.height), footage.render_size(window)
         options = replace(options, upscale=footage.upscale if self.upscales else 0.0)
-        self.pipeline = Pipeline(device, *size, options, render_size=render_size, fps=footage.fps)
+        self.pipeline = Pipeline(
+            device, *size, options, render_size=render_size, fps=footage.fps, format=footage.encoding.format
+        )
         self.pipeline.exposure = footage.exposure
         self._known = knows_camera
 

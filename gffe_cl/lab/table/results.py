@@ -69,12 +69,16 @@ FLICKER = Column("flicker", "flicker, %", 2, False)
 RENDERED_COLUMNS = tuple(  # of rendered frames, where they are upscaled
     Column(f"rendered_{m}", f"rendered: {METRICS[m].title}", METRICS[m].digits, True) for m in ("psnr", "ssim")
 )
+UI_COLUMNS = (  # where a user interface is in the color
+    Column("ui_psnr", "in the user interface: PSNR, dB", 2, True),
+    Column("scene_psnr", "outside of it: PSNR, dB", 2, True),
+)
 VIDEO_COLUMNS = tuple(
     Column(m.name, f"{m.label}, {m.unit}" if m.unit else m.label, m.digits, m.higher_is_better)
     for m in VIDEO_METRICS.values()
 )
 COST = (Column("milliseconds", "ms", 1, False), Column("bytes_per_pixel", "B/px", 0, False))
-_PICTURE = (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], *RENDERED_COLUMNS, FLICKER)
+_PICTURE = (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], *RENDERED_COLUMNS, *UI_COLUMNS, FLICKER)
 COLUMNS = {c.name: c for c in (*_PICTURE, *VIDEO_COLUMNS, *COST)}
 
 
@@ -100,6 +104,7 @@ def results_of(filled: Filled, late: dict[float, Filled] | None = None, command:
         "cells": cells,
         "means": means,
         "gains": gains(filled),
+        "encodings": encodings(filled, cells),
         "budget": {name: budget(of) for name, of in _budgeted(filled).items()},
         "late": _late(late) if late else [],
         "skipped": _skipped(filled),
@@ -163,6 +168,24 @@ def gains(filled: Filled) -> list[dict]:
     return found
 
 
+def encodings(filled: Filled, cells: list[dict]) -> list[dict]:
+    """Return a row for each method and encoding, if there are encodings: the mean PSNR over its sequences; `against`:
+    the mean of the differences to the full method, `most`: the highest of them, both in dB, None of that itself."""
+    of = {subject.name: subject.encoding for subject in filled.subjects}
+    rows = []
+    for encoding in dict.fromkeys(of.values()) if any(of.values()) else ():
+        for name in filled.methods:
+            own = [cell for cell in cells if cell["method"] == name and of[cell["sequence"]] == encoding]
+            if not own:
+                continue
+            against = [cell["against"] for cell in own if cell["against"] is not None]
+            psnr = float(np.mean([cell["psnr"] for cell in own]))
+            mean = float(np.mean(against)) if against else None
+            row = {"encoding": encoding or "exact", "method": name, "psnr": psnr, "against": mean}
+            rows.append(row | {"most": max(against, default=None)})
+    return rows
+
+
 def to_csv(results: dict) -> str:
     """Return one figure a line: sequence, method, region, metric, value."""
     stream = io.StringIO()
@@ -180,7 +203,7 @@ def to_csv(results: dict) -> str:
 
 def _cell(sequence: str, method: str, cell: Cell) -> dict:
     document, timing = cell.document, cell.timing or {}
-    figures = {column.name: _finite(_average(cell, column.name)) for column in METRIC_COLUMNS}
+    figures = {column.name: _finite(_average(cell, column.name)) for column in (*METRIC_COLUMNS, *UI_COLUMNS)}
     regions = {
         region: {name: _finite(value) for name, value in values.items()}
         for region, values in cell.errors.figures().items()
