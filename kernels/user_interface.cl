@@ -42,9 +42,9 @@ INLINE int pixel_at(const float2 px, const int width, const int height) {
 }
 
 SPARSE __kernel void count_evidence(__constant Frame *restrict frame, __global const half *color,
-                             __global const half *color_prev, __global const float *depth,
-                             __global const float *depth_prev, __global const float2 *motion,
-                             __global uchar *evidence) {
+                                    __global const half *color_prev, __global const float *depth,
+                                    __global const float *depth_prev, __global const float2 *motion,
+                                    __global uchar *evidence) {
     const int width = frame->source_width, height = frame->source_height;
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
@@ -76,7 +76,7 @@ INLINE bool has_evidence(__global const uchar *evidence, const int x, const int 
 
 /* A user interface covers its pixels and their neighbors, which its antialiased edges share. */
 SPARSE __kernel void mark_user_interface(__constant Frame *restrict frame, __global const uchar *evidence,
-                                  __global const uchar *given_mask, __global uchar *mask) {
+                                         __global const uchar *given_mask, __global uchar *mask) {
     const int width = frame->source_width, height = frame->source_height;
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
