@@ -48,11 +48,9 @@ class LentMemory:
         self._placed: dict[int, list[tuple[dict, str, cl.Buffer]]] = {}  # by turn: who has which part
 
     def part(self, whole: cl.Buffer, start: int, nbytes: int) -> cl.Buffer:
-        """Return the part of a buffer that begins at byte `start`.
-
-        A reference is kept until `let_go`: NVIDIA's driver (580.159) crashes unless parts that overlap, and that
-        kernels used, are released in the reverse of the order in which they were made.
-        """
+        """Return the part of a buffer that begins at byte `start`. It is released by `let_go`, whoever still has it:
+        NVIDIA's driver (580.159) crashes unless parts that overlap, and that kernels used, are released in the reverse
+        of the order in which they were made."""
         self._parts.append(whole.get_sub_region(start, nbytes))
         return self._parts[-1]
 
@@ -106,11 +104,11 @@ class LentMemory:
         return frozenset(range(start + used[0], start + used[-1] + 1))
 
     def let_go(self) -> None:
-        """Drop the references to the stages, and then to the parts of buffers."""
+        """Drop the references to the stages, and release the parts of buffers."""
         for known in (self.borrowing, self.lent, self._placed, self.__dict__.get("places", {})):
             known.clear()
         while self._parts:
-            self._parts.pop()
+            self._parts.pop().release()
 
 
 def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
