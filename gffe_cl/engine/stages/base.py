@@ -510,20 +510,22 @@ class NearestStage(Stage):
 
 
 def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
-    """Return each `every`-th row of a depth buffer of `size` (width, height), as (max(H // every, 1), W) float32."""
+    """Return each `every`-th row of a depth buffer of `size` (width, height), as (ceil(H / every), W) float32."""
     width, height = size
-    rows = np.empty((max(height // every, 1), width), np.float32)
-    pitch = width * rows.itemsize
+    rows = np.empty((-(-height // every), width), np.float32)
+    pitch, whole = width * rows.itemsize, height // every
     copy: Any = cl.enqueue_copy  # no overload of the stub takes rectangles
-    copy(
-        device.queue,
-        rows,
-        depth,
-        buffer_origin=(0, 0, 0),
-        host_origin=(0, 0, 0),
-        region=(pitch, len(rows), 1),
-        # Whole pitches must lie in the buffer: NVIDIA's driver wants so of the last row, too.
-        buffer_pitches=(pitch * min(every, height), 0),
-        host_pitches=(pitch, 0),
-    )
+    if whole < len(rows):  # NVIDIA's driver wants whole pitches in the buffer, of the last row, too
+        copy(device.queue, rows[whole:], depth, src_offset=whole * every * pitch)
+    if whole:
+        copy(
+            device.queue,
+            rows[:whole],
+            depth,
+            buffer_origin=(0, 0, 0),
+            host_origin=(0, 0, 0),
+            region=(pitch, whole, 1),
+            buffer_pitches=(pitch * every, 0),
+            host_pitches=(pitch, 0),
+        )
     return rows
