@@ -277,6 +277,7 @@ def test_ticks_are_round_numbers(low, high):
     assert len({f"{tick:.{digits}f}" for tick in ticks}) == len(ticks)
 
 
+@pytest.mark.long
 def test_encodings_are_columns(gffe, tmp_path):
     """Frames with a user interface and by antialiasing: a row for each method, truth with the user interface."""
     sequence, report = tmp_path / "plaza", tmp_path / "report"
