@@ -84,7 +84,7 @@ class Change:
 GAE: dict[str, Change] = {
     "fragments cover what their pixel maps to": Change({"crack_closing": False}),
     "color is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
-    "resampling is cubic, not bilinear": Change({"blocks": False}, {"warp.cl": {"ALL_ALIKE": "0x1FF"}}),
+    "resampling is cubic, not bilinear": Change({"blocks": False}, {"resampling.h": {"ALL_ALIKE": "0x1FF"}}),
     "colors are mixed as they are seen": Change({"resampling": "linear"}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, the mean with what the background knows": Change(
