@@ -3,14 +3,16 @@
    here it is the predicted motion (prediction.cl), with a known camera.
 
    splat: each pixel carries where it comes from to where it goes. There the nearest surface wins (nearest.h).
-   resample: each pixel of the new frame looks up the place that it was given. A pixel without one is as the nearest
-   surface beside, whose surroundings were seen there; far from any it is as far surfaces are. */
+   resample: each pixel of the new frame looks up the place that it was given. A pixel without one moves as the nearest
+   surface beside, whose surroundings were seen there; far from any it moves as far surfaces do. */
 
 #include "frame.h"
 #include "resampling.h"
 #include "nearest.h"
 #include "flow.h"
 #include "dilation.h"
+
+#define SHOWS 0.97f /* times the depth of a surface: what is nearer is another one */
 
 /* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */
 INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Floats *down) {
@@ -55,15 +57,31 @@ WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __glo
         if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
 }
 
-/* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom. */
-INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __global const uint *winners, const int x,
-                           const int y) {
-    const uint word = nearest_beside(keys, winners, x, y, frame->target_width, frame->target_height);
+/* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom: with the nearest surface within
+   FILL_REACH px, of those that show nothing nearer than themselves there, as what uncovers the pixel would be. */
+INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __global const uint *winners,
+                           __global const float *z_there, const int x, const int y) {
+    const int width = frame->target_width, height = frame->target_height;
+    const float2 px = pixel_center(x, y),
+                 own = (float2)(px.x * divide(1.0f, frame->zoom.x), px.y * divide(1.0f, frame->zoom.y));
+    uint least = NOBODY, word = NOBODY;
+    for (int reach = 1; reach <= FILL_REACH && word == NOBODY; ++reach)
+        for (int dy = -reach; dy <= reach; ++dy)
+            for (int dx = -reach; dx <= reach; dx += dy == -reach || dy == reach ? 1 : 2 * reach) { /* a ring */
+                if (!inside(x + dx, y + dy, width, height)) continue;
+                const int i = (y + dy) * width + x + dx;
+                const uint depth_bits = depth_bits_of(keys, i), beside = winner_of(keys, winners, i);
+                if (beside == NOBODY || depth_bits > least || (depth_bits == least && beside >= word)) continue;
+                const float2 from = components(beside) + own;
+                const int src_x = clamp((int)from.x, 0, frame->source_width - 1),
+                          src_y = clamp((int)from.y, 0, frame->source_height - 1);
+                if (z_there[src_y * frame->source_width + src_x] < SHOWS * as_float(depth_bits)) continue;
+                least = depth_bits;
+                word = beside;
+            }
     if (word != NOBODY) return components(word);
-    const float2 px = pixel_center(x, y);
     const float3 far = reproject(px, INFINITY, frame->to_source);
-    if (!(far.z > 0.0f)) return (float2)(0.0f, 0.0f);
-    return (float2)(far.x - px.x * divide(1.0f, frame->zoom.x), far.y - px.y * divide(1.0f, frame->zoom.y));
+    return far.z > 0.0f ? far.xy - own : (float2)(0.0f, 0.0f);
 }
 
 /* LANES pixels of the new frame per work-item. */
@@ -90,7 +108,7 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
         store_floats(from_y, 0, lane_y);
         for (int k = 0; k < min(LANES, count); ++k) {
             if (lane_reached[k]) continue;
-            const float2 from = place_beside(frame, keys, winners, x + k, y);
+            const float2 from = place_beside(frame, keys, winners, target_position + 2 * plane, x + k, y);
             lane_x[k] = from.x;
             lane_y[k] = from.y;
         }

@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, reproject
-from twins.dilate_splat import NOTHING, SPLAT, components, dilate, with_neighbors, words_of
+from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, kernel_constants, reproject
+from twins.dilate_splat import NOTHING, SPLAT, components, dilate, words_of
 from twins.warp import codes_of, load_color, resampled
+
+DILATED = kernel_constants("dilated_warp.cl")
 
 
 def dilated_splat(target_position, depth, zoom, target_size):
@@ -29,11 +31,32 @@ def dilated_splat(target_position, depth, zoom, target_size):
     return keys
 
 
+def with_surfaces_beside(keys, z_there, zoom):
+    """Keys in which pixels that none reached have the least of the nearest ring around them that shows nothing nearer
+    where it leads them, if there is one. `z_there` (H, W): depths of the rendered frame's pixels in the new one."""
+    found, own = keys.copy(), centers(*keys.shape) * (F(1) / zoom)
+    for y, x in np.argwhere(words_of(keys) == NOBODY):
+        for reach in range(1, SPLAT.FILL_REACH + 1):
+            first_y, first_x = max(y - reach, 0), max(x - reach, 0)
+            around = keys[first_y : y + reach + 1, first_x : x + reach + 1]
+            ring_y, ring_x = np.mgrid[: around.shape[0], : around.shape[1]]
+            ring = np.maximum(abs(ring_y + first_y - y), abs(ring_x + first_x - x)) == reach
+            offered = np.unique(around[ring & (words_of(around) != NOBODY)])  # the least first
+            come_from = components(words_of(offered)) + own[y, x]
+            sx, sy = np.clip(np.trunc(come_from), 0, np.array(z_there.shape)[::-1] - 1).astype(int).T
+            depth = (offered >> np.uint64(32)).astype(np.uint32).view(F)
+            shows = z_there[sy, sx] >= DILATED.SHOWS * depth
+            if shows.any():
+                found[y, x] = offered[shows][0]
+                break
+    return found
+
+
 def resample_dilated(keys, target_position, color, dynamic, zoom, to_source):
     """All outputs of the stage, as a dict of (H', W', …) arrays named like the frame's buffers."""
     height, width = keys.shape
     source_height, source_width = dynamic.shape
-    filling, center = with_neighbors(keys), centers(height, width)
+    filling, center = with_surfaces_beside(keys, target_position[..., 2], zoom), centers(height, width)
     reached = words_of(keys) != NOBODY
     far = reproject(center, np.full(keys.shape, INF, F), to_source)
     far_from = np.where(far[..., 2:] > 0, far[..., :2] - center * (F(1) / zoom), F(0))
