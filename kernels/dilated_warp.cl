@@ -2,8 +2,8 @@
    that antialiased edges move along with the nearer surface, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024);
    here it is the predicted motion (prediction.cl), with a known camera.
 
-   splat: each pixel carries where it comes from to where it goes. There the nearest surface wins (nearest.h).
-   resample: each pixel of the new frame looks up the place that it was given. A pixel without one moves as the nearest
+   splat_dilated: each pixel carries where it comes from to where it goes. There the nearest surface wins (nearest.h).
+   resample_dilated: each pixel of the new frame looks up the place that it was given. A pixel without one moves as the nearest
    surface beside, whose surroundings were seen there; far from any it moves as far surfaces do. */
 
 #include "frame.h"
@@ -23,7 +23,7 @@ INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Fl
 
 /* LANES pixels of the rendered frame per work-item. A word holds where the new frame's pixel at (x, y) comes from, less
    (x, y) / zoom. */
-WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
+WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const float *target_position, __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height, plane = width * height;
     const int target_width = frame->target_width, target_height = frame->target_height;

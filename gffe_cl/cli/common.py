@@ -106,9 +106,8 @@ EncodeOption = Annotated[
     typer.Option(
         "--encode",
         metavar="PART,…[:WxH]",
-        help="Encoding of rendered frames: half-uv, unorm8, unorm16 or rounded; two-lookups, half-depth,"
-        " 8bit-color, noisy-camera; engine (these with half-uv); taa, jittered, dilated, grain, hud; game (these five)."
-        " WxH: of the motion's units.",
+        help="Encoding of rendered frames: engine, game, or parts of these, such as half-uv, taa or hud"
+        " (docs/formats.md#encodings). WxH: of the motion's units.",
     ),
 ]
 WindowOption = Annotated[

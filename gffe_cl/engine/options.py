@@ -319,8 +319,8 @@ class Options:
     ui_detection: bool = _option(
         False,
         "user interface detection",
-        "Detection of a user interface in the color: what stays in place although vectors move it is kept in place;"
-        " off: it is warped, unless overlays mark it.",
+        "Detection of a user interface in the color: pixels that stay although vectors move them keep their place;"
+        " off: they are warped.",
         flag="--ui-detection",
     )
     shading_inputs: bool = _option(

@@ -295,7 +295,7 @@ def test_modules_and_parameters_come_from_the_descriptions(session):
     parameters.set("order", 3)
     assert parameters.setup.n == 3 and parameters.options.history == 4
     parameters.use_preset("performance")
-    assert parameters.options.levels == 0 and parameters.options.order == 3  # which no preset sets
+    assert parameters.options.warp == "dilated" and parameters.options.order == 3  # which no preset sets
     assert parameters.options.preset_name == "performance"
     parameters.use_preset("balanced")
     assert parameters.options.levels == 1

@@ -15,7 +15,7 @@ class DilatedWarp(NearestStage):
     name = "dilated_warp"
     kernels = (
         Kernel(
-            "splat",
+            "splat_dilated",
             "source",
             {"depth": "rendered.depth", "target_position": "prediction.target_position"} | _KEYS,
             _KEYS,
@@ -54,5 +54,5 @@ class DilatedWarp(NearestStage):
     def extrapolated(self, step: Step) -> None:
         self.clear_keys("", "target")
         for splat_pass in self.passes:
-            self.launch("splat", step, **{"pass": splat_pass})
+            self.launch("splat_dilated", step, **{"pass": splat_pass})
         self.launch("resample_dilated", step)

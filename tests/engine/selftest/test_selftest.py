@@ -52,7 +52,7 @@ def differences(device, form, cases=CASES, until=None):
             comparison.add(moment, buffers)
             if moment == until:
                 break
-        assert len(comparison.compared) > 50
+        assert len(comparison.compared) > 40
         found |= {f"{name}: {buffer}": str(told) for buffer, told in comparison.different.items()}
     return found
 
@@ -79,7 +79,7 @@ def test_the_form_of_gpus_gives_the_recorded_bits(device):
 
 def test_references_are_of_these_frames_and_weights(default_model, weights):
     reference = recorded()
-    assert reference_path().stat().st_size < 480_000
+    assert reference_path().stat().st_size < 560_000
     assert set(reference.hashes) == set(reference.values) == set(CASES)
     assert {name: inputs_digest(frames(*SIZE, case.render_size)) for name, case in CASES.items()} == reference.inputs
     assert model_digest() == reference.model, STALE
