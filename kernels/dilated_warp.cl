@@ -3,8 +3,8 @@
    here it is the predicted motion (prediction.cl), with a known camera.
 
    splat_dilated: each pixel carries where it comes from to where it goes. There the nearest surface wins (nearest.h).
-   resample_dilated: each pixel of the new frame looks up the place that it was given. A pixel without one moves as the nearest
-   surface beside, whose surroundings were seen there; far from any it moves as far surfaces do. */
+   resample_dilated: each pixel of the new frame looks up the place that it was given. A pixel without one moves as the
+   nearest surface beside, whose surroundings were seen there; far from any it moves as far surfaces do. */
 
 #include "frame.h"
 #include "resampling.h"
@@ -24,7 +24,7 @@ INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Fl
 /* LANES pixels of the rendered frame per work-item. A word holds where the new frame's pixel at (x, y) comes from, less
    (x, y) / zoom. */
 WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pass, __global const float *depth,
-                         __global const float *target_position, __global Key *keys, __global uint *winners) {
+                                 __global const float *target_position, __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height, plane = width * height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
