@@ -12,8 +12,6 @@
 #include "flow.h"
 #include "dilation.h"
 
-#define SHOWS 0.97f /* times the depth of a surface: what is nearer is another one */
-
 /* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */
 INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Floats *down) {
     const Ints step = here - nearest, rows = step > 1 ? (Ints)(1) : step < -1 ? (Ints)(-1) : (Ints)(0);
@@ -45,40 +43,17 @@ WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pas
     const Ints lands = (z > 0.0f) & (px_x >= 0.0f) & (px_x < (float)target_width) & (px_y >= 0.0f)
                        & (px_y < (float)target_height) & (fabs(from_x) <= LONGEST) & (fabs(from_y) <= LONGEST);
     if (!ANY(lands)) return;
-    const Floats none = (Floats)(0.0f);
-    int lane_lands[LANES], lane_dst[LANES];
-    uint lane_word[LANES];
-    float lane_z[LANES];
-    store_ints(lands, 0, lane_lands);
-    store_ints(to_ints(lands ? px_y : none) * target_width + to_ints(lands ? px_x : none), 0, lane_dst);
-    store_ints(half_word(lands ? from_y : none) << 16 | half_word(lands ? from_x : none), 0, lane_word);
-    store_floats(z, 0, lane_z);
-    for (int k = 0; k < min(LANES, width - x); ++k)
-        if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
+    offer_vectors(pass, keys, winners, width - x, target_width, lands, px_x, px_y, from_x, from_y, z);
 }
 
 /* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom: with the nearest surface within
    FILL_REACH px, of those that show nothing nearer than themselves there, as what uncovers the pixel would be. */
 INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __global const uint *winners,
                            __global const float *z_there, const int x, const int y) {
-    const int width = frame->target_width, height = frame->target_height;
     const float2 px = pixel_center(x, y),
                  own = (float2)(px.x * divide(1.0f, frame->zoom.x), px.y * divide(1.0f, frame->zoom.y));
-    uint least = NOBODY, word = NOBODY;
-    for (int reach = 1; reach <= FILL_REACH && word == NOBODY; ++reach)
-        for (int dy = -reach; dy <= reach; ++dy)
-            for (int dx = -reach; dx <= reach; dx += dy == -reach || dy == reach ? 1 : 2 * reach) { /* a ring */
-                if (!inside(x + dx, y + dy, width, height)) continue;
-                const int i = (y + dy) * width + x + dx;
-                const uint depth_bits = depth_bits_of(keys, i), beside = winner_of(keys, winners, i);
-                if (beside == NOBODY || depth_bits > least || (depth_bits == least && beside >= word)) continue;
-                const float2 from = components(beside) + own;
-                const int src_x = clamp((int)from.x, 0, frame->source_width - 1),
-                          src_y = clamp((int)from.y, 0, frame->source_height - 1);
-                if (z_there[src_y * frame->source_width + src_x] < SHOWS * as_float(depth_bits)) continue;
-                least = depth_bits;
-                word = beside;
-            }
+    const Origin from = {.z = z_there, .width = frame->source_width, .height = frame->source_height, .here = own};
+    const uint word = nearest_beside(keys, winners, x, y, frame->target_width, frame->target_height, from);
     if (word != NOBODY) return components(word);
     const float3 far = reproject(px, INFINITY, frame->to_source);
     return far.z > 0.0f ? far.xy - own : (float2)(0.0f, 0.0f);

@@ -32,22 +32,14 @@ WIDE __kernel void splat(const int width, const int height, const float alpha, c
     const Ints lands = (fabs(move_x) <= LONGEST) & (fabs(move_y) <= LONGEST) & (px_x >= 0.0f) & (px_x < (float)width)
                        & (px_y >= 0.0f) & (px_y < (float)height);
     if (!ANY(lands)) return;
-    const Floats none = (Floats)(0.0f);
-    int lane_lands[LANES], lane_dst[LANES];
-    uint lane_word[LANES];
-    float lane_z[LANES];
-    store_ints(lands, 0, lane_lands);
-    store_ints(to_ints(lands ? px_y : none) * width + to_ints(lands ? px_x : none), 0, lane_dst);
-    store_ints(half_word(lands ? move_y : none) << 16 | half_word(lands ? move_x : none), 0, lane_word);
-    store_floats(z, 0, lane_z);
-    for (int k = 0; k < min(LANES, width - x); ++k)
-        if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
+    offer_vectors(pass, keys, winners, width - x, width, lands, px_x, px_y, move_x, move_y, z);
 }
 
 /* The vector for a pixel that none reached. */
 INLINE float2 filling_vector(__global const Key *keys, __global const uint *winners, __global const float2 *motion,
                              const int x, const int y, const int width, const int height, const float alpha) {
-    const uint word = nearest_beside(keys, winners, x, y, width, height);
+    const Origin any = {.z = 0};
+    const uint word = nearest_beside(keys, winners, x, y, width, height, any);
     if (word != NOBODY) return components(word);
     const float2 own = -alpha * motion[y * width + x];
     return (float2)(own.x == own.x ? own.x : 0.0f, own.y == own.y ? own.y : 0.0f);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.engine.stages.warp import NEW_FRAME
 
 _KEYS: dict[str, Access | str] = {"keys": "dilated_warp.keys", "winners": "dilated_warp.winners"}
 
@@ -31,14 +32,7 @@ class DilatedWarp(NearestStage):
                 "target_position": Access("prediction.target_position", planes=1),
             }
             | _KEYS,
-            {
-                "out_color": "frame.color",
-                "out_depth": "frame.depth",
-                "out_motion": "frame.motion",
-                "out_dynamic": "frame.dynamic",
-                "disoccluded": "frame.disoccluded",
-                "filled_by": "frame.filled_by",
-            },
+            NEW_FRAME,
             step=("LANES", 1),
         ),
     )

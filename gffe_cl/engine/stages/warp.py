@@ -21,6 +21,16 @@ def _keys(share: Share) -> dict[str, Access]:
     return {name: Access(f"warp.{name}", share) for name in ("keys", "winners")}
 
 
+NEW_FRAME = {
+    "out_color": "frame.color",
+    "out_depth": "frame.depth",
+    "out_motion": "frame.motion",
+    "out_dynamic": "frame.dynamic",
+    "disoccluded": "frame.disoccluded",
+    "filled_by": "frame.filled_by",
+}
+
+
 class Warp(NearestStage):
     """Splats every fragment's footprint, nearest first, and resamples the rendered frame."""
 
@@ -56,16 +66,7 @@ class Warp(NearestStage):
                 "target_position": "prediction.target_position",
             }
             | _keys(SPLATTED_PIXELS),
-            _keys(MIXED)
-            | {
-                "out_color": "frame.color",
-                "out_depth": "frame.depth",
-                "out_motion": "frame.motion",
-                "out_dynamic": "frame.dynamic",
-                "disoccluded": "frame.disoccluded",
-                "filled_by": "frame.filled_by",
-                "mixed": "warp.mixed",
-            },
+            _keys(MIXED) | NEW_FRAME | {"mixed": "warp.mixed"},
             step=("LANES", 1),
         ),
     )

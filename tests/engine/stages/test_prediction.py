@@ -40,6 +40,21 @@ def test_kernel_equals_its_twin(case):
     assert 0.02 < (dynamic > 0).mean() < 0.6
 
 
+def predicted_half_a_frame_after(device, scene, view, size, count):
+    """Predicted positions with and without `entering`, by that option; the last of `count` frames, and its history."""
+    predicted = {}
+    for entering in (True, False):
+        pipeline, before = Pipeline(device, *size, Options(acceleration=False, entering=entering)), None
+        for k in range(count):
+            frame = scene.frame(view, k / 30, *size, before, reset=k == 0)
+            pipeline.submit(frame)
+            before = (view, k / 30)
+        pipeline.extrapolate(view, (count - 0.5) / 30)
+        predicted[entering] = pipeline.stages["prediction"].read("target_position")
+    history = {name: pipeline.stages["history"].read(name) for name in ("dynamic_mask", "met_depth")}
+    return predicted, frame, history
+
+
 def test_movers_that_enter_go_on(device):
     """Fragments that came through the border, and closer, are predicted where they are then, as those beside whose
     place in the frame before is known; their depths in that frame are the twin's."""
@@ -48,19 +63,10 @@ def test_movers_that_enter_go_on(device):
     edge = still.unproject(np.array([[0.0, height / 2]]), np.array([6.0]))[0, 0]
     mover = Rect((edge - 1.8, 0, 6.6), (1.0, 0.6), velocity=tuple(velocity), frequency=0.1)
     scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
-    predicted = {}
-    for entering in (True, False):
-        pipeline, before = Pipeline(device, width, height, Options(acceleration=False, entering=entering)), None
-        for k in range(4):
-            frame = scene.frame(still, k / 30, width, height, before, reset=k == 0)
-            pipeline.submit(frame)
-            before = (still, k / 30)
-        pipeline.extrapolate(still, 3.5 / 30)
-        predicted[entering] = pipeline.stages["prediction"].read("target_position")
-    read = pipeline.stages["history"].read
-    shown, met, px = frame.depth < 7, read("met_depth"), twins.centers(height, width)
+    predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), 4)
+    shown, met, px = frame.depth < 7, history["met_depth"], twins.centers(height, width)
     found = twins.entering_depth(
-        frame.depth, frame.motion, read("dynamic_mask"), met, reprojection(frame.camera, frame.camera)
+        frame.depth, frame.motion, history["dynamic_mask"], met, reprojection(frame.camera, frame.camera)
     )
     entered = shown & (found > 0) & ~(met > 0)
     assert entered.sum() > 20 and np.array_equal(found[~entered], met[~entered])
@@ -78,16 +84,8 @@ def test_movers_that_come_from_behind_others_go_on(device):
     still = camera(width, height)
     mover = Rect((-1.0, 0, 6), (0.8, 0.6), velocity=tuple(velocity), frequency=0.1)
     scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover, Rect((0.5, 0, 4), (0.4, 3), frequency=0.2)])
-    predicted, before = {}, None
-    for entering in (True, False):
-        pipeline, before = Pipeline(device, width, height, Options(acceleration=False, entering=entering)), None
-        for k in range(7):
-            frame = scene.frame(still, k / 30, width, height, before, reset=k == 0)
-            pipeline.submit(frame)
-            before = (still, k / 30)
-        pipeline.extrapolate(still, 6.5 / 30)
-        predicted[entering] = pipeline.stages["prediction"].read("target_position")
-    unseen = (np.abs(frame.depth - 6) < 0.1) & ~(pipeline.stages["history"].read("met_depth") > 0)
+    predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), 7)
+    unseen = (np.abs(frame.depth - 6) < 0.1) & ~(history["met_depth"] > 0)
     assert unseen.sum() > 20
     place = still.unproject(twins.centers(height, width)[unseen], frame.depth[unseen])
     there = still.project(place + velocity / 60)[0]

@@ -40,13 +40,20 @@ def dilate_splat(depth, motion, alpha):
     return keys
 
 
-def with_neighbors(keys):
-    """Keys in which pixels that none reached have the least of the nearest ring around them, if there is one."""
+def with_neighbors(keys, accepts=lambda y, x, offered: np.ones(len(offered), bool)):
+    """Keys in which pixels that none reached have the least of the nearest ring around them that `accepts` accepts for
+    the pixel, if there is one."""
     found = keys.copy()
     for y, x in np.argwhere(words_of(keys) == NOBODY):
         for reach in range(1, SPLAT.FILL_REACH + 1):
-            if found[y, x] == NOTHING:
-                found[y, x] = keys[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].min()
+            first_y, first_x = max(y - reach, 0), max(x - reach, 0)
+            around = keys[first_y : y + reach + 1, first_x : x + reach + 1]
+            ring_y, ring_x = np.mgrid[: around.shape[0], : around.shape[1]]
+            ring = np.maximum(abs(ring_y + first_y - y), abs(ring_x + first_x - x)) == reach
+            offered = np.unique(around[ring & (words_of(around) != NOBODY)])  # the least first
+            if (accepted := offered[accepts(y, x, offered)]).size:
+                found[y, x] = accepted[0]
+                break
     return found
 
 

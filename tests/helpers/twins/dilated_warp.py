@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, kernel_constants, reproject
-from twins.dilate_splat import NOTHING, SPLAT, components, dilate, words_of
+from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, reproject
+from twins.dilate_splat import NOTHING, SPLAT, components, dilate, with_neighbors, words_of
 from twins.warp import codes_of, load_color, resampled
-
-DILATED = kernel_constants("dilated_warp.cl")
 
 
 def dilated_splat(target_position, depth, zoom, target_size):
@@ -32,24 +30,17 @@ def dilated_splat(target_position, depth, zoom, target_size):
 
 
 def with_surfaces_beside(keys, z_there, zoom):
-    """Keys in which pixels that none reached have the least of the nearest ring around them that shows nothing nearer
-    where it leads them, if there is one. `z_there` (H, W): depths of the rendered frame's pixels in the new one."""
-    found, own = keys.copy(), centers(*keys.shape) * (F(1) / zoom)
-    for y, x in np.argwhere(words_of(keys) == NOBODY):
-        for reach in range(1, SPLAT.FILL_REACH + 1):
-            first_y, first_x = max(y - reach, 0), max(x - reach, 0)
-            around = keys[first_y : y + reach + 1, first_x : x + reach + 1]
-            ring_y, ring_x = np.mgrid[: around.shape[0], : around.shape[1]]
-            ring = np.maximum(abs(ring_y + first_y - y), abs(ring_x + first_x - x)) == reach
-            offered = np.unique(around[ring & (words_of(around) != NOBODY)])  # the least first
-            come_from = components(words_of(offered)) + own[y, x]
-            sx, sy = np.clip(np.trunc(come_from), 0, np.array(z_there.shape)[::-1] - 1).astype(int).T
-            depth = (offered >> np.uint64(32)).astype(np.uint32).view(F)
-            shows = z_there[sy, sx] >= DILATED.SHOWS * depth
-            if shows.any():
-                found[y, x] = offered[shows][0]
-                break
-    return found
+    """Keys in which pixels that none reached have that of the nearest surface beside which shows nothing nearer where
+    it leads them. `z_there` (H, W): depths of the rendered frame's pixels in the new one."""
+    own = centers(*keys.shape) * (F(1) / zoom)
+
+    def shows_itself(y, x, offered):
+        come_from = components(words_of(offered)) + own[y, x]
+        sx, sy = np.clip(np.trunc(come_from), 0, np.array(z_there.shape)[::-1] - 1).astype(int).T
+        depth = (offered >> np.uint64(32)).astype(np.uint32).view(F)
+        return z_there[sy, sx] >= SPLAT.SHOWS * depth
+
+    return with_neighbors(keys, shows_itself)
 
 
 def resample_dilated(keys, target_position, color, dynamic, zoom, to_source):
