@@ -1,9 +1,8 @@
 /* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection'). Level l has
    ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
    depth and its pixel position (not the texel's center) in the camera of the frame for which the level was
-   collected. What is SHOWN is not stored: it is that frame's own pixel. So texels of level 0 have room for a second
-   fragment: with a single level they hold, at full resolution, what a static surface hides there, too. With more, as
-   in the paper, the next level holds that. Stored positions are two 16-bit offsets from the texel's center, x in the
+   collected. What is SHOWN is not stored: it is that frame's own pixel. A single level remembers, at full resolution,
+   what movers hide; with more, as in the paper, the next level holds what static surfaces hide. Stored positions are two 16-bit offsets from the texel's center, x in the
    lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5. Fragments of
    B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
@@ -15,7 +14,7 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
-#define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to the REMEMBERED fragment, not to the SHOWN one */
+#define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to a REMEMBERED fragment, not to a SHOWN one */
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
@@ -112,14 +111,13 @@ INLINE bool lands(const float3 now, const int width, const int height) {
 }
 
 /* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or
-   to the next level if it lies behind the fragment in B_level (case 2: push_keys); of a single level its texel has
-   room for that itself. And to the texels with room that it touches, where every fragment of their own goes before:
+   to the next level if it lies behind the fragment in B_level (case 2: push_keys). And to the empty texels that it
+   touches, where every fragment of their own goes before:
    without that, fragments that move by less than half a pixel per frame would never get past the border of the
    visible area of the current frame, and fragments that met in one texel would leave a gap beside it. */
 INLINE void offer_fragment(const float3 now, const uint texel, const Collection to) {
     if (!lands(now, to.width, to.height)) return;
     const int level = to.level, level_width = level_side(to.width, level);
-    const bool single = to.last_level == 0;
     const float z = now.z;
     const int src_x = (int)now.x, src_y = (int)now.y;
     const int own = (src_y >> level) * level_width + (src_x >> level);
@@ -128,7 +126,7 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
     int filled = -1;
     if (may_be_at(src_y * to.width + src_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
         && (level == 0 || behind)) {  /* else it is seen again: B_0 has it fresh */
-        if (to.taken[own] == EMPTY || (single && behind)) {
+        if (to.taken[own] == EMPTY) {
             offer(to.pass, to.fill_keys, to.fill_winners, own, z, texel);
             filled = own;
         } else if (level < to.last_level) {
@@ -146,12 +144,12 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
         if (px_x < 0.0f || px_y < 0.0f || corner_x >= to.width || corner_y >= to.height) continue;
         const int cell = (corner_y >> level) * level_width + (corner_x >> level);
         const uint bits = as_uint(z) | GIVES_WAY;
-        if (cell == filled || (level == 0 && cell == own) || (to.taken[cell] != EMPTY && !single)
+        if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
             || !may_win(to.pass, to.fill_keys, cell, bits))
             continue;
         if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin,
                       &behind)
-            && (behind || (level == 0 && to.taken[cell] == EMPTY)))
+            && (behind || level == 0))
             offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);
     }
 }
@@ -159,7 +157,7 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
 #if LANES > 1
 /* Whether nothing can be offered of LANES fragments, which lie roughly here now: they land in one row, almost side
    by side, and three rows of texels, which hold all that they touch, are taken, by what is not nearer than their own
-   surface. */
+   surface, if there is a next level. */
 INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
     const int row = level_side(to.width, to.level), size = row * level_side(to.height, to.level), edge = RUN / 4;
     const float scale = 1.0f / (float)(1 << to.level), error = ROUGHLY * (float)max(to.width, to.height);
@@ -175,6 +173,7 @@ INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
         return false;
     __global const uchar *here = to.taken + first - edge;
     if (run_has(here, EMPTY) || run_has(here - row, EMPTY) || run_has(here + row, EMPTY)) return false;
+    if (to.level == to.last_level) return true;
     const bool is_run = ALL(cell_x == first_x + LANE_NUMBERS);
     const Floats z =
         is_run ? load_floats(0, to.level_depth + first) : gather_floats(to.level_depth, cell_x + (first - first_x));
@@ -196,7 +195,7 @@ INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left,
 #endif
 
 /* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own
-   surface. Those are its own and, at most, three on the nearer sides of it. */
+   surface if there is a next level. Those are its own and, at most, three on the nearer sides of it. */
 INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
     const int level = to.level, row = level_side(to.width, level), rows = level_side(to.height, level);
     const Ints in =
@@ -206,20 +205,23 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
     const Ints cell_x = to_ints(x), cell_y = to_ints(y);
     const Ints left = x - to_floats(cell_x) < 0.5f, up = y - to_floats(cell_y) < 0.5f;
     const Floats most = now.z * BEHIND;
+    const bool last = level == to.last_level;
 #if LANES > 1
     const int first = cell_y.s0 * row + cell_x.s0;
     if (first > row && first + row + RUN <= row * rows
         && ALL((cell_y == cell_y.s0) & (cell_x == cell_x.s0 + LANE_NUMBERS)))
         return in
                & ((to_ints(least_taken_of_run(first, row, left, up, to.taken)) == EMPTY)
-                  | (most > load_floats(0, to.level_depth + first)));
+                  | (last ? (Ints)(0) : most > load_floats(0, to.level_depth + first)));
 #endif
     const Ints beside = clamp(cell_x + (left ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(row - 1));
     const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row,
                own = cell_y * row;
     const Bytes least_taken = min(min(gather_bytes(to.taken, own + cell_x), gather_bytes(to.taken, own + beside)),
                                   min(gather_bytes(to.taken, next + cell_x), gather_bytes(to.taken, next + beside)));
-    return in & ((to_ints(least_taken) == EMPTY) | (most > gather_floats(to.level_depth, own + cell_x)));
+    return in
+           & ((to_ints(least_taken) == EMPTY)
+              | (last ? (Ints)(0) : most > gather_floats(to.level_depth, own + cell_x)));
 }
 
 /* Offers the fragments of B'_level. */
@@ -261,49 +263,50 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
                             .state = old_state,
                             .level = level,
                             .width = level_width};
-        for (int k = 0; k < 2 * count; ++k) {
-            const int x = texel_x + k / 2, i = texel + k / 2;
-            const bool shown = !(k & 1);
-            if (!(old_state[i] & (shown ? SHOWN : REMEMBERED))) continue;
-            const float3 now = reproject(px_of(old, i, x, texel_y, shown), depth_of(old, i, shown), to_current);
+        for (int k = 0; k < count; ++k) {
+            const int i = texel + k;
+            const bool shown = old_state[i] == SHOWN;
+            if (!shown && old_state[i] != REMEMBERED) continue;
+            const float2 px = px_of(old, i, texel_x + k, texel_y, shown);
+            const float3 now = reproject(px, depth_of(old, i, shown), to_current);
             offer_fragment(now, (uint)i | (shown ? 0u : FROM_MEMORY), to);
         }
         return;
     }
 
-    /* LANES texels at once: first what the frame before shows there, then what they remember. */
+    /* LANES texels at once: what the frame before shows there, or what they remember. */
     const Ints state = to_ints(load_bytes(0, old_state + texel));
+    const Ints remembered = state == REMEMBERED, held = (state == SHOWN) | remembered;
+    if (!ANY(held)) return;
     const float side = (float)(1 << level);
-    const Floats frame_z = load_floats(0, frame_depth + texel);
-    for (int which = SHOWN; which <= REMEMBERED; ++which) {
-        const Ints held = (state & which) != 0;
-        if (!ANY(held)) continue;
-        Floats px_x = row_centers(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side), z = frame_z;
-        if (which == REMEMBERED) {
-            const Ints packed = held ? load_ints(0, old_px + texel) : (Ints)(0);
-            px_x += unpack_x(packed, level);
-            px_y += unpack_y(packed, level);
-            z = held ? load_floats(0, old_depth + texel) : frame_z;
-        }
+    Floats px_x = row_centers(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
+    Floats z = load_floats(0, frame_depth + texel);
+    if (ANY(remembered)) {
+        const Ints packed = remembered ? load_ints(0, old_px + texel) : (Ints)(0);
+        px_x += unpack_x(packed, level);
+        px_y += unpack_y(packed, level);
+        z = remembered ? load_floats(0, old_depth + texel) : z;
+    }
 
-        /* Most only meet the surface that they are of; a rough position tells. */
+    /* Most only meet the surface that they are of; a rough position tells. */
 #if LANES > 1
-        if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) continue;
+    if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) return;
 #endif
-        const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
-        const Ints wanted = held & may_be_offered(now, to);
-        if (!ANY(wanted)) continue;
+    const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
+    const Ints wanted = held & may_be_offered(now, to);
+    if (!ANY(wanted)) return;
 
-        /* The few that may be offered, one by one. */
-        float now_x[LANES], now_y[LANES], now_z[LANES];
-        int is_wanted[LANES];
-        store_floats(now.x, 0, now_x);
-        store_floats(now.y, 0, now_y);
-        store_floats(now.z, 0, now_z);
-        store_ints(wanted, 0, is_wanted);
-        const uint memory = which == REMEMBERED ? FROM_MEMORY : 0u;
-        for (int k = 0; k < LANES; ++k)
-            if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), (uint)(texel + k) | memory, to);
+    /* The few that may be offered, one by one. */
+    float now_x[LANES], now_y[LANES], now_z[LANES];
+    int is_wanted[LANES], is_remembered[LANES];
+    store_floats(now.x, 0, now_x);
+    store_floats(now.y, 0, now_y);
+    store_floats(now.z, 0, now_z);
+    store_ints(wanted, 0, is_wanted);
+    store_ints(remembered, 0, is_remembered);
+    for (int k = 0; k < LANES; ++k) {
+        const uint memory = is_remembered[k] ? FROM_MEMORY : 0u;
+        if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), (uint)(texel + k) | memory, to);
     }
 }
 
@@ -314,11 +317,7 @@ typedef struct {
     __global int *px;
     __global uchar *state;
     int level, width;
-    int single;  /* the only level: SHOWN texels have room */
 } Level;
-
-/* Whether texels have room for a remembered fragment. */
-INLINE bool has_room(const uchar state, const int single) { return state == EMPTY || (single && state == SHOWN); }
 
 /* Whether no fragment was offered to any of LANES texels. */
 INLINE bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
@@ -336,11 +335,11 @@ INLINE bool nobody_came(__global const Key *keys, __global const uint *winners, 
 }
 
 /* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and
-   empties their keys. Of a level that is `begun` what leaves no room stays; of others nothing. */
+   empties their keys. Of a level that is `begun` what is not EMPTY stays; of others nothing. */
 INLINE void settle(const int first_x, const int texel_y, const int count, const bool begun, __global Key *keys,
                    __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
     const int first = texel_y * level.width + first_x;
-    if (begun && !level.single && count == LANES && !ANY(to_ints(load_bytes(0, level.state + first)) == EMPTY)) return;
+    if (begun && count == LANES && !ANY(to_ints(load_bytes(0, level.state + first)) == EMPTY)) return;
     if (count == LANES && nobody_came(keys, winners, first)) {
         if (!begun) store_bytes((Bytes)(EMPTY), 0, level.state + first);
         return;
@@ -351,7 +350,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     int packed[LANES], color[LANES], is_won[LANES], is_shown[LANES], any_shown = 0;
     float z[LANES], r[LANES], g[LANES], b[LANES];
     for (int k = 0; k < count; ++k) {  /* loads before stores: those of lanes would wait for them */
-        const bool open = !begun || has_room(level.state[first + k], level.single);
+        const bool open = !begun || level.state[first + k] == EMPTY;
         winner[k] = open ? winner_of(keys, winners, first + k) : NOBODY;
         is_won[k] = winner[k] != NOBODY;
         if (!is_won[k]) continue;
@@ -394,7 +393,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
         const int before = begun ? level.state[texel] : EMPTY;
-        level.state[texel] = (uchar)(is_won[k] ? before | REMEMBERED : before);
+        level.state[texel] = (uchar)(is_won[k] ? REMEMBERED : before);
         if (!is_won[k]) continue;
         forget(keys, winners, texel);
         level.color[texel] = (uint)color[k];
@@ -407,7 +406,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
 INLINE void settle_run(const int x, const int y, const int collect, __global Key *keys, __global uint *winners,
                        const Texels old, const Reprojection to_current, const Level level) {
     const int width = level.width;
-    if (collect && !level.single && x + RUN <= width && !run_has(level.state + y * width + x, EMPTY)) return;
+    if (collect && x + RUN <= width && !run_has(level.state + y * width + x, EMPTY)) return;
     for (int k = 0; k < min(RUN, width - x); k += LANES)
         settle(x + k, y, min(LANES, width - x - k), collect != 0, keys, winners, old, to_current, level);
 }
@@ -438,8 +437,7 @@ SCAN __kernel void settle_level(__constant Frame *restrict frame, const int leve
                        .px = level_px,
                        .state = level_state,
                        .level = level,
-                       .width = level_width,
-                       .single = frame->levels == 1};
+                       .width = level_width};
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
@@ -545,11 +543,11 @@ SCAN __kernel void project_levels(__constant Frame *restrict frame, const int pa
     const float2 zoom = frame->zoom;
     const Reprojection to_target = frame->to_target;
     const int first = get_global_id(0) * RUN;
-    if (first >= texels || !(run_has(levels_state + first, REMEMBERED) || run_has(levels_state + first, BOTH))) return;
+    if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
     const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
     const float texel_size = (float)(1 << level);
     for (int texel = first; texel < first + RUN; texel += LANES) {
-        const Ints remembered = (to_ints(load_bytes(0, levels_state + texel)) & REMEMBERED) != 0;
+        const Ints remembered = to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED;
         if (!ANY(remembered)) continue;
         Ints texel_x, texel_y;
         wide_column_and_row(LANE_NUMBERS + (texel - start), width, &texel_x, &texel_y);
@@ -603,8 +601,8 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
                 if (first + k >= taps || !inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
                 const uchar state = texels.state[tap[k]];
                 const float margin = 2.0f * SAME_SURFACE * z_winner;
-                shown[k] = (state & SHOWN) && is_same_surface(texels.frame_depth[tap[k]], z_winner, margin);
-                if (!shown[k] && !(state & REMEMBERED)) continue;
+                shown[k] = state == SHOWN;
+                if (!shown[k] && state != REMEMBERED) continue;
                 const float z_tap = depth_of(texels, tap[k], shown[k]);
                 if (!is_same_surface(z_tap, z_winner, margin)) continue;
                 const float2 px = px_of(texels, tap[k], texel_x + dx, texel_y + dy, shown[k]);
@@ -643,7 +641,7 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
     const float3 px_prev = reproject(center, z, frame->target_to_previous);
     if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)width - 0.5f
           && px_prev.y < (float)height - 0.5f)
-        || !(before.state[(int)px_prev.y * width + (int)px_prev.x] & SHOWN))
+        || !(before.state[(int)px_prev.y * width + (int)px_prev.x] == SHOWN))
         return false;
     const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
     const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;

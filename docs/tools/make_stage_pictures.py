@@ -213,7 +213,7 @@ def hidden_parts(at: Moment) -> Panels:
 
 
 def collection(at: Moment) -> Panels:
-    remembered = (at.read("background.state_0") & REMEMBERED) > 0
+    remembered = at.read("background.state_0") == REMEMBERED
     image, dynamic = at.shown(at.rendered.color), at.read("history.dynamic_mask") > 0
     background = np.where(remembered[..., None], at.color("background.color_0"), marked(image, (dynamic, (0, 0, 0))))
     return [

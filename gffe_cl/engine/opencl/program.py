@@ -77,7 +77,8 @@ class Program:
             with quiet_builds():
                 built = built_program(device.context, device.cl_device, source, options)
         except cl.RuntimeError as error:
-            what, log = f"kernels/{name}.cl does not build on {device.info.name}", build_log(error)
+            what = f"kernels/{name}.cl does not build on {device.info.name}"
+            log = with_files_named(build_log(error), source)
             raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = str(built.get_info(cl.program_info.KERNEL_NAMES)).split(";")
@@ -251,6 +252,21 @@ class BuildError(GffeError):
     def __init__(self, message: str, log: str = ""):
         super().__init__(message)
         self.log = log
+
+
+def with_files_named(log: str, source: str) -> str:
+    """Return a compiler's log with file and line in place of lines of the expanded `source`, "<kernel>:N", which
+    NVIDIA's compiler counts although there are `#line` directives."""
+
+    def named(place: re.Match[str]) -> str:
+        above = source.splitlines()[: int(place[1])]
+        after = next((k for k, line in enumerate(reversed(above)) if line.startswith("#line ")), 0)
+        if not after:
+            return place[0]
+        _, first, name = above[-1 - after].replace('"', "").split(maxsplit=2)
+        return f"{name}:{int(first) + after - 1}"
+
+    return re.sub(r"<kernel>:(\d+)", named, log)
 
 
 def first_error(log: str) -> str:

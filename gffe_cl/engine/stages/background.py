@@ -17,18 +17,17 @@ from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
 from gffe_cl.engine.stages.warp import DISOCCLUDED, MIXED
 
 _CONSTANTS = constants("background.cl")
-REMEMBERED, SHOWN, BOTH = (_CONSTANTS[name] for name in ("REMEMBERED", "SHOWN", "BOTH"))
+EMPTY, SHOWN, REMEMBERED, EDGE = (_CONSTANTS[name] for name in ("EMPTY", "SHOWN", "REMEMBERED", "EDGE"))
 STATES = (
-    (_CONSTANTS["EMPTY"], "empty"),
+    (EMPTY, "empty"),
     (SHOWN, "shown by the current frame"),
     (REMEMBERED, "remembered"),
-    (BOTH, "shown by the current frame, and remembered behind that"),
+    (EDGE, "beside a nearer static surface"),
 )
 
 
-REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state & REMEMBERED != 0)
-NOT_SHOWN = share_of("not shown", "background.state_0", lambda state: state & SHOWN == 0)
-OPEN = Share("open", lambda board: 1.0 if board.options.levels == 1 else NOT_SHOWN.count(board))  # to be offered to
+REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state == REMEMBERED)
+OPEN = share_of("open", "background.state_0", lambda state: (state == EMPTY) | (state == REMEMBERED))  # to offers
 PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # whether there is a next level
 HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
@@ -90,9 +89,9 @@ class Background(NearestStage):
             "scatter_level",
             "level{level}",
             {
-                "depth": Access("rendered.depth", NOT_SHOWN),
-                "dynamic_mask": Access("history.dynamic_mask", NOT_SHOWN),
-                "links": Access("connectivity.links", NOT_SHOWN),
+                "depth": Access("rendered.depth", OPEN),
+                "dynamic_mask": Access("history.dynamic_mask", OPEN),
+                "links": Access("connectivity.links", OPEN),
                 "frame_depth": Access("{depth_of_shown}"),
                 "taken": Access("background.state_{level}"),
                 "level_depth": Access("{depth_of_taken}"),

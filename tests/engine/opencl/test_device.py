@@ -17,7 +17,7 @@ from gffe_cl import GffeError
 from gffe_cl.engine.opencl import device as device_module
 from gffe_cl.engine.opencl import runtimes
 from gffe_cl.engine.opencl.device import DeviceInfo, best_of, select
-from gffe_cl.engine.opencl.program import build, expand, first_error, kernel_folder
+from gffe_cl.engine.opencl.program import build, expand, first_error, kernel_folder, with_files_named
 from gffe_cl.engine.opencl.program_cache import built_program
 from gffe_cl.engine.opencl.runtimes import only_vendors, vendors
 from gffe_cl.engine.opencl.subprocess_runner import run_child
@@ -283,6 +283,16 @@ def test_builds_with_warnings_are_silent(device, capfd):
     source = "#warning noticed\n__kernel void warn(__global int *a) { *a = 1; }"
     built_program(device.context, device.cl_device, source)
     assert capfd.readouterr().err == ""
+
+
+def test_lines_of_the_expanded_source_are_named():
+    """NVIDIA's compiler ignores `#line`."""
+    source = expand("copy.cl").splitlines()
+    (at,) = (k for k, line in enumerate(source, 1) if line.startswith("__kernel"))
+    own = next(k for k, line in enumerate((kernel_folder() / "copy.cl").read_text().splitlines(), 1) if "__kernel" in line)
+    log = f"<kernel>:{at}:3: error: x\n<kernel>:2:1: note: y"
+    (first, *_) = source
+    assert with_files_named(log, "\n".join(source)).startswith(f"copy.cl:{own}:3: error: x\n{first.split()[2][1:-1]}:1:1: note")
 
 
 def test_build_errors_in_the_header_too(device, sources):

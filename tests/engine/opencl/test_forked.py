@@ -91,6 +91,8 @@ try:
         print(pipeline.extrapolate(time=0.01).numpy("color").mean())
 except gffe_cl.GffeError as error:
     print(error)
+sys.stdout.flush()
+os._exit(0)  # as multiprocessing ends children: NVIDIA's driver crashes where it is unloaded in one
 """
 
 

@@ -8,7 +8,7 @@ from synthetic import Rect, Rects, camera
 from twin_cases import assert_close, read_levels
 
 from gffe_cl import Options, Pipeline
-from gffe_cl.engine.stages.background import BOTH, REMEMBERED
+from gffe_cl.engine.stages.background import EDGE, REMEMBERED, SHOWN
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
 from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
@@ -37,16 +37,17 @@ def test_kernels_equal_their_twins(case):
         assert "background" not in case.pipeline.stages
         return
     color, depth, dynamic = case.now.color, case.now.depth, case.read("history", "dynamic_mask")
-    level0, links = twins.collect_shown(color, depth, dynamic, True), case.read("connectivity", "links")
+    single = case.options.levels == 1
+    level0, links = twins.collect_shown(color, depth, dynamic, single), case.read("connectivity", "links")
     expected = twins.collect_levels(case.before.levels, level0, depth, dynamic, links, case.from_previous)
     found = read_levels(case.pipeline, case.now)
     for level, (got, wanted) in enumerate(zip(found, expected, strict=True)):
         assert np.array_equal(got["state"], wanted["state"]), level
-        kept = wanted["state"] > 0
+        kept = np.isin(wanted["state"], (SHOWN, REMEMBERED))
         for name in ("color", "depth", "px"):
             assert_close(got[name][kept], wanted[name][kept])
     assert (expected[0]["state"] == REMEMBERED).any()
-    assert (expected[0]["state"] == BOTH).any() == (case.options.levels == 1)
+    assert (expected[0]["state"] == EDGE).any() == single
 
     past, unmixed = case.past, twins.unmixed(case.past.depth, case.before.dynamic)
     before = (past.color, past.depth, unmixed, reprojection(case.to, past.camera))
@@ -54,7 +55,8 @@ def test_kernels_equal_their_twins(case):
     warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source, before)
     left = case.after("background")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
-    assert np.isin(warped["filled_by"], range(1, case.options.levels + 1)).any()
+    smaller = warped["depth"].size < depth.size  # holes behind movers of few pixels are closed as cracks
+    assert (single and smaller) or np.isin(warped["filled_by"], range(1, case.options.levels + 1)).any()
     for name in ("color", "depth", "motion"):
         assert_close(left[name], warped[name])
 
@@ -79,26 +81,25 @@ def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
     assert (error[wall & mixed] < 0.05).all(), error[wall & mixed].max()
 
 
-def test_wall_behind_a_fence_is_remembered_at_full_resolution(device):
-    """A strafing camera, static bars before a finely patterned wall: what they hid and uncover again comes from the
-    single level, or, at half the resolution, from one level down."""
-    wall = Rect((0, 0, 10), frequency=1.0)
-    bars = [Rect((x, 0, 4), (0.12, 9), frequency=0.2, tint=(0.05, 0.3, 0.1)) for x in np.arange(-4, 8, 0.8)]
-    scene = Rects([wall, *bars])
-    cams = [camera(W, H, (0.09 * k, 0, 0)) for k in range(24)]
-    errors = {}
-    for levels in (1, 2):
-        pipeline = Pipeline(device, W, H, Options(levels=levels))
-        play(pipeline, scene, cams)
-        target = camera(W, H, (0.09 * 24, 0, 0))
-        out = pipeline.extrapolate(target, 24 / 30)
-        truth = scene.frame(target, 24 / 30, W, H)
-        holes = (out.numpy("disoccluded") == 1) & (truth.depth > 9)
-        holes[:, -8:] = False  # out of screen
-        assert holes.sum() > 200
-        errors[levels] = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32))[holes].mean()
-        assert (out.numpy("filled_by")[holes] == levels).mean() > 0.9
-    assert errors[1] < 0.03 and errors[1] < 0.5 * errors[2]
+@pytest.mark.parametrize(("levels", "speed"), [(1, 0.0), (1, -1.5), (2, 0.0), (2, -1.5)])
+def test_wall_behind_a_fence(device, levels, speed):
+    """A strafing camera, bars before a finely patterned wall: what they hid and uncover again is remembered behind
+    moving bars at full resolution, behind static ones at half of it, one level down, if there is one."""
+    wall, xs = Rect((0, 0, 10), frequency=1.0), np.arange(-6, 10, 0.8)
+    bars = [Rect((x, 0, 4), (0.12, 9), velocity=(speed, 0, 0), tint=(0.05, 0.3, 0.1)) for x in xs]
+    scene, target = Rects([wall, *bars]), camera(W, H, (0.09 * 24, 0, 0))
+    pipeline = Pipeline(device, W, H, Options(levels=levels))
+    play(pipeline, scene, [camera(W, H, (0.09 * k, 0, 0)) for k in range(24)])
+    out, truth = pipeline.extrapolate(target, 24 / 30), scene.frame(target, 24 / 30, W, H)
+    holes = (out.numpy("disoccluded") == 1) & (truth.depth > 9)
+    holes[:, -8:] = False  # out of screen
+    assert holes.sum() > 200
+    error = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32))[holes].mean()
+    filled_by = out.numpy("filled_by")[holes]
+    if speed:
+        assert error < 0.04 and (filled_by == 1).mean() > 0.9, (error, (filled_by == 1).mean())
+    else:
+        assert (filled_by == 2).mean() > 0.9 if levels > 1 else not np.isin(filled_by, (1, 2)).any(), error
 
 
 def test_hidden_wall_does_not_creep(device):
@@ -159,7 +160,7 @@ def test_depth_noise_does_not_push_the_surface_down(device, levels):
         pipeline.submit(RenderedFrame(color, noisy, motion, cam, k / 30, reset=k == 0))
         previous = cam
     state = pipeline.stages["background"].read(f"state_{levels - 1}")
-    fill = (state == (BOTH if levels == 1 else REMEMBERED)).mean()
+    fill = (state == REMEMBERED).mean()
     assert fill < 0.01, fill
 
 

@@ -7,7 +7,7 @@ One module per stage.
 """
 
 from twins.acceleration import track_acceleration
-from twins.background import BOTH, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
+from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
 from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
@@ -30,7 +30,7 @@ from twins.upload import (
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
-    "BOTH",
+    "EDGE",
     "COMMON",
     "EXACT",
     "REMEMBERED",

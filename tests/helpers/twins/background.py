@@ -7,20 +7,22 @@ from twins.holes import is_outside, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
 BACKGROUND = kernel_constants("background.cl")
-EMPTY_TEXEL, SHOWN, REMEMBERED, BOTH = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.BOTH
+EMPTY_TEXEL, SHOWN, REMEMBERED, EDGE = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.EDGE
 
 
-def collect_shown(color, depth, dynamic, collect):
-    """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
+def collect_shown(color, depth, dynamic, single):
+    """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state; of a `single` level
+    only what is near movers is open."""
     height, width = depth.shape
-    keep = collect & (unmixed(depth, dynamic) > 0)
+    keep = unmixed(depth, dynamic) > 0
+    edge = single & (unmixed(np.where(invalid(depth), np.nan, F(1)), dynamic) > 0)
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
     return {
         "color": packed,
         "depth": depth.copy(),
         "px": centers(height, width),
-        "state": np.where(keep, SHOWN, EMPTY_TEXEL).astype(np.uint8),
+        "state": np.where(keep, SHOWN, np.where(edge, EDGE, EMPTY_TEXEL)).astype(np.uint8),
     }
 
 
@@ -55,7 +57,7 @@ def _slopes(depth, links):
 def _fragments(level):
     """px, depth, color and presence of all that a level holds, flat: what is shown first."""
     shown = level.get("shown", level)
-    present = [(level["state"] & bit).reshape(-1) > 0 for bit in (SHOWN, REMEMBERED)]
+    present = [(level["state"] == state).reshape(-1) for state in (SHOWN, REMEMBERED)]
     return [
         np.concatenate([part[name].reshape(present[0].size, -1) for part in (shown, level)])
         for name in ("px", "depth", "color")
@@ -67,7 +69,6 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     `collect_shown`) and `level0`, its `collect_shown`. Ties and order as in the kernels."""
     height, width = depth.shape
     count = len(levels_before)
-    single = count == 1
     slopes = _slopes(depth, links)
 
     def may_be_at(sy, sx, z):
@@ -86,7 +87,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     def settle(best, level, color, now):
         into = levels[level]
         for cell, (z, i) in best.items():
-            into["state"][cell], into["depth"][cell] = into["state"][cell] | REMEMBERED, z
+            into["state"][cell], into["depth"][cell] = REMEMBERED, z
             into["px"][cell] = as_offset(now[i, :2], cell, level)
             into["color"][cell] = as_rgb9e5(color[i])
 
@@ -107,7 +108,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
             if not allowed or (level > 0 and not behind):
                 continue
             cell = (sy >> level, sx >> level)
-            if current["state"][cell] == EMPTY_TEXEL or (single and behind):
+            if current["state"][cell] == EMPTY_TEXEL:
                 offer(fill, cell, z[i], i)
             elif level + 1 < count:
                 base = current["depth"][cell]
@@ -124,11 +125,10 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
                 cell = (sy >> level, sx >> level)
                 if not (0 <= sx < width and 0 <= sy < height):
                     continue
-                empty = current["state"][cell] == EMPTY_TEXEL
-                if not empty and not (single and current["state"][cell] == SHOWN):
+                if current["state"][cell] != EMPTY_TEXEL:
                     continue
                 allowed, _, behind = may_be_at(sy, sx, z[i])
-                if allowed and (behind or (level == 0 and empty)):
+                if allowed and (behind or level == 0):
                     offer(touched, cell, z[i], i)
         settle(touched, level, color, now)
     return levels
@@ -165,7 +165,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
     there_shown = reproject(current["px"], current["depth"], to_target)
     for number, level in enumerate(levels):
         wide = level["depth"].shape[1]
-        for ty, tx in np.argwhere(level["state"] & REMEMBERED):
+        for ty, tx in np.argwhere(level["state"] == REMEMBERED):
             x, y, z = there[number][ty, tx]
             reach = BACKGROUND.REACH
             if not (z > 0 and -reach < x < width + reach and -reach < y < height + reach):
@@ -203,9 +203,9 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
             for ny in range(max(ty - reach, 0), min(ty + reach + 1, level_height)):
                 for nx in range(max(tx - reach, 0), min(tx + reach + 1, level_width)):
                     state = level["state"][ny, nx]
-                    if state & SHOWN and of_one_surface(current["depth"][ny, nx], winner):
+                    if state == SHOWN and of_one_surface(current["depth"][ny, nx], winner):
                         at, tap = there_shown[ny, nx], current["color"][ny, nx]
-                    elif state & REMEMBERED and of_one_surface(level["depth"][ny, nx], winner):
+                    elif state == REMEMBERED and of_one_surface(level["depth"][ny, nx], winner):
                         at, tap = there[number][ny, nx], level["color"][ny, nx]
                     else:
                         continue

@@ -229,7 +229,7 @@ def _remembered(pipeline, shot, pixel, source_px, level: int, depth: float) -> t
     x0, y0, width, height = around(at, 2, layers[0].size)
     block = read_blocks(pipeline, {layer.spec.name: (layer, x0, y0, width, height) for layer in layers})
     state, z, px = (values[0].reshape(width * height, -1) for values in block.values())
-    fits = state[:, 0].astype(np.uint8) & REMEMBERED != 0
+    fits = state[:, 0].astype(np.uint8) == REMEMBERED
     if np.isfinite(depth):
         world = shot.moment.camera.unproject(np.add(pixel, 0.5), depth)
         expected = float(shot.moment.render_camera.project(world)[1])
