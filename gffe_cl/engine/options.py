@@ -265,10 +265,10 @@ class Options:
         needs="motion",
     )
     levels: int = _option(
-        1,
+        2,
         "background levels",
-        "Background levels L: 1 at full resolution; more, as in the paper, halve the resolution per level behind"
-        " static surfaces.",
+        "Background levels L: the first remembers what movers hide, further ones, each at half the resolution, what"
+        " static surfaces hide.",
         low=0,
         high=MAX_LEVELS,
         off=0,

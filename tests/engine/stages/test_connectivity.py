@@ -55,7 +55,7 @@ def test_kernel_equals_its_twin(device, lanes, size):
         cl.enqueue_copy(device.queue, state, written["state"])
         cl.enqueue_copy(device.queue, keys, written["fill_keys"])
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k
-        assert np.array_equal(state, twins.unmixed(depth, dynamic)), k
+        assert np.array_equal(state, twins.shown_state(depth, dynamic)), k
         emptied = keys.view(np.uint32 if len(stage.passes) > 1 else np.uint64).ravel()[: state.size]
         assert (~emptied[state.ravel() == 0] == 0).all()
         cl.enqueue_copy(device.queue, keys, pushed["push_keys"])

@@ -7,7 +7,7 @@ One module per stage.
 """
 
 from twins.acceleration import track_acceleration
-from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
+from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background, shown_state
 from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
@@ -30,8 +30,8 @@ from twins.upload import (
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
-    "EDGE",
     "COMMON",
+    "EDGE",
     "EXACT",
     "REMEMBERED",
     "SHOWN",
@@ -72,6 +72,7 @@ __all__ = [
     "project_background",
     "residual_histogram",
     "resolve",
+    "shown_state",
     "smooth_blocks",
     "splat",
     "spread_geometry",

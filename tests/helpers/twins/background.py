@@ -10,19 +10,22 @@ BACKGROUND = kernel_constants("background.cl")
 EMPTY_TEXEL, SHOWN, REMEMBERED, EDGE = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.EDGE
 
 
-def collect_shown(color, depth, dynamic, single):
-    """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state; of a `single` level
-    only what is near movers is open."""
+def shown_state(depth, dynamic):
+    """(H, W) uint8: the state of level 0 before anything is remembered."""
+    static = unmixed(np.where(invalid(depth), np.nan, F(1)), dynamic) > 0
+    return np.where(unmixed(depth, dynamic) > 0, SHOWN, np.where(static, EDGE, EMPTY_TEXEL)).astype(np.uint8)
+
+
+def collect_shown(color, depth, dynamic):
+    """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
     height, width = depth.shape
-    keep = unmixed(depth, dynamic) > 0
-    edge = single & (unmixed(np.where(invalid(depth), np.nan, F(1)), dynamic) > 0)
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
     return {
         "color": packed,
         "depth": depth.copy(),
         "px": centers(height, width),
-        "state": np.where(keep, SHOWN, np.where(edge, EDGE, EMPTY_TEXEL)).astype(np.uint8),
+        "state": shown_state(depth, dynamic),
     }
 
 
