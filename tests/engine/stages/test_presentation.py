@@ -12,7 +12,7 @@ from twin_cases import assert_close
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.engine.frame.rendered_frame import HostArrays, require_one_pose
 from gffe_cl.engine.frame.window import FULL, Window
-from gffe_cl.engine.stages.background import BOTH
+from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.frame_block import mapping
@@ -186,7 +186,7 @@ def test_static_stays_static_through_windows(device):
         through = WINDOWS[k % len(WINDOWS)].camera(turning(k), (W, H))
         which, _, _ = MOVING._hit(through, k / 30, twins.centers(H, W).astype(np.float64))
         assert (dynamic == (which == 1)).mean() > 0.99
-        assert (pipeline.stages["background"].read("state_0") == BOTH).mean() < 0.15
+        assert (pipeline.stages["background"].read("state_1") == REMEMBERED).mean() < 0.15
         motion = made.numpy("motion")
         assert np.isfinite(motion).all()
 
