@@ -356,7 +356,8 @@ INLINE void depths_around(__global const float *depth, const int x, const int y,
             around[k] = load_floats(0, depth + row * width + first);
             continue;
         }
-        const Ints column = LANE_NUMBERS + first, there = (column >= 0) & (column < (row >= 0 && row < height ? width : 0));
+        const Ints column = LANE_NUMBERS + first,
+                   there = (column >= 0) & (column < (row >= 0 && row < height ? width : 0));
         const Floats z = gather_floats(depth, there ? row * width + column : (Ints)(0));
         around[k] = there ? z : (Floats)(0.0f);
     }

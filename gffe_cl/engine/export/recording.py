@@ -164,7 +164,10 @@ class _Rehearsal:
             ("convert_geometry", lambda: self._convert(rendered, "depth", "motion")),
             ("convert_small", lambda: self._convert(rendered, "depth", "motion", is_small=True)),
             ("convert_dilated", lambda: self._convert(rendered, "depth", "motion", is_dilated=True)),
-            ("convert_small_dilated", lambda: self._convert(rendered, "depth", "motion", is_small=True, is_dilated=True)),
+            (
+                "convert_small_dilated",
+                lambda: self._convert(rendered, "depth", "motion", is_small=True, is_dilated=True),
+            ),
         ):
             self.board.blocks.forget()
             work()

@@ -135,9 +135,7 @@ class Upload(Stage):
         elif copied:
             self._count()
 
-    def convert(
-        self, given: Mapping[str, cl.Buffer], frame: DeviceFrame, step: Step, is_dilated: bool = False
-    ) -> None:
+    def convert(self, given: Mapping[str, cl.Buffer], frame: DeviceFrame, step: Step, is_dilated: bool = False) -> None:
         """Enqueue the conversion of device buffers that a `FrameFormat` describes, color or depth and motion or all,
         into those of `frame`, and count their bad pixels. `step` has the numbers; `is_dilated`: whether motion is."""
         if not {"color", "depth"} <= given.keys() or self._is_small(step):
