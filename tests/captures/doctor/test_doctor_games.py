@@ -21,7 +21,9 @@ W, H = 240, 136
 
 
 def dilated():
-    return Kept([Encoding.parse("dilated").frame(frame) for frame in clip().images])
+    """The faster half of the clip."""
+    frames = [Encoding.parse("dilated").frame(frame) for frame in clip().images[4:]]
+    return Kept([replace(frames[0], reset=True), *frames[1:]])
 
 
 def test_dilated_vectors_are_named_with_their_share():
@@ -36,7 +38,7 @@ def test_vectors_that_are_not_dilated_or_undone_raise_no_alarm():
         described_frame(frame, FrameFormat(motion_dilated=True), before and before.camera, (0.0, 0.0))
         for before, frame in zip([None, *dilated().images], dilated().images, strict=False)
     ]
-    for frames in (clip().images, described):
+    for frames in (clip().images[4:], described):
         assert dilation_notes(Kept(frames), [1, 2, 3]) == []
         counts = np.sum([count_beside_edges(frame.depth, frame.motion) for frame in frames[1:4]], 0)
         assert counts[0] < 0.05 * counts[1] and counts[1] > 50
