@@ -37,8 +37,8 @@ def dilation_notes(clip: Clip, indices: list[int]) -> list[Finding]:
 
 
 def count_beside_edges(depth: np.ndarray, motion: np.ndarray) -> tuple[int, int]:
-    """Return of the pixels beside a nearer surface how many have its vector, and how many have that or the vector of
-    their own surface `_REACH` pixels away, where the two differ. `depth` (H, W), `motion` (H, W, 2)."""
+    """Return counts of pixels beside a nearer surface: those with its vector, and those with that or with the vector
+    of their own surface `_REACH` pixels away, where the two differ. `depth` (H, W), `motion` (H, W, 2)."""
     height, width = depth.shape
     depth = np.asarray(depth, np.float32)
     nearest = nearest_motion(depth[..., None], depth)[..., 0]

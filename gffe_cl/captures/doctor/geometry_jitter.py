@@ -53,8 +53,8 @@ def edge_shift(frame: RenderedFrame, exposure: float) -> np.ndarray | None:
 
 
 def _shifts(color: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Return of edges of depth (H, W) between three nearer and three farther pixels of a row how far the nearer color
-    (H, W, 3) reaches beyond them, pixels: (N,). The colors beside an edge must be flat and differ."""
+    """Return how far the nearer color (H, W, 3) reaches beyond edges of depth (H, W), each between three nearer and
+    three farther pixels of a row, in pixels: (N,). The colors beside an edge must be flat and differ."""
     count = max(depth.shape[1] - 5, 0)
     z, c = ([array[:, k : k + count] for k in range(6)] for array in (depth, color))
     near, far = np.max(z[:3], 0), np.min(z[3:], 0)
