@@ -10,8 +10,14 @@
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
+#define SAME_DEPTH 0.03f  /* of depth: samples of the geometry nearer to each other show one surface */
+
+/* Of dilated motion. */
+#define NEARER 0.97f  /* times the depth of a surface: what is nearer is another one */
+#define AROUND 5      /* samples, the side of the square that is looked at */
+#define MIDDLE (AROUND * AROUND / 2)
+
 /* Of geometry that is smaller than color. */
-#define SAME_DEPTH 0.03f  /* of depth: samples nearer to each other show one surface */
 #define SAME_MOTION 4.0f  /* pixels of color, each way */
 #define NEARNESS 0.05f  /* what a sample's distance counts for, beside the difference of its color */
 
@@ -336,6 +342,69 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
     const int plane = runs_of(full_width) * full_height;
     store_counts(full_width, full_height, bad_depth, bad_motion, bad_pixels + 2 * plane);
     store_counts(full_width, full_height, far, too_long, bad_pixels + 4 * plane);
+}
+
+/* Depths of the samples around LANES of them, row by row; 0 beyond the image. */
+INLINE void depths_around(__global const float *depth, const int x, const int y, const int width, const int height,
+                          Floats around[AROUND * AROUND]) {
+    const int reach = AROUND / 2;
+    const bool is_inside = x >= reach && y >= reach && x + LANES + reach <= width && y + reach < height;
+#pragma unroll
+    for (int k = 0; k < AROUND * AROUND; ++k) {
+        const int row = y + k / AROUND - reach, first = x + k % AROUND - reach;
+        if (is_inside) {
+            around[k] = load_floats(0, depth + row * width + first);
+            continue;
+        }
+        const Ints column = LANE_NUMBERS + first,
+                   there = (column >= 0) & (column < (row >= 0 && row < height ? width : 0));
+        const Floats z = gather_floats(depth, there ? row * width + column : (Ints)(0));
+        around[k] = there ? z : (Floats)(0.0f);
+    }
+}
+
+/* Motion of the size of the geometry without dilation, from vectors of the nearest of 3x3 samples. Of those around a
+   sample that show its surface and nothing nearer beside it, the one counts whose vector comes from closest by: often
+   that is the sample itself. If there is none, and something nearer beside the sample, it is taken for static. */
+WIDE __kernel void undo_dilation(__constant Frame *restrict frame, __global const float *depth,
+                                 __global const float2 *dilated, __global float2 *motion) {
+    const int width = frame->geometry_width, height = frame->geometry_height;
+    const int x = (int)get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (x >= width || y >= height) return;
+    Floats around[AROUND * AROUND];
+    depths_around(depth, x, y, width, height, around);
+    const Floats z = around[MIDDLE];
+    const Ints here = y * width + min(x + LANE_NUMBERS, (Ints)(width - 1));
+    Ints chosen = here, distance = (Ints)(INT_MAX);
+#pragma unroll
+    for (int q = 0; q < 9; ++q) {
+        const int step_x = q % 3 - 1, step_y = q / 3 - 1, center = MIDDLE + step_y * AROUND + step_x;
+        const Floats own = around[center];
+        Floats least = own;
+        Ints from = (Ints)(step_x * step_x + step_y * step_y); /* squared distance to the nearest of the 3x3 */
+#pragma unroll
+        for (int tap = 0; tap < 9; ++tap) {
+            const int from_x = step_x + tap % 3 - 1, from_y = step_y + tap / 3 - 1;
+            const Floats other = around[MIDDLE + from_y * AROUND + from_x];
+            const Ints nearer = (other > 0.0f) & (other < least);
+            least = nearer ? other : least;
+            from = nearer ? (Ints)(from_x * from_x + from_y * from_y) : from;
+        }
+        const Ints same = isinf(z) ? isinf(own) : fabs(own - z) <= SAME_DEPTH * z;
+        const Ints better = (z > 0.0f) & (own > 0.0f) & same & (least >= NEARER * own) & (from < distance);
+        distance = better ? from : distance;
+        chosen = better ? here + (step_y * width + step_x) : chosen;
+    }
+    __global const float *vectors = (__global const float *)dilated;
+    Floats motion_x = gather_floats(vectors, 2 * chosen), motion_y = gather_floats(vectors, 2 * chosen + 1);
+    const Ints lost = (distance == INT_MAX) & (z > 0.0f);
+    if (frame->has_previous && ANY(lost)) {
+        Floats camera_y;
+        const Floats camera_x = motion_by_camera(frame, x, y, z, &camera_y);
+        motion_x = lost ? camera_x : motion_x;
+        motion_y = lost ? camera_y : motion_y;
+    }
+    store_some_xy(motion_x, motion_y, count, motion + y * width + x);
 }
 
 /* Whether a sample of the geometry shows the surface of another one, with depth z and motion (x, y); never, if a number

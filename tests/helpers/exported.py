@@ -81,7 +81,7 @@ class CFormat(ct.Structure):
         ("depth_range", ct.c_double * 2),
         *((name, ct.c_int) for name in ("motion_type", "motion_channels")),
         *((name, ct.c_double * 2) for name in ("motion_scale", "motion_offset")),
-        *((f"motion_{name}", ct.c_int) for name in ("unit", "from_previous", "y_up", "jittered")),
+        *((f"motion_{name}", ct.c_int) for name in ("unit", "from_previous", "y_up", "dilated", "jittered")),
         ("motion_invalid", ct.c_double),
         ("camera_motion", ct.c_int),
     )
@@ -89,7 +89,7 @@ class CFormat(ct.Structure):
     @classmethod
     def of(cls, format: FrameFormat):
         numbers = {name: 1 + number for number, name in enumerate(TYPES)}
-        plain = ("color_channels", "near_z", "far_z", "motion_channels", "motion_jittered")
+        plain = ("color_channels", "near_z", "far_z", "motion_channels", "motion_dilated", "motion_jittered")
         pairs = ("depth_range", "motion_scale", "motion_offset")
         width, height = format.geometry_size or (0, 0)
         return cls(

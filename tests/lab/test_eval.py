@@ -16,10 +16,11 @@ import pytest
 from frame_models import network
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl import remote_workers
 from gffe_cl.lab.metrics.regions import REGIONS
 from gffe_cl.lab.table import cache, results, runner
-from gffe_cl.lab.table.datasets import FolderSubject, SceneSubject, parse_subject
+from gffe_cl.lab.table.datasets import FolderSubject, SceneSubject, Shot, at_full_size, parse_subject
 from gffe_cl.lab.table.jobs import Cell
 from gffe_cl.lab.table.methods import GAINS, METHODS, chosen_methods
 from gffe_cl.lab.table.page import page
@@ -275,6 +276,19 @@ def test_ticks_are_round_numbers(low, high):
     assert 2 <= len(ticks) <= 6 and low <= ticks[0] + 1e-9 * step and ticks[-1] <= high + 1e-9 * abs(high)
     assert f"{step:.0e}"[0] in "125" and step == pytest.approx(float(f"{step:.0e}"), rel=1e-6)
     assert len({f"{tick:.{digits}f}" for tick in ticks}) == len(ticks)
+
+
+def test_methods_without_a_format_get_geometry_of_the_size_of_color():
+    """Dilated motion stays dilated, in pixels of color; larger geometry is left as it is."""
+    depth, motion = np.full((18, 32), 4, np.float32), np.full((18, 32, 2), (1, -2), np.float32)
+    depth[5:9, 5:9], motion[5:9, 5:9] = 2, (3, 0)
+    color = np.where(np.kron(depth, np.ones((2, 2))) > 3, 0.1, 0.9)[..., None] * np.ones(3)
+    frame = RenderedFrame(color.astype(np.float16), depth, motion, None, 0.0, geometry_size=(32, 18))
+    made = at_full_size(Shot(frame, color, (), frame))
+    assert made.frame.depth.shape == (36, 64) == made.following.motion.shape[:2] and made.frame.geometry_size is None
+    assert np.array_equal(made.frame.motion[12, 12], (6, 0)) and np.array_equal(made.frame.motion[30, 40], (2, -4))
+    plain = Shot(replace(frame, color=color[::2, ::2], geometry_size=None), color[::2, ::2], ())
+    assert at_full_size(plain).frame is plain.frame
 
 
 @pytest.mark.long

@@ -8,9 +8,11 @@ from functools import cache
 
 import numpy as np
 
+from gffe_cl.captures.doctor.dilation import dilation_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
-from gffe_cl.captures.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.captures.doctor.findings import DISPLAY_VALUES, FAULT, JITTER, NOTE, UNKNOWN, Finding, faults_of
 from gffe_cl.captures.doctor.format_keys import tell_keys
+from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_camera
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
@@ -146,7 +148,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
-        found.findings += user_interface_notes(clip, deep, exposure)
+        found.findings += [*dilation_notes(clip, deep), *user_interface_notes(clip, deep, exposure)]
+    if all(fault.name == JITTER for fault in found.faults):
+        found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
     return found

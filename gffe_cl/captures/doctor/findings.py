@@ -22,6 +22,7 @@ from gffe_cl.engine.core.errors import printable
 
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
+JITTER = "jitter not removed"
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
     0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
@@ -64,9 +65,9 @@ def fixable_ids() -> list[str]:
     """Return the ids of all findings that `gffe check --fix` can repair or leave."""
     names = {
         "color": (DISPLAY_VALUES, BOTTOM_UP),
-        "motion": (*motions.SENTENCES, "jitter not removed", "sky without motion", BOTTOM_UP),
+        "motion": (*motions.SENTENCES, JITTER, "sky without motion", BOTTOM_UP),
         "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP),
-        "camera": (*cameras.SENTENCES, "field of view", "jitter not removed"),
+        "camera": (*cameras.SENTENCES, "field of view", JITTER),
         "frames": ("out of order", "cut", "gap"),
     }
     return [finding_id(about, name) for about, group in names.items() for name in group]
@@ -96,7 +97,7 @@ def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
             "motion": "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
             "camera": "the cameras lack the jitter that motion vectors and colors have",
         }[reading.jitter]
-        found.append(Finding(FAULT, reading.jitter, "jitter not removed", lacking, "a constant per frame is taken off"))
+        found.append(Finding(FAULT, reading.jitter, JITTER, lacking, "a constant per frame is taken off"))
     return found
 
 

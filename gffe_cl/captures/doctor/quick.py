@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gffe_cl.captures.doctor.dilation import dilation_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import FAULT, faults_of
 from gffe_cl.captures.doctor.hypotheses.cameras import camera_readings
@@ -63,8 +64,8 @@ class _Fit:
 def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameFormat | None = None) -> str | None:
     """Return a sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras,
     motion vectors and colors, camera jitter in the vectors, or a buffer that is upside down; or if the color contains a
-    user interface. It names the likely cause where a single buffer is misread. This is the quick form of `gffe check`:
-    only the first three frames are examined.
+    user interface, or motion vectors are dilated. It names the likely cause where a single buffer is misread. This is
+    the quick form of `gffe check`: only the first three frames are examined.
 
         assert gffe.check([first, second, third]) is None
 
@@ -111,8 +112,8 @@ class _InMemory:
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     """Return a sentence if the first rendered frames of `clip` do not fit, else None: motion vectors and depth with
-    cameras, motion vectors and colors, or a buffer that is upside down; or if the color contains a user interface.
-    Raises GffeError if a frame cannot be read."""
+    cameras, motion vectors and colors, or a buffer that is upside down; or if the color contains a user interface, or
+    motion vectors are dilated. Raises GffeError if a frame cannot be read."""
     count = min(_FRAMES, len(clip.rendered))
     if not count:
         return None
@@ -145,7 +146,9 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     if given.still > given.along + _COLORS:
         return "motion vectors do not fit the colors"
     notes = user_interface_notes(clip, [1], exposure)
-    return notes[0].sentence if notes else None
+    if notes:
+        return notes[0].sentence
+    return next((f"motion vectors are {note.sentence}" for note in dilation_notes(clip, [*range(1, count)])), None)
 
 
 def _likely_cause(looks: dict[int, Look], edges: float) -> tuple[str, float]:

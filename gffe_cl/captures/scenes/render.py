@@ -66,9 +66,9 @@ def render_sequence(
     WindowChooser(window, (width, height), alphas)
     jitter = jitter or Jitter()
     if encoding.is_on_display and not (window == "off" and jitter.length == 1 and scale == 1):
-        raise GffeError("--encode: taa, jittered and hud exclude --window, --jitter and --scale")
+        raise GffeError("--encode: taa, jittered, half and hud exclude --window, --jitter and --scale")
     if cluster and encoding.is_rendered:
-        raise GffeError("--encode: taa and jittered follow from frame to frame (expected neither with --scheduler)")
+        raise GffeError("--encode: taa, jittered and half follow from frame to frame (expected none with --scheduler)")
     samples = samples or (1 if jitter.length > 1 else 8)
     job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
     writing = SequenceWriter(

@@ -9,7 +9,7 @@ import numpy as np
 
 from gffe_cl.captures.scenes.renderer import SceneImage, SceneRenderer
 from gffe_cl.captures.scenes.scene_types import Scene
-from gffe_cl.captures.sequence.encoding import JITTERED, TAA, Encoding
+from gffe_cl.captures.sequence.encoding import HALF, JITTERED, TAA, Encoding
 from gffe_cl.captures.sequence.post_effects import TemporalAntialiasing
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
@@ -133,11 +133,12 @@ class EncodedFrames:
     def __init__(self, frames: SceneFrames, encoding: Encoding):
         self.frames, self.encoding = frames, encoding
         self._antialiasing = TemporalAntialiasing(frames.scene.exposure)
-        self._sample: RenderedFrame | None = None
-        if encoding.is_rendered:
-            renderer = frames.renderer
-            one = SceneRenderer(renderer.device, frames.scene, *frames.size, samples=1)
-            self._samples = SceneFrames(one, jitter=Jitter(JITTER_LENGTH))
+        device, jitter = frames.renderer.device, Jitter(JITTER_LENGTH)
+        if encoding.parts & {TAA, JITTERED}:
+            full = SceneRenderer(device, frames.scene, *frames.size, samples=1)
+            self._samples = _JitteredSamples(SceneFrames(full, jitter=jitter))
+        if HALF in encoding.parts:
+            self._small = _JitteredSamples(SceneFrames.for_upscaling(device, frames.scene, frames.size, 2.0))
 
     def encoded(self, frame: RenderedFrame, before: RenderedFrame | None, number: int) -> RenderedFrame:
         """Return `frame`, number `number`, after being stored; `before`: the one before it, None after a reset. Where
@@ -157,16 +158,32 @@ class EncodedFrames:
             before = frame
 
     def _rendered(self, frame: RenderedFrame, number: int) -> RenderedFrame:
-        """Return `frame` antialiased over time, or its geometry jittered, or both."""
-        sample = self._samples.rendered(frame.time, None if frame.reset else self._sample, number)
-        self._sample = sample
-        x, y = self._samples.jitter.offset(number)
-        x_before, y_before = (x, y) if frame.reset else self._samples.jitter.offset(number - 1)
+        """Return `frame` antialiased over time, or its geometry jittered, perhaps smaller, or both."""
+        parts, sample = self.encoding.parts, None
+        if parts & {TAA, JITTERED}:
+            sample = self._samples.of(frame, number)
+            if TAA in parts:
+                frame = replace(frame, color=self._antialiasing.resolve(sample, frame.color))
+        if HALF in parts:
+            sample = self._small.of(frame, number)
+            frame = replace(frame, geometry_size=(sample.depth.shape[1], sample.depth.shape[0]))
+        if sample is None or not parts & {JITTERED, HALF}:
+            return frame
+        return replace(frame, depth=sample.depth, motion=sample.motion, geometry_jitter=sample.geometry_jitter)
+
+
+class _JitteredSamples:
+    """Jittered samples of a scene, one per pixel, in order of `frames`; their motion is without jitter."""
+
+    def __init__(self, frames: SceneFrames):
+        self._frames = frames
+        self._last: RenderedFrame | None = None
+
+    def of(self, frame: RenderedFrame, number: int) -> RenderedFrame:
+        """Return the samples of `frame`, number `number`, with their `geometry_jitter`."""
+        sample = self._frames.rendered(frame.time, None if frame.reset else self._last, number)
+        self._last = sample
+        x, y = self._frames.jitter.offset(number)
+        x_before, y_before = (x, y) if frame.reset else self._frames.jitter.offset(number - 1)
         motion = sample.motion - np.array((x - x_before, y - y_before), np.float32)
-        jitter = -x, -y
-        sample = replace(sample, motion=motion, geometry_jitter=jitter)
-        if TAA in self.encoding.parts:
-            frame = replace(frame, color=self._antialiasing.resolve(sample, frame.color))
-        if JITTERED in self.encoding.parts:
-            frame = replace(frame, depth=sample.depth, motion=motion, geometry_jitter=jitter)
-        return frame
+        return replace(sample, motion=motion, geometry_jitter=(-x, -y))

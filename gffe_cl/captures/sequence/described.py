@@ -34,6 +34,11 @@ def described_frame(
     jitters = jitter, previous_jitter if previous else jitter
     given = conversion(format, size, types, {"color": 3, "motion": 2}, *jitters, geometry)
     made = _converted(frame, format, previous, given)
+    if format.motion_dilated and made.motion is not None:
+        static = None
+        if previous and frame.camera:
+            static = _camera_motion(made.depth.astype(np.float64), frame.camera, previous, given["from_geometry"])
+        made = replace(made, motion=undilated(made.motion, made.depth, static))
     if geometry == size:
         return made
     motion = np.zeros((rows, columns, 2), np.float32) if made.motion is None else made.motion
@@ -42,6 +47,37 @@ def described_frame(
     return replace(
         made, depth=depth, motion=None if made.motion is None else motion, geometry_size=None, geometry_jitter=jitter
     )
+
+
+def undilated(motion: np.ndarray, depth: np.ndarray, static: np.ndarray | None) -> np.ndarray:
+    """Return motion (H, W, 2) float32 without dilation, as `undo_dilation` of kernels/upload.cl does, with its bits.
+    `depth`: (H, W); `static`: motion of static points, None if it is not known."""
+    numbers, f = constants("upload.cl"), np.float32
+    around, reach = int(numbers["AROUND"]), int(numbers["AROUND"]) // 2
+    height, width = depth.shape
+    padded = np.pad(depth.astype(f), reach)
+    z = np.stack([padded[k // around :, k % around :][:height, :width] for k in range(around * around)])
+    middle, steps = len(z) // 2, [(y, x) for y in (-1, 0, 1) for x in (-1, 0, 1)]
+    own, distance = z[middle], np.full(depth.shape, np.iinfo(np.int32).max)
+    chosen = np.arange(depth.size).reshape(depth.shape)
+    here = chosen.copy()
+    with np.errstate(invalid="ignore"):
+        for step_y, step_x in steps:
+            center = z[middle + step_y * around + step_x]
+            least, source = center, np.full(depth.shape, step_x * step_x + step_y * step_y)
+            for tap_y, tap_x in steps:
+                from_y, from_x = step_y + tap_y, step_x + tap_x
+                other = z[middle + from_y * around + from_x]
+                nearer = (other > 0) & (other < least)
+                least = np.where(nearer, other, least)
+                source = np.where(nearer, from_x * from_x + from_y * from_y, source)
+            same = np.where(np.isinf(own), np.isinf(center), np.abs(center - own) <= f(numbers["SAME_DEPTH"]) * own)
+            better = same & (own > 0) & (center > 0) & (least >= f(numbers["NEARER"]) * center) & (source < distance)
+            distance = np.where(better, source, distance)
+            chosen = np.where(better, here + step_y * width + step_x, chosen)
+        made = motion.astype(f).reshape(-1, 2)[chosen]
+        lost = (distance == np.iinfo(np.int32).max) & (own > 0)
+    return made if static is None else np.where(lost[..., None], static.astype(f), made)
 
 
 def spread_geometry(

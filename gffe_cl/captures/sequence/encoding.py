@@ -43,9 +43,10 @@ MOTION_CODES: dict[str, tuple[str, Code]] = {
     "unorm8": ("motion in 8 bits, at most 1/16 of the image", _unorm(8, _SHORT_RANGE)),
     "unorm16": ("motion in 16 bits of 0.5 · uv + 0.5", _unorm(16, 1.0)),
     "rounded": ("motion in whole pixels", np.array),
+    "half-motion": ("motion as half floats of uv", lambda uv: uv.astype(np.float16).astype(np.float64)),
 }
 TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA = "two-lookups", "half-depth", "8bit-color", "noisy-camera"
-TAA, JITTERED, DILATED, GRAIN, HUD = "taa", "jittered", "dilated", "grain", "hud"
+TAA, JITTERED, HALF, DILATED, GRAIN, HUD = "taa", "jittered", "half", "dilated", "grain", "hud"
 PARTS: dict[str, str] = {name: sentence for name, (sentence, _) in MOTION_CODES.items()} | {
     TWO_LOOKUPS: "motion is the sum of vectors over half the interval, the second one that of the nearest pixel",
     HALF_DEPTH: "depth as half floats",
@@ -53,6 +54,7 @@ PARTS: dict[str, str] = {name: sentence for name, (sentence, _) in MOTION_CODES.
     NOISY_CAMERA: f"cameras turned by {CAMERA_NOISE:g} px (standard deviation) about each axis",
     TAA: "color by temporal antialiasing of jittered samples, one per pixel",
     JITTERED: "depth and motion jittered by parts of a pixel, color not",
+    HALF: "depth and motion at half the resolution, each way, and jittered",
     DILATED: "motion is that of the nearest surface within a pixel",
     GRAIN: "film grain in the color",
     HUD: "a user interface in the color",
@@ -60,9 +62,9 @@ PARTS: dict[str, str] = {name: sentence for name, (sentence, _) in MOTION_CODES.
 PRESETS = {
     "exact": (),
     "engine": ("half-uv", TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA),
-    "game": (TAA, JITTERED, DILATED, GRAIN, HUD),
+    "game": (TAA, HALF, DILATED, "half-motion", HALF_DEPTH, HUD),
 }
-_RENDERED, _ON_DISPLAY = {TAA, JITTERED}, {TAA, JITTERED, HUD}
+_RENDERED, _ON_DISPLAY = {TAA, JITTERED, HALF}, {TAA, JITTERED, HALF, HUD}
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,8 @@ class Encoding:
             return motion
         if "rounded" in self.parts:
             return np.round(motion)
-        return (code(motion / np.array(self.size, np.float64)) * self.size).astype(np.float32)
+        with np.errstate(over="ignore"):
+            return (code(motion / np.array(self.size, np.float64)) * self.size).astype(np.float32)
 
     def frame(
         self,

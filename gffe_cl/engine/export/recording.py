@@ -163,6 +163,11 @@ class _Rehearsal:
             ("convert_color", lambda: self._convert(rendered, "color")),
             ("convert_geometry", lambda: self._convert(rendered, "depth", "motion")),
             ("convert_small", lambda: self._convert(rendered, "depth", "motion", is_small=True)),
+            ("convert_dilated", lambda: self._convert(rendered, "depth", "motion", is_dilated=True)),
+            (
+                "convert_small_dilated",
+                lambda: self._convert(rendered, "depth", "motion", is_small=True, is_dilated=True),
+            ),
         ):
             self.board.blocks.forget()
             work()
@@ -178,10 +183,11 @@ class _Rehearsal:
     def _present(self, step: Step) -> None:
         self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
 
-    def _convert(self, step: Step, *names: str, is_small: bool = False) -> None:
+    def _convert(self, step: Step, *names: str, is_small: bool = False, is_dilated: bool = False) -> None:
         width, height = (0, 0) if is_small else self.sizes.source
         step = replace(step, given={"geometry_width": width, "geometry_height": height})
-        self.all[Upload.name].convert_places({name: (self._engine[name], 0) for name in names}, step.frame, step)
+        places = {name: (self._engine[name], 0) for name in names}
+        self.all[Upload.name].convert_places(places, step.frame, step, is_dilated)
 
     def _take_rendered(self, step: Step) -> None:
         for stage in self.stages.values():

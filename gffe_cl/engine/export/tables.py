@@ -26,6 +26,7 @@ from gffe_cl.engine.stages.upload import Upload
 OCCASIONS = (
     "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
     "compose", "compose_rendered", "convert_color", "convert_geometry", "convert_small",
+    "convert_dilated", "convert_small_dilated",
 )  # fmt: skip
 # Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {

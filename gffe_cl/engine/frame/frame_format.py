@@ -97,8 +97,7 @@ class FrameFormat:
     motion_y : "down" or "up"
         The direction of positive y.
     motion_dilated : bool
-        Whether pixels beside a nearer surface hold its vector. It is kept with the description; conversion does not
-        undo it.
+        Whether pixels hold the vector of the nearest of the 3×3 pixels around them. Conversion undoes it.
     motion_jittered : bool
         Whether vectors include `RenderedFrame.geometry_jitter`, which conversion then removes.
     motion_invalid : float or None
@@ -349,7 +348,7 @@ class FrameFormat:
         """Whether device buffers of "color" and "geometry" need no conversion."""
         plain = FrameFormat()
         own = {f.name: getattr(self, f.name) == getattr(plain, f.name) for f in fields(self)}
-        for name in ("color_size", "geometry_size", "motion_dilated"):
+        for name in ("color_size", "geometry_size"):
             del own[name]
         color = own.pop("color_type"), own.pop("color_channels")
         return {"color": all(color), "geometry": all(own.values())}

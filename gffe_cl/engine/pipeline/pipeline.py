@@ -454,7 +454,8 @@ class Pipeline:
         self._count_conversions(frame, host)
         if prepared.format:
             taken = DeviceFrame(**self._slot(seen), **seen)
-            self._upload.take(host, taken, step=self._conversion(prepared, taken))
+            step, is_dilated = self._conversion(prepared, taken), prepared.format.motion_dilated
+            self._upload.take(host, taken, step=step, is_dilated=is_dilated)
             return taken
         shared = self._upload.shared(host) if zero_copy else {}
         self._reads_arrays |= bool(shared)
@@ -479,7 +480,8 @@ class Pipeline:
         if "depth" in kept and "motion" not in given:
             buffers["motion"] = self._zero_motion()
         taken = DeviceFrame(**buffers, **seen)
-        self._upload.convert(converted, taken, self._conversion(prepared, taken))
+        assert prepared.format is not None  # else nothing is converted
+        self._upload.convert(converted, taken, self._conversion(prepared, taken), prepared.format.motion_dilated)
         return taken
 
     def _conversion(self, prepared: PreparedFrame, taken: DeviceFrame) -> Step:

@@ -22,7 +22,8 @@ _KINDS = len(fields(BadPixels))
 
 class Upload(Stage):
     """Copies NumPy arrays to the device, converts their colors to half and counts bad pixels. Converts arrays and
-    device buffers that a `FrameFormat` describes, and spreads depth and motion that are smaller than color over it.
+    device buffers that a `FrameFormat` describes, undoes dilation of motion, and spreads depth and motion that are
+    smaller than color over it.
 
     CPUs read the arrays where they lie. For other devices the arrays are gathered in pinned memory, and copied from
     there at once, while the host continues: there are two such places, in turn.
@@ -43,7 +44,8 @@ class Upload(Stage):
             transient=True,
         ),
         BufferSpec(
-            "small_motion", np.float32, XY, "source", "motion that is smaller than color, in pixels of color",
+            "small_motion", np.float32, XY, "source",
+            "motion that is smaller than color or dilated, in pixels of color",
             scratch=True, transient=True,
         ),
         BufferSpec(
@@ -78,6 +80,13 @@ class Upload(Stage):
             for name in ("take_geometry", "convert_geometry")
         ),
         Kernel(
+            "undo_dilation",
+            "source",
+            {"depth": "rendered.depth", "dilated": "upload.small_motion"},
+            {"motion": "rendered.motion"},
+            step=("LANES", 1),
+        ),
+        Kernel(
             "spread_geometry",
             "source",
             {"color": "rendered.color", "small_depth": "upload.small_depth", "small_motion": "upload.small_motion"},
@@ -95,11 +104,16 @@ class Upload(Stage):
         self.copied_bytes = 0
 
     def take(
-        self, arrays: HostArrays, frame: DeviceFrame, shared: Container[str] = (), step: Step | None = None
+        self,
+        arrays: HostArrays,
+        frame: DeviceFrame,
+        shared: Container[str] = (),
+        step: Step | None = None,
+        is_dilated: bool = False,
     ) -> None:
         """Enqueue the upload of `arrays` into the buffers of `frame`, except those that are `shared`. The other arrays
         may be changed afterwards; only in them bad pixels are counted. `step`: with the numbers that convert arrays
-        which a `FrameFormat` describes."""
+        which a `FrameFormat` describes; `is_dilated`: whether it says that motion is."""
         copied = [spec.name for spec in RENDERED if spec.name not in shared]
         if 0 < len(copied) < len(RENDERED) or (step and self._is_small(step)):
             self.fill("bad_pixels", 0)
@@ -109,7 +123,7 @@ class Upload(Stage):
         else:
             places = self._copy(given)
         if step:
-            self.convert_places(places, frame, step)
+            self.convert_places(places, frame, step, is_dilated)
         elif "color" in copied:
             self._take_color(arrays.color, *places["color"], frame)
         if "depth" in copied and not step:
@@ -121,17 +135,19 @@ class Upload(Stage):
         elif copied:
             self._count()
 
-    def convert(self, given: Mapping[str, cl.Buffer], frame: DeviceFrame, step: Step) -> None:
+    def convert(self, given: Mapping[str, cl.Buffer], frame: DeviceFrame, step: Step, is_dilated: bool = False) -> None:
         """Enqueue the conversion of device buffers that a `FrameFormat` describes, color or depth and motion or all,
-        into those of `frame`, and count their bad pixels. `step` has the numbers."""
+        into those of `frame`, and count their bad pixels. `step` has the numbers; `is_dilated`: whether motion is."""
         if not {"color", "depth"} <= given.keys() or self._is_small(step):
             self.fill("bad_pixels", 0)
-        self.convert_places({name: (buffer, 0) for name, buffer in given.items()}, frame, step)
+        self.convert_places({name: (buffer, 0) for name, buffer in given.items()}, frame, step, is_dilated)
         self._count()
 
-    def convert_places(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame, step: Step) -> None:
+    def convert_places(
+        self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame, step: Step, is_dilated: bool = False
+    ) -> None:
         """Enqueue the conversion of values that begin at an index of a buffer, by name, into the buffers of `frame`;
-        bad pixels are counted on the device."""
+        bad pixels are counted on the device. `is_dilated`: whether motion is."""
         if "color" in places:
             given, start = places["color"]
             self.launch("convert_color", step, given=given, start=start, color=frame.color)
@@ -140,19 +156,24 @@ class Upload(Stage):
         given_depth, depth_start = places["depth"]
         given_motion, motion_start = places.get("motion", (frame.motion, 0))  # then its type is none
         is_small, depth, motion = self._is_small(step), frame.depth, frame.motion
-        if is_small:
+        if is_small or is_dilated:
             self.allocate_small()
+        if is_small:
             depth, motion = self.buffer["small_depth"], self.buffer["small_motion"]
+        # The motion of the other size has room for dilated motion until that is undone.
+        converted = motion if not is_dilated else frame.motion if is_small else self.buffer["small_motion"]
         self.launch(
             "convert_geometry", step,
             given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
-            depth=depth, motion=motion,
+            depth=depth, motion=converted,
         )  # fmt: skip
+        if is_dilated:
+            self.launch("undo_dilation", step, depth=depth, dilated=converted, motion=motion)
         if is_small:
             self.launch("spread_geometry", step, color=frame.color, depth=frame.depth, motion=frame.motion)
 
     def allocate_small(self) -> None:
-        """Allocate the buffers for depth and motion that are smaller than color, unless they are there."""
+        """Allocate the buffers for depth and motion that are smaller than color or dilated, unless they are there."""
         if "small_depth" not in self.buffer:
             self.buffer |= self.allocate([self.spec("small_depth"), self.spec("small_motion")])
 

@@ -28,9 +28,11 @@ from gffe_cl.captures.scenes import (
     scene_names,
 )
 from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.lab.compare import NO_HISTORY
@@ -308,6 +310,13 @@ class _Folder(Footage):
         alpha = (truth.time - source.time(k)) / source.interval(k)
         color = self.encoding.truth(self._sequence.read_color(truth), self.exposure)
         return Moment(truth.time, alpha, self._sequence.camera_at(truth.time), color)
+
+
+def at_full_size(shot: Shot) -> Shot:
+    """Return `shot` with depth and motion of its frames at the size of color; dilated motion stays dilated."""
+    frames = {name: found for name in ("frame", "following") if (found := getattr(shot, name)) and found.geometry_size}
+    plain = FrameFormat()
+    return replace(shot, **{name: described_frame(found, plain, None, (0.0, 0.0)) for name, found in frames.items()})
 
 
 _MOVES = 0.5  # pixels from which a surface counts as moving by itself

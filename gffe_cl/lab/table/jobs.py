@@ -18,10 +18,10 @@ from gffe_cl.lab.metrics import RegionErrors, measurable, psnr, ssim, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS, masks
 from gffe_cl.lab.report import error_image, to_image
-from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject, open_subject
+from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject, at_full_size, open_subject
 from gffe_cl.lab.table.labels import find_labels
 from gffe_cl.lab.table.methods import GIVEN, Method, chosen_methods
-from gffe_cl.lab.table.pipelines import DeviceRunner
+from gffe_cl.lab.table.pipelines import DeviceRunner, PipelineRunner
 from gffe_cl.lab.table.videos import VIDEO_METRICS, measured_or_reason
 
 _QUALITY = 90  # of pictures, WebP
@@ -140,8 +140,9 @@ def _measure(
     parts = {} if ui is None else {"ui_psnr": ui[..., 3] > 0, "scene_psnr": ui[..., 3] == 0}
     number = 0
     for shot in footage.shots(method.window):
+        given = shot if isinstance(runner, PipelineRunner) else at_full_size(shot)
         with clock.submitting():
-            runner.submit(shot)
+            runner.submit(given)
         if not shot.moments:
             flicker.cut()
             _finish(runner)

@@ -20,10 +20,10 @@ _MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in so
 
 def find_labels(footage: Footage, device: Device) -> Iterator[np.ndarray]:
     """Yield the labels of every moment in order: (H, W) uint8, indices into `REGIONS`."""
-    size = (footage.width, footage.height)
-    gae = Pipeline(device, *size, Options(shading_correction=False, overlays=False), fps=footage.fps)
+    size, more = (footage.width, footage.height), {"fps": footage.fps, "format": footage.encoding.format}
+    gae = Pipeline(device, *size, Options(shading_correction=False, overlays=False), **more)
     still = Options(motion=False, levels=0, shading_correction=False, overlays=False)
-    static = None if footage.exact else Pipeline(device, *size, still, fps=footage.fps)
+    static = None if footage.exact else Pipeline(device, *size, still, **more)
     for shot in footage.shots():
         for pipeline in filter(None, (gae, static)):
             pipeline.submit(shot.frame)

@@ -208,13 +208,14 @@ FORMATS = (
     FrameFormat(
         motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3, geometry_size=(W // 2, -(-H // 3))
     ),
-    FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True),
+    FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True, motion_dilated=True),
+    FrameFormat(motion_unit="uv", motion_dilated=True),
 )  # fmt: skip
 
 
 def test_engines_own_formats_have_the_same_bits(device, library):
     """Every type, from frame to frame another description, or none; a reset without motion."""
-    rng, frames, formats = np.random.default_rng(2), moving(device, 9), [*FORMATS, None, FORMATS[4]]
+    rng, frames, formats = np.random.default_rng(2), moving(device, 10), [*FORMATS, None, FORMATS[4]]
     types = zip(3 * COLOR_TYPES, 3 * (*DEPTH_TYPES, "float32"), 3 * MOTION_TYPES, strict=True)
     names = [dict(zip(("color_type", "depth_type", "motion_type"), t, strict=True)) for t in types]
     formats = [f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)

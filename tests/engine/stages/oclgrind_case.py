@@ -110,7 +110,7 @@ def described(stage, frame, size):
                 flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
                 given[name] = cl.Buffer(stage.device.context, flags, hostbuf=zeros)
         step = Step(frame, frame, [0.1, 0.0], given=conversion(format, size, types, channels, geometry=geometry))
-        stage.convert(given, frame, step)
+        stage.convert(given, frame, step, is_dilated=number % 3 == 1)
         assert not stage.take_bad_pixels()
 
 

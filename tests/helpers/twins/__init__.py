@@ -25,7 +25,9 @@ from twins.upload import (
     convert_described_color,
     convert_described_geometry,
     convert_geometry,
+    motion_by_camera,
     spread_geometry,
+    undilated,
 )
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
@@ -64,6 +66,7 @@ __all__ = [
     "load_color",
     "measure_changes",
     "mix_far_side",
+    "motion_by_camera",
     "move",
     "network_input",
     "predict_positions",
@@ -79,6 +82,7 @@ __all__ = [
     "static_threshold",
     "track_acceleration",
     "track_history",
+    "undilated",
     "unmixed",
     "unproject",
 ]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from gffe_cl.captures.sequence.described import spread_geometry as spread_geometry  # of sequences on disk, too
+from gffe_cl.captures.sequence.described import undilated as undilated
 from twins.common import COLOR_MAX, INF, F, centers, kernel_constants, reproject
 
 UPLOAD = kernel_constants("upload.cl")
@@ -63,10 +64,15 @@ def convert_described_geometry(depth, motion, given, to_previous=None, size=None
         return z, np.where(unwritten, F(np.nan), vectors), counts
     if to_previous is None:
         return z, vectors, counts
-    here = centers(*depth.shape) * F(given["from_geometry"][:2]) + F(given["from_geometry"][2:])
-    before = reproject(here, z, to_previous)
-    camera = np.where(before[..., 2:] > 0, before[..., :2] - here, F(np.nan))
-    camera = np.where((z > 0)[..., None], camera, F(0))
+    camera = motion_by_camera(z, given, to_previous)
     added = given["given_types"][3] == UPLOAD.CAMERA_EXCLUDED
     with np.errstate(all="ignore"):
         return z, np.where(added | unwritten, vectors + camera, vectors), counts
+
+
+def motion_by_camera(z, given, to_previous):
+    """(H, W, 2): motion of static points at depth z, in pixels of color."""
+    here = centers(*z.shape) * F(given["from_geometry"][:2]) + F(given["from_geometry"][2:])
+    before = reproject(here, z, to_previous)
+    camera = np.where(before[..., 2:] > 0, before[..., :2] - here, F(np.nan))
+    return np.where((z > 0)[..., None], camera, F(0))

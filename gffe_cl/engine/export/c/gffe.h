@@ -133,6 +133,7 @@ typedef struct gffe_format {
     int motion_unit;
     int motion_from_previous; /* whether it is (here - previous) */
     int motion_y_up; /* whether positive y is up */
+    int motion_dilated; /* whether pixels hold the vector of the nearest of the 3x3 pixels around, which is undone */
     int motion_jittered; /* whether vectors include the jitter of gffe_set_geometry_jitter, which is then removed */
     double motion_invalid; /* the stored value that both components have where no vector was written; NAN: none */
     int camera_motion;

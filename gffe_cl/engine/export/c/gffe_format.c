@@ -68,7 +68,7 @@ static int is_geometry_ours(const gffe_step *step) {
            && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2 && format->motion_scale[0] == 1
            && format->motion_scale[1] == 1 && format->motion_offset[0] == 0 && format->motion_offset[1] == 0
            && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous && !format->motion_y_up
-           && !format->motion_jittered && isnan(format->motion_invalid)
+           && !format->motion_dilated && !format->motion_jittered && isnan(format->motion_invalid)
            && format->camera_motion == GFFE_CAMERA_INCLUDED;
 }
 
@@ -267,7 +267,12 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     if (!given[MOTION]) g->memory[GFFE_ENGINE_COLOR + 2 * MOTION] = g->memory[GFFE_RENDERED_MOTION];
     step->converts = 1;
     if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR, 0);
-    if (!status && g->converts[1]) status = gffe_run(g, is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY, 0);
+    if (!status && g->converts[1])
+        status =
+            gffe_run(g,
+                     step->format.motion_dilated ? (is_small(step) ? GFFE_CONVERT_SMALL_DILATED : GFFE_CONVERT_DILATED)
+                                                 : (is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY),
+                     0);
     step->converts = 0;
     for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
     return status;
