@@ -86,6 +86,9 @@ GAE: dict[str, Change] = {
     "color is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
     "resampling is cubic, not bilinear": Change({"blocks": False}, {"resampling.h": {"ALL_ALIKE": "0x1FF"}}),
     "colors are mixed as they are seen": Change({"resampling": "linear"}),
+    "… brighter than white, compressed": Change(
+        edits={"color_code.h": {"root > white_root ?": "false ?", "size > white ?": "false ?"}}
+    ),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, the mean with what the background knows": Change(
         edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}

@@ -32,9 +32,9 @@ def encode_color(c):
         return c
     size, white_root = np.abs(c), F(2) * CODE_OFFSET
     root = np.sqrt(size)
-    low = F(0.5) * size + CODE_OFFSET * root
-    high = F(2) * white_root * np.sqrt(white_root * root) - white_root * white_root
-    return np.copysign(np.where(root > F(CODE.BRIGHT) * white_root, high, low), c)
+    dark = F(0.5) * size + CODE_OFFSET * root
+    bright = CODE.KNEE * white_root * np.sqrt(white_root * root) - (CODE.KNEE - F(1)) * white_root * white_root
+    return np.copysign(np.where(root > white_root, bright, dark), c)
 
 
 def decode_color(code):
@@ -44,9 +44,10 @@ def decode_color(code):
         return code
     size, white_root = np.abs(code), F(2) * CODE_OFFSET
     white = white_root * white_root
-    low = np.sqrt(F(2) * size + CODE_OFFSET * CODE_OFFSET) - CODE_OFFSET
-    high = (size + white) * (size + white) * (F(0.25) / (white * white_root))
-    root = np.where(size > F(CODE.BRIGHT) * white, high, low)
+    dark = np.sqrt(F(2) * size + CODE_OFFSET * CODE_OFFSET) - CODE_OFFSET
+    total = size + (CODE.KNEE - F(1)) * white
+    bright = total * total * (F(1) / (CODE.KNEE * CODE.KNEE) / (white * white_root))
+    root = np.where(size > white, bright, dark)
     return np.copysign(root * root, code)
 
 
