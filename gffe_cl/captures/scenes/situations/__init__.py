@@ -9,6 +9,7 @@ from gffe_cl.captures.scenes.situations import cameras, movers, shading
 
 BUILDERS = {
     "bars": movers.bars,
+    "fence": movers.fence,
     "entering": movers.entering,
     "ropes": movers.ropes,
     "balls": movers.balls,
