@@ -119,6 +119,9 @@ GAE: dict[str, Change] = {
         edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}
     ),
     "hidden parts of movers": Change({"hidden_parts": False}),
+    "… none where the frame before showed something farther": Change(
+        edits={"hidden_parts.cl": {"if (!frame->has_previous ||": "if (true ||"}}
+    ),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
         edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown)": "return false"}}
@@ -153,6 +156,7 @@ NO_NETWORK = Change({"shading_correction": False})
 PREDICTED = Change(camera=False)
 FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "bars": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
+    "railings": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
     "entering": ("entering movers", ENTERING, "movers"),
     "ropes": ("soft silhouettes", GAE["silhouettes stay antialiased"], "movers"),
     "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),

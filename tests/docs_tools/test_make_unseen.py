@@ -14,7 +14,9 @@ TOOLS = Path(__file__).parents[2] / "docs" / "tools"
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("module", "name", "size"), [("raymarched", "Raymarched", (160, 90))])
+@pytest.mark.parametrize(("module", "name", "size"),
+    [("raymarched", "Raymarched", (160, 90)), ("aquarium", "Aquarium", (160, 90)), ("fairground", "Fairground", (160, 90))],
+)
 def test_a_small_sequence_is_sound(module, name, size, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
     __import__(f"unseen.{module}")

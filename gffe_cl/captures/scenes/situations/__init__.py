@@ -9,7 +9,7 @@ from gffe_cl.captures.scenes.situations import cameras, movers, shading
 
 BUILDERS = {
     "bars": movers.bars,
-    "fence": movers.fence,
+    "railings": movers.railings,
     "entering": movers.entering,
     "ropes": movers.ropes,
     "balls": movers.balls,

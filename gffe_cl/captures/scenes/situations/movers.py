@@ -39,7 +39,7 @@ def bars(seed: int, rng: np.random.Generator) -> Scene:
     return scene("bars", "Movers behind bars", seed, groups, *sunlight(rng), still_camera(rng))
 
 
-def fence(seed: int, rng: np.random.Generator) -> Scene:
+def railings(seed: int, rng: np.random.Generator) -> Scene:
     """Return people who pass each other behind a fence and before it, and shadows of things out of view that cross
     them; the camera strafes."""
     groups = yard(rng, seed)
@@ -57,7 +57,7 @@ def fence(seed: int, rng: np.random.Generator) -> Scene:
         leaves = [Box((0.5 * j, 0, 0.2 * j), (0.24, 0.04, 1.2), dark) for j in (-1, 0, 1)]
         groups.append(Group(leaves, Place(*at) @ slide @ Place(yaw=rng.uniform(-40, 40)), name="caster"))
     eye = wave((0, 1.6, 5.2), (0.9, 0.03, 0.1), (rng.uniform(2.2, 3.0), 0.9, 2.0), rng.random(3))
-    return scene("fence", "Walkers and shadows behind a fence", seed, groups, lights, air, (eye, still_camera(rng)[1]))
+    return scene("railings", "Walkers and shadows behind a fence", seed, groups, lights, air, (eye, still_camera(rng)[1]))
 
 
 def entering(seed: int, rng: np.random.Generator) -> Scene:
