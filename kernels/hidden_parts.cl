@@ -54,8 +54,8 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
     return 0;
 }
 
-/* Whether the frame before showed something farther than the mover at (x, y) where its part at px_source of the rendered
-   image, at depth z_source, was then: the mover has no part there. */
+/* Whether the frame before showed something farther than the mover at (x, y) where its part at px_source of the
+   rendered image, at depth z_source, was then: the mover has no part there. */
 INLINE bool was_seen_through(const int x, const int y, const float2 px_source, const float z_source,
                              __constant Frame *frame, const Images f) {
     const int width = frame->source_width, height = frame->source_height;

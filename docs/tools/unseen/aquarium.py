@@ -81,7 +81,7 @@ def _contents() -> np.ndarray:
     for _ in range(26):
         at = np.array([rng.uniform(-8, 8), rng.uniform(-1, 9), 0.1])
         parts.append(mesh(ball(at, rng.uniform(0.2, 1.1, 3), 6), rng.uniform(0.15, 0.5, 3)))
-    for k in range(90):
+    for _ in range(90):
         foot, tall = np.array([rng.uniform(-7, 7), rng.uniform(-3.5, 6), 0.0]), rng.uniform(0.8, 3.4)
         up = np.linspace(0, 1, 14)[:, None]
         wide = rng.uniform(0.02, 0.09) * (1.05 - up**2)

@@ -1,4 +1,4 @@
-"""A fairground at night, 800×450: a big wheel with bright bulbs, a carousel, lights on wires, visitors behind barriers."""
+"""A fairground at night, 800×450: a big wheel with bright bulbs, a carousel, lights on wires, visitors, barriers."""
 
 from __future__ import annotations
 
@@ -123,7 +123,8 @@ def _wheel() -> list[np.ndarray]:
 def _carousel(rng: np.random.Generator) -> list[np.ndarray]:
     angle, parts = 2 * np.pi * np.arange(33) / 32, []
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
-    for low, high, inner, outer, paint in ((0.0, 0.35, 2.6, 2.6, (0.6, 0.2, 0.15)), (2.9, 4.2, 2.7, 0.1, (0.7, 0.6, 0.4))):
+    wall, roof = (0.0, 0.35, 2.6, 2.6, (0.6, 0.2, 0.15)), (2.9, 4.2, 2.7, 0.1, (0.7, 0.6, 0.4))
+    for low, high, inner, outer, paint in (wall, roof):
         parts.append(mesh(sheet(np.stack([inner * ring + (0, 0, low), outer * ring + (0, 0, high)])), paint, _CAROUSEL))
     parts.append(mesh(sheet(np.stack([0 * ring, 2.6 * ring]) + (0, 0, 0.35)), (0.5, 0.35, 0.2), _CAROUSEL))
     parts.append(mesh(tube([(0, 0, 0.3), (0, 0, 3.2)], 0.5, 16), (0.7, 0.55, 0.3), _CAROUSEL))

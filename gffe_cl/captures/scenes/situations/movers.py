@@ -57,7 +57,8 @@ def railings(seed: int, rng: np.random.Generator) -> Scene:
         leaves = [Box((0.5 * j, 0, 0.2 * j), (0.24, 0.04, 1.2), dark) for j in (-1, 0, 1)]
         groups.append(Group(leaves, Place(*at) @ slide @ Place(yaw=rng.uniform(-40, 40)), name="caster"))
     eye = wave((0, 1.6, 5.2), (0.9, 0.03, 0.1), (rng.uniform(2.2, 3.0), 0.9, 2.0), rng.random(3))
-    return scene("railings", "Walkers and shadows behind a fence", seed, groups, lights, air, (eye, still_camera(rng)[1]))
+    target = still_camera(rng)[1]
+    return scene("railings", "Walkers and shadows behind a fence", seed, groups, lights, air, (eye, target))
 
 
 def entering(seed: int, rng: np.random.Generator) -> Scene:
