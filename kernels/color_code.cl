@@ -6,11 +6,8 @@
 
 DEFINE_ROOT(Texels, texel_roots)
 
-/* encode_color of pixels of a strip. */
-INLINE Texels encode_texels(const Texels c, const float offset) {
-    const Texels size = fabs(c);
-    return offset > 0.0f ? copysign(0.5f * size + offset * texel_roots(size), c) : c;
-}
+/* encode_texels is encode_color of pixels of a strip. */
+DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
 
 /* NaN counts as 0, infinities are clamped. */
 WIDE __kernel void encode_colors(__constant Frame *restrict frame, __global const half *color, __global half *codes) {

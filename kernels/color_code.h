@@ -1,19 +1,30 @@
 /* Colors as they are mixed: in linear light, interpolation rings and smears beside highlights. The code of c is (c +
    2 o sqrt(c)) / 2 with c's sign: like a square root where it is dark, linear where it is bright. The frame block
    has `code_offset` o, which is half the root of the color that is displayed as 1; 0 stands for linear light, where
-   a color is its own code. */
+   a color is its own code. Above that color, w, the code continues as 3 w (c / w)^(1/4) - 2 w, with the same slope: a
+   lamp that is displayed as white outweighs the pixels beside it no longer by all its brightness. */
+
+#define KNEE 3.0f /* with 3 the slope is continuous at w; less compresses more */
+
+/* For colors of type F with the square root `roots`. */
+#define DEFINE_COLOR_CODE(F, roots, encode, decode)                                                                    \
+    INLINE F encode(const F c, const float offset) {                                                                   \
+        const F size = fabs(c), root = roots(size);                                                                    \
+        const float white_root = 2.0f * offset, below = (KNEE - 1.0f) * white_root * white_root;                       \
+        const F dark = 0.5f * size + offset * root, bright = KNEE * white_root * roots(white_root * root) - below;     \
+        return offset > 0.0f ? copysign(root > white_root ? bright : dark, c) : c;                                     \
+    }                                                                                                                  \
+    INLINE F decode(const F code, const float offset) {                                                                \
+        const F size = fabs(code);                                                                                     \
+        const float white_root = 2.0f * offset, white = white_root * white_root;                                       \
+        const F dark = roots(2.0f * size + offset * offset) - offset, sum = size + (KNEE - 1.0f) * white;              \
+        const F bright = sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root);                                 \
+        const F root = size > white ? bright : dark;                                                                   \
+        return offset > 0.0f ? copysign(root * root, code) : code;                                                     \
+    }
 
 DEFINE_ROOT(float3, roots)
-
-INLINE float3 encode_color(const float3 c, const float offset) {
-    const float3 size = fabs(c);
-    return offset > 0.0f ? copysign(0.5f * size + offset * roots(size), c) : c;
-}
-
-INLINE float3 decode_color(const float3 code, const float offset) {
-    const float3 root = roots(2.0f * fabs(code) + offset * offset) - offset;
-    return offset > 0.0f ? copysign(root * root, code) : code;
-}
+DEFINE_COLOR_CODE(float3, roots, encode_color, decode_color)
 
 /* The code of a pixel of an image in linear light. */
 INLINE float3 load_code(__global const half *color, const int i, const float offset) {

@@ -1,9 +1,10 @@
 /* Hidden parts of movers: disocclusions that belong to a moving object, not to the static background. A mover's part
    in a disocclusion moves like the dynamic fragments next to it, so its place in the rendered frame is known. The
    warp brought nothing from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface
-   there that is not nearer, the mover has no part there, and the hole is left to the background. A mover that enters
-   through the border of the image has parts that no frame has shown: it is continued to that border. RUN pixels without
-   a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
+   there that is not nearer, the mover has no part there, and the hole is left to the background; so it is where the
+   frame before showed something farther where that part was then. A mover that enters through the border of the image
+   has parts that no frame has shown: it is continued to that border. RUN pixels without a hole are skipped at once, and
+   so are RUN x LANES without a dynamic pixel within reach. */
 
 #include "frame.h"
 #include "simd.h"
@@ -21,9 +22,10 @@
 #define REACH_SHARE 48    /* ... or this part of the target's width */
 #define BORDER_SHARE 8    /* part of the target's width: holes no wider may be those of movers that enter */
 
-/* The new frame, and the depth of the rendered one. */
+/* The new frame, the depth of the rendered one and of the one before it, and the motion between these. */
 typedef struct {
-    __global const float *source_depth;
+    __global const float *source_depth, *depth_prev;
+    __global const float2 *source_motion;
     __global const uchar *disoccluded, *is_dynamic;
     __global half *color;
     __global float *depth;
@@ -52,6 +54,21 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
     return 0;
 }
 
+/* Whether the frame before showed something farther than the mover at (x, y) where its part at px_source of the
+   rendered image, at depth z_source, was then: the mover has no part there. */
+INLINE bool was_seen_through(const int x, const int y, const float2 px_source, const float z_source,
+                             __constant Frame *frame, const Images f) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float2 px_mover = moves_along(x, y, (int2)(0, 0), frame, f);
+    const int src_x = clamp((int)px_mover.x, 0, width - 1), src_y = clamp((int)px_mover.y, 0, height - 1);
+    const float2 px_prev = px_source + f.source_motion[src_y * width + src_x];
+    if (!frame->has_previous || !(px_prev.x >= 0.0f && px_prev.y >= 0.0f)
+        || !(px_prev.x < (float)width && px_prev.y < (float)height))
+        return false;
+    const float z_prev = f.depth_prev[(int)px_prev.y * width + (int)px_prev.x];
+    return HIDES * z_prev > reproject(px_source, z_source, frame->to_previous).z;
+}
+
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
    0: none. */
 INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
@@ -71,7 +88,9 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
           && px_source.y < (float)frame->source_height))
         return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
-    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_center(x, y), z, frame->to_source).z ? t : 0;
+    const float z_source = reproject(pixel_center(x, y), z, frame->to_source).z;
+    if (!INVALID_DEPTH(z_shown) && !(z_shown < HIDES * z_source)) return 0;
+    return was_seen_through(x, y, px_source, z_source, frame, f) ? 0 : t;
 }
 
 /* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by,
@@ -170,10 +189,13 @@ INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y
 
 /* RUN x LANES pixels per work-item. */
 SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global const float *source_depth,
+                                     __global const float2 *source_motion, __global const float *depth_prev,
                                      __global const uchar *block_class, __global const uchar *disoccluded,
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by) {
     const Images images = {.source_depth = source_depth,
+                           .depth_prev = depth_prev,
+                           .source_motion = source_motion,
                            .disoccluded = disoccluded,
                            .is_dynamic = is_dynamic,
                            .color = color,

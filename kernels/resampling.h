@@ -66,11 +66,8 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
 #if LANES == 8
 DEFINE_ROOT(Texels, texel_roots)
 
-/* decode_color of four pixels. */
-INLINE Texels decode_texels(const Texels code, const float offset) {
-    const Texels root = texel_roots(2.0f * fabs(code) + offset * offset) - offset;
-    return offset > 0.0f ? copysign(root * root, code) : code;
-}
+/* decode_texels is decode_color of four pixels. */
+DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
 
 /* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`,
    keep its bits. False where they are to be made one by one. */

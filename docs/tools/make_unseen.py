@@ -28,6 +28,8 @@ SEQUENCES = {
     "panda_live_antialiased": ("unseen.panda_live", "PandaLiveAntialiased"),
     "cockpit": ("unseen.cockpit", "Cockpit"),
     "raymarched": ("unseen.raymarched", "Raymarched"),
+    "aquarium": ("unseen.aquarium", "Aquarium"),
+    "fairground": ("unseen.fairground", "Fairground"),
 }
 METHODS = ("repeat", "motion-vectors", "papers-way", "no-scn", "gffe")
 FIGURES = ("psnr", "ssim", "flip")

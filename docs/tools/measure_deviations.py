@@ -86,6 +86,9 @@ GAE: dict[str, Change] = {
     "color is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
     "resampling is cubic, not bilinear": Change({"blocks": False}, {"resampling.h": {"ALL_ALIKE": "0x1FF"}}),
     "colors are mixed as they are seen": Change({"resampling": "linear"}),
+    "… brighter than white, compressed": Change(
+        edits={"color_code.h": {"root > white_root ?": "false ?", "size > white ?": "false ?"}}
+    ),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, the mean with what the background knows": Change(
         edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}
@@ -116,6 +119,9 @@ GAE: dict[str, Change] = {
         edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}
     ),
     "hidden parts of movers": Change({"hidden_parts": False}),
+    "… none where the frame before showed something farther": Change(
+        edits={"hidden_parts.cl": {"if (!frame->has_previous ||": "if (true ||"}}
+    ),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
         edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown)": "return false"}}
@@ -150,6 +156,7 @@ NO_NETWORK = Change({"shading_correction": False})
 PREDICTED = Change(camera=False)
 FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "bars": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
+    "railings": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
     "entering": ("entering movers", ENTERING, "movers"),
     "ropes": ("soft silhouettes", GAE["silhouettes stay antialiased"], "movers"),
     "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),

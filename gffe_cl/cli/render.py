@@ -71,8 +71,8 @@ def render(
 ) -> None:
     """Render a built-in scene to a sequence: color, depth, motion vectors and cameras.
 
-    Situations, small scenes of one difficulty each: bars, entering, ropes, balls, rotors, handheld, cab, wipers,
-    lamps, shadows, fan, screen, quantized.
+    Situations, small scenes of one difficulty each: bars, railings, entering, ropes, balls, rotors, handheld, cab,
+    wipers, lamps, shadows, fan, screen, quantized.
     """
     from gffe_cl.captures.scenes import load_scene
     from gffe_cl.captures.scenes.render import render_sequence

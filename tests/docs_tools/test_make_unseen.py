@@ -14,13 +14,15 @@ TOOLS = Path(__file__).parents[2] / "docs" / "tools"
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("module", "name", "size"), [("raymarched", "Raymarched", (160, 90))])
-def test_a_small_sequence_is_sound(module, name, size, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("module", "name"), [("raymarched", "Raymarched"), ("aquarium", "Aquarium"), ("fairground", "Fairground")]
+)
+def test_a_small_sequence_is_sound(module, name, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
     __import__(f"unseen.{module}")
     from unseen.recording import record
 
-    generator = getattr(sys.modules[f"unseen.{module}"], name)(*size, frames=4)
+    generator = getattr(sys.modules[f"unseen.{module}"], name)(160, 90, frames=4)
     record(generator, tmp_path / module)
     generator.close()
     sequence = gffe.open_sequence(tmp_path / module)

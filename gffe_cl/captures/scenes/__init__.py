@@ -38,6 +38,7 @@ SCENES = {
 # Each holds one thing that is hard, and little else; beside the eight above, which tables and studies are made of.
 SITUATIONS = {
     "bars": "Movers behind bars: three people and an animal pass behind a fence",
+    "railings": "People behind a fence and before it, and moving shadows that cross them; the camera strafes",
     "entering": "Movers that enter through the border: cars from the side and past the camera, a walker",
     "ropes": "Thin ropes, one to three pixels wide, that swing before a wall",
     "balls": "Balls that fly on parabolas, bounce and roll",

@@ -25,6 +25,8 @@ class HiddenParts(Stage):
             "target",
             {
                 "source_depth": Access("rendered.depth", HIDDEN_PARTS),
+                "source_motion": Access("rendered.motion", HIDDEN_PARTS),
+                "depth_prev": Access("previous.depth", HIDDEN_PARTS),
                 "block_class": "backward_blocks.block_class",
                 "disoccluded": Access("frame.disoccluded", SPLATTED_PIXELS),
                 "is_dynamic": Access("frame.dynamic", DISOCCLUDED),
@@ -47,4 +49,5 @@ class HiddenParts(Stage):
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("fill_hidden_parts", step)
+        before = step.previous or step.frame
+        self.launch("fill_hidden_parts", step, depth_prev=before.depth)

@@ -31,7 +31,10 @@ def last_frame(device, rects, options=None, target=(W, H), count=8):
 def test_kernel_equals_its_twin(case):
     """Which pixels are filled, exactly; colors, depth and motion to a rounding of a division."""
     warped, reach = case.after("warp"), case.pipeline.stages["hidden_parts"].reach
-    warped |= twins.fill_hidden_parts(warped, case.now.depth, case.zoom, case.to_source, reach, case.options.entering)
+    before = case.now.motion, case.past.depth, case.to_previous
+    warped |= twins.fill_hidden_parts(
+        warped, case.now.depth, case.zoom, case.to_source, reach, case.options.entering, before
+    )
     left = case.after("hidden_parts")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
     assert (warped["filled_by"] == BY_HIDDEN_PART).any()
@@ -54,6 +57,15 @@ def test_mover_behind_bars_is_whole(device, target):
     at = np.stack([x, y], -1) + 0.5 + out.numpy("motion")[inside]
     shown = frame.depth[tuple(np.floor(at).astype(int).T[::-1])]
     assert np.isclose(shown, 4, rtol=0.01).mean() > 0.9  # a bar
+
+
+def test_mover_has_no_part_where_the_frame_before_showed_the_wall(device):
+    """A bar hides the wall beside the mover's edge, which the frame before had shown free of the bars."""
+    mover = Rect((-1.2, 0, 6), (1.0, 0.6), velocity=(6, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+    out, truth, _ = last_frame(device, [WALL, mover, *BARS], count=5)
+    hidden = out.numpy("filled_by") == BY_HIDDEN_PART
+    is_mover = (truth.depth > 5) & (truth.depth < 7)
+    assert (hidden & is_mover).sum() > 50 and not (hidden & ~is_mover).any()
 
 
 def test_mover_that_enters_goes_on_to_the_border(device):

@@ -17,6 +17,7 @@ def kernel_constants(file):
 
 
 WARP = kernel_constants("warp.cl")
+CODE = kernel_constants("color_code.h")
 NOBODY = WARP.NOBODY
 COLOR_MAX = F(COMMON.COLOR_MAX)
 
@@ -27,14 +28,27 @@ CODE_OFFSET = F(0.5)  # of color_code.h, at exposure 1; tests set it to 0 for li
 def encode_color(c):
     """Codes of colors."""
     c = np.asarray(c, F)
-    return np.copysign(F(0.5) * np.abs(c) + CODE_OFFSET * np.sqrt(np.abs(c)), c) if CODE_OFFSET else c
+    if not CODE_OFFSET:
+        return c
+    size, white_root = np.abs(c), F(2) * CODE_OFFSET
+    root = np.sqrt(size)
+    dark = F(0.5) * size + CODE_OFFSET * root
+    bright = CODE.KNEE * white_root * np.sqrt(white_root * root) - (CODE.KNEE - F(1)) * white_root * white_root
+    return np.copysign(np.where(root > white_root, bright, dark), c)
 
 
 def decode_color(code):
     """Colors of codes."""
     code = np.asarray(code, F)
-    root = np.sqrt(F(2) * np.abs(code) + CODE_OFFSET * CODE_OFFSET) - CODE_OFFSET
-    return np.copysign(root * root, code) if CODE_OFFSET else code
+    if not CODE_OFFSET:
+        return code
+    size, white_root = np.abs(code), F(2) * CODE_OFFSET
+    white = white_root * white_root
+    dark = np.sqrt(F(2) * size + CODE_OFFSET * CODE_OFFSET) - CODE_OFFSET
+    total = size + (CODE.KNEE - F(1)) * white
+    bright = total * total * (F(1) / (CODE.KNEE * CODE.KNEE) / (white * white_root))
+    root = np.where(size > white, bright, dark)
+    return np.copysign(root * root, code)
 
 
 def centers(height, width):

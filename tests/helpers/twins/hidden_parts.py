@@ -9,9 +9,9 @@ from twins.warp import load_code
 HIDDEN = kernel_constants("hidden_parts.cl")
 
 
-def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering):
+def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, before=None):
     """color, depth, motion and filled_by of the warped frame with the hidden parts of movers, and the parts of those
-    that enter."""
+    that enter. `before`: motion from the rendered frame to the one before it, depth there, and the reprojection."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     depth, holes, dynamic = warped["depth"], warped["disoccluded"] > 0, warped["dynamic"] > 0
     height, width = source_depth.shape
@@ -34,8 +34,21 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering):
                 return None
             shown = source_depth[int(px[1]), int(px[0])]
             then = reproject(np.array([[q[1] + 0.5, q[0] + 0.5]], F), depth[q][None], to_source)[0, 2]
-            return (distance, q) if not shown > 0 or shown < HIDDEN.HIDES * then else None
+            hidden = not shown > 0 or shown < HIDDEN.HIDES * then
+            return (distance, q) if hidden and not seen_through(q, px, then) else None
         return None
+
+    def seen_through(q, px, z):
+        """Whether the frame before showed something farther where the part at `px`, at depth z, was then."""
+        if before is None:
+            return False
+        motion, depth_prev, to_previous = before
+        x, y = np.clip(moves_along(q, *q).astype(int), 0, (width - 1, height - 1))
+        then = px + motion[y, x]
+        if not (0 <= then[0] < width and 0 <= then[1] < height):
+            return False
+        z_prev = depth_prev[int(then[1]), int(then[0])]
+        return HIDDEN.HIDES * z_prev > reproject(px[None], F(z)[None], to_previous)[0, 2]
 
     def entered(y, x):
         """The pixel of the mover that goes on to the border, or None."""

@@ -9,6 +9,7 @@ from gffe_cl.captures.scenes.situations import cameras, movers, shading
 
 BUILDERS = {
     "bars": movers.bars,
+    "railings": movers.railings,
     "entering": movers.entering,
     "ropes": movers.ropes,
     "balls": movers.balls,
