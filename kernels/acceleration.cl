@@ -1,16 +1,17 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
-   only as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on,
-   too. Cells without a mover are skipped. Some movers are carried by the camera, as wipers and hands are: where
-   velocity in view space has changed less since the frame before than that in the world, velocity and acceleration
-   go on in view space. */
+   only as much of it counts as there was an interval before, and a share where that is not known. On arcs acceleration
+   turns: its own change goes on, too. Cells without a mover are skipped. Some movers are carried by the camera, as
+   wipers and hands are: where velocity in view space has changed less since the frame before than that in the world,
+   velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
 
 /* BEND_MOST: an acceleration of more than this share of the velocity counts less, the more the larger it is */
-#define BEND_MOST 0.25f
+#define BEND_MOST 0.5f
+#define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
    the world ... */
@@ -20,7 +21,7 @@
    its distance: without a shake both spaces fit */
 #define SHAKEN 0.004f
 /* TURN_MOST: a change of more than this share of the acceleration counts less, the more the larger it is */
-#define TURN_MOST 0.25f
+#define TURN_MOST 0.5f
 
 /* Mean values of a cell's fragments of one mover. */
 typedef struct {
@@ -90,14 +91,17 @@ INLINE float squared_length(const float3 v) {
     return squares.x + squares.y + squares.z;
 }
 
-/* Weight of an acceleration, 0 to 1: its share that existed an interval before, and less where it bends the path
-   sharply. */
-INLINE float trust(const float3 velocity, const float3 acceleration, const float3 before) {
-    const float3 va = velocity * velocity, aa = acceleration * acceleration, ab = acceleration * before;
-    const float size = aa.x + aa.y + aa.z, speed = BEND_MOST * BEND_MOST * (va.x + va.y + va.z);
-    if (!(size > 0.0f)) return 0.0f;
-    const float lasted = clamp(divide(ab.x + ab.y + ab.z, size), 0.0f, 1.0f);
-    return size > speed ? lasted * divide(speed, size) : lasted;
+/* The share of an acceleration that existed an interval before, 0 to 1. */
+INLINE float lasted(const float3 acceleration, const float3 before) {
+    const float3 ab = acceleration * before;
+    const float size = squared_length(acceleration);
+    return size > 0.0f ? clamp(divide(ab.x + ab.y + ab.z, size), 0.0f, 1.0f) : 0.0f;
+}
+
+/* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */
+INLINE float trust(const float3 velocity, const float3 acceleration, const float share) {
+    const float size = squared_length(acceleration), speed = BEND_MOST * BEND_MOST * squared_length(velocity);
+    return size > speed ? share * divide(speed, size) : share;
 }
 
 /* An acceleration as it will be, by how it was `before`. */
@@ -171,11 +175,15 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
         }
     }
     const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
-    acceleration[cell] = packed(found, 0.0f);
-    if (!(before_weight_sum > 0.0f) || carried != was_carried) return;
-    const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
-    const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
-    const float trusted = trust(now, found, before);
+    float share = FIRST;
+    float3 later = found;
+    if (before_weight_sum > 0.0f && carried == was_carried) {
+        const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
+        const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
+        share = lasted(found, before);
+        later = carried_on(found, before);
+    }
+    const float trusted = trust(now, found, share);
     acceleration[cell] = packed(found, trusted);
-    bend[cell] = packed(trusted * carried_on(found, before), trusted);
+    bend[cell] = packed(trusted * later, trusted);
 }

@@ -91,11 +91,12 @@ INLINE Floats moved_light(__global const float *frame_now, __global const float 
     return wide_lesser(wide_greater(moved, least), most);
 }
 
-/* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Nothing is changed in
-   disocclusions, where a change of light is indistinguishable from another surface. */
+/* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Texture is kept whatever the
+   network says. Nothing is changed in disocclusions, where a change of light is indistinguishable from another
+   surface. */
 WIDE __kernel void judge(__constant Frame *restrict frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
-                         __global const int *changed, __global float *correction) {
+                         __global const float *texture, __global const int *changed, __global float *correction) {
     const int width = frame->network_width, height = frame->network_height, plane = width * height, quarter = plane / 4;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
@@ -122,7 +123,8 @@ WIDE __kernel void judge(__constant Frame *restrict frame, __global const float 
     for (int c = 0; c < 3; ++c)
         store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0,
                      correction + c * plane + at);
-    store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
+    const Floats keep = sigmoid(said[3]);
+    store_floats(keep + (1.0f - keep) * interpolate(texture, &taps), 0, correction + 3 * plane + at);
     const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
     const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
     const Floats trusted = interpolate(chosen + 3 * quarter, &taps);

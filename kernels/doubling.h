@@ -51,18 +51,33 @@ INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
 }
 
-/* Means over 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image
-   of half the size has `count`. */
-INLINE Floats halved(__global const float *plane, const int width, const int x, const int y, const int count) {
+/* The 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image of half
+   the size has `count`: upper left and right, lower left and right. */
+INLINE void load_quads(__global const float *plane, const int width, const int x, const int y, const int count,
+                       Floats *part) {
     __global const float *top = plane + 2 * y * width + 2 * x, *bottom = top + width;
 #if LANES == 8
     if (count >= LANES) {
         const float16 a = vload16(0, top), b = vload16(0, bottom);
-        return 0.25f * ((a.even + a.odd) + (b.even + b.odd));
+        part[0] = a.even;
+        part[1] = a.odd;
+        part[2] = b.even;
+        part[3] = b.odd;
+        return;
     }
 #endif
     const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    return 0.25f
-           * ((gather_floats(top, i) + gather_floats(top, i + 1))
-              + (gather_floats(bottom, i) + gather_floats(bottom, i + 1)));
+    part[0] = gather_floats(top, i);
+    part[1] = gather_floats(top, i + 1);
+    part[2] = gather_floats(bottom, i);
+    part[3] = gather_floats(bottom, i + 1);
+}
+
+INLINE Floats mean_of_quad(const Floats *part) { return 0.25f * ((part[0] + part[1]) + (part[2] + part[3])); }
+
+/* Means over 2x2 pixels, as above. */
+INLINE Floats halved(__global const float *plane, const int width, const int x, const int y, const int count) {
+    Floats part[4];
+    load_quads(plane, width, x, y, count, part);
+    return mean_of_quad(part);
 }

@@ -19,22 +19,42 @@
 #define REPEATED 7        /* plane of trends: change of brightness in the interval before */
 #define DIFFERENCES 4
 #define CANDIDATES 16
+/* TEXTURE: detail counts as texture fully where the square of its change is a tenth of the squares of both, and not at
+   all from half on: TEXTURE - TEXTURE_CHANGE * ratio */
+#define TEXTURE 1.25f
+#define TEXTURE_CHANGE 2.5f
+#define FAINT 0.00001f /* power of detail, summed over 2x2 pixels, below which there is none */
 
-/* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2). */
+/* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2); and how far the detail of
+   brightness, within 2x2 pixels, is the same in both: texture of the surface, which a change of light leaves. */
 WIDE __kernel void halve_frames(__constant Frame *restrict frame, __global const float *frames, __global float *colors,
-                                __global float *brightness) {
+                                __global float *brightness, __global float *texture) {
     const int fine = frame->network_width, width = fine / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (x >= width || y >= height) return;
+    Floats of_frames[2][4], mean[2];
     for (int which = 0; which < 2; ++which) {
         Floats sum = 0.0f;
+        for (int p = 0; p < 4; ++p) of_frames[which][p] = 0.0f;
         for (int c = 0; c < 3; ++c) {
-            const Floats color = halved(frames + 4 * (3 * which + c) * plane, fine, x, y, count);
+            Floats part[4];
+            load_quads(frames + 4 * (3 * which + c) * plane, fine, x, y, count, part);
+            const Floats color = mean_of_quad(part);
             if (which == 0) store_some_floats(color, count, colors + c * plane + at);
             sum += color;
+            for (int p = 0; p < 4; ++p) of_frames[which][p] += THIRD * part[p];
         }
-        store_some_floats(THIRD * sum, count, brightness + which * plane + at);
+        mean[which] = THIRD * sum;
+        store_some_floats(mean[which], count, brightness + which * plane + at);
     }
+    Floats change = 0.0f, power = FAINT;
+    for (int p = 0; p < 4; ++p) {
+        const Floats now = of_frames[0][p] - mean[0], before = of_frames[1][p] - mean[1], changed = now - before;
+        change += changed * changed;
+        power += now * now + before * before;
+    }
+    store_some_floats(clamp(TEXTURE - TEXTURE_CHANGE * wide_divide(change, power), (Floats)(0.0f), (Floats)(1.0f)),
+                      count, texture + at);
 }
 
 /* Makes both frames' brightness at `level`, from the level above. */

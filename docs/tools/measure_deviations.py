@@ -148,6 +148,7 @@ SCN: dict[str, Change] = {
         constants={"warped_previous.h": {"SAME_SURFACE": "1e30f"}}
     ),
     "a small focus mask is 0": Change(constants={"correction.cl": {"LEAST_MASK": "0.0f"}}),
+    "texture stays whatever the network says": Change(constants={"shading_flow.cl": {"TEXTURE": "-1e30f"}}),
     "(focus mask, as in the paper)": Change({"focus_mask": False}),
 }
 # For situations: the part that is for each, with what takes its place, and the region concerned. Both ways go without

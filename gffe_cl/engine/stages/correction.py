@@ -41,7 +41,8 @@ class ShadingCorrection(Stage):
     limited to twice the change since t − 1. With e for the code of color (`NetworkInput`), U for bilinear interpolation
     from half resolution, L for the encoded GAE color there and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) ·
     (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear color. M is less, down to 0, where the last
-    interval's change of brightness is not that of the interval before.
+    interval's change of brightness is not that of the interval before. Of detail, at least the share stays that is
+    `texture` (`ShadingFlow`).
 
     `unusable_pixels`: number of pixels of all frames so far where the network gave NaN or infinity; they keep the GAE
     color. `with_refined`: whether `refined` is made too, from the next frame on.
@@ -97,6 +98,7 @@ class ShadingCorrection(Stage):
                 "judgement": Access("correction.judgement", planes=16),
                 "chosen": "correction.chosen",
                 "head": "correction.head",
+                "texture": "shading_flow.texture",
                 "changed": "shading_trend.changed",
             },
             {"correction": "correction.correction"},

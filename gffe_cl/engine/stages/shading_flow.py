@@ -47,6 +47,10 @@ class ShadingFlow(Stage):
             for level in range(2, _LEVELS + 2)
         ),
         BufferSpec(
+            "texture", np.float32, (), "network1", "how far detail of brightness within 2×2 pixels of half the"
+            " resolution is that of the previous frame, 0 to 1: texture of the surface",
+        ),
+        BufferSpec(
             "warped", np.float32, (), "network1", "brightness of the previous frame moved along the flow, of any level",
             scratch=True,
         ),
@@ -73,7 +77,11 @@ class ShadingFlow(Stage):
             "halve_frames",
             "network1",
             {"frames": Access("network_input.frames", planes=6)},
-            {"colors": "shading_flow.colors", "brightness": "shading_flow.brightness1"},
+            {
+                "colors": "shading_flow.colors",
+                "brightness": "shading_flow.brightness1",
+                "texture": "shading_flow.texture",
+            },
             step=("LANES", 1),
         ),
         Kernel(

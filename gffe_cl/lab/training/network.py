@@ -28,6 +28,7 @@ _CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
 _SEEN = 16  # channels from the frames themselves, at a quarter
 _JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
+_TEXTURE, _TEXTURE_CHANGE, _FAINT = 1.25, 2.5, 1e-5  # of detail that both frames have: as in the kernels
 _DISOCCLUDED_BELOW = 0.4  # mean input mask of four pixels
 _MARGIN = 2.0  # how much farther than it changed light may go on
 _TRUSTED, _DISTRUST = 3.0, 4.0  # the focus mask: by the squared difference of two intervals' changes to that of one
@@ -180,10 +181,21 @@ class ShadingCorrectionNetwork(nn.Module):
         said = self.head(torch.cat((detail, moved, trend, now, before), 1)).float()
         delta = said[:, :3] + moved + said[:, 5:6] * trend
         keep, likely = torch.sigmoid(said[:, 3:4]), said[:, 4:5]
+        keep = keep + (1 - keep) * double(find_texture(now, before))
         shown = frames[:, 7:8] >= _DISOCCLUDED_BELOW
         mask = (2 * likely - _DOUBT).clamp(0, 1) * shown * double(trusted)
         correction = torch.cat((delta, keep, mask), 1)
         return (correction, likely) if self.training else correction
+
+
+def find_texture(now: Tensor, before: Tensor) -> Tensor:
+    """Return how far the detail of brightness within 2×2 pixels is the same in both frames (N, 3, h, w): 0 to 1,
+    (N, 1, h/2, w/2). It is texture of the surface then, which a change of light leaves."""
+    with torch.no_grad():  # of inputs alone
+        both = [functional.pixel_unshuffle(image.mean(1, keepdim=True), 2) for image in (now, before)]
+        now, before = (parts - parts.mean(1, keepdim=True) for parts in both)
+        change, power = ((now - before) ** 2).sum(1, keepdim=True), (now**2 + before**2).sum(1, keepdim=True)
+        return (_TEXTURE - _TEXTURE_CHANGE * change / (power + _FAINT)).clamp(0, 1)
 
 
 def moved_light(now: Tensor, before: Tensor, flow: Tensor) -> Tensor:

@@ -26,7 +26,9 @@ def test_judgement_makes_the_correction_of_its_twin(device, size):
     with np.errstate(all="ignore"):
         chosen = twins.choose_flow(judgement, candidates, differences, step.alpha)
         assert np.array_equal(correction.read("chosen"), chosen, equal_nan=True)
-        expected = twins.judge(frames, trends, judgement, chosen, correction.read("head").ravel())
+        expected = twins.judge(
+            frames, trends, judgement, chosen, correction.read("head").ravel(), twins.find_texture(frames)
+        )
     got = correction.read("correction")
     sound = np.isfinite(expected).all(0)
     assert np.array_equal(sound, np.isfinite(got).all(0)) and np.array_equal(got[:, sound], expected[:, sound])

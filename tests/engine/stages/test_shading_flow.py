@@ -21,6 +21,7 @@ def test_flow_and_candidates_equal_their_twin(device, size, alpha):
     assert stage.read("flow2").tobytes() == flow.tobytes()
     assert stage.read("differences").tobytes() == differences.tobytes()
     assert stage.read("candidates").tobytes() == candidates.tobytes()
+    assert stage.read("texture").tobytes() == twins.find_texture(frames).tobytes()
 
 
 def test_the_flow_of_a_moved_pattern_is_found(device):

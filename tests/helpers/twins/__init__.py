@@ -18,7 +18,7 @@ from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import entering_depth, predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
-from twins.shading_flow import find_candidates
+from twins.shading_flow import find_candidates, find_texture
 from twins.shading_trend import carry_trends, find_change, find_trend, measure_changes
 from twins.upload import (
     convert_color,
@@ -60,6 +60,7 @@ __all__ = [
     "fill_holes",
     "find_candidates",
     "find_change",
+    "find_texture",
     "find_trend",
     "judge",
     "link_surfaces",

@@ -22,16 +22,18 @@ def _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth):
     return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, p0 - p1_prev, px_prev, depth, met_depth)]
 
 
-def _trust(velocity, found, before):
+def _lasted(found, before):
+    size = (found * found).sum()
+    return np.clip((found * before).sum() / size, F(0), F(1)) if size > 0 else F(0)
+
+
+def _trust(velocity, found, share):
     size, speed = (found * found).sum(), ACCELERATION.BEND_MOST**2 * (velocity * velocity).sum()
-    if not size > 0:
-        return F(0)
-    lasted = np.clip((found * before).sum() / size, F(0), F(1))
-    return lasted * (speed / size) if size > speed else lasted
+    return share * (speed / size) if size > speed else share
 
 
 def _carried_on(found, before):
-    """The third difference goes on as at α = ½, less where it is over a quarter of the second."""
+    """The third difference goes on as at α = ½, less where it is over half of the second."""
     change, most = found - before, F(ACCELERATION.TURN_MOST) * np.linalg.norm(found)
     size = np.linalg.norm(change)
     return found + F(ACCELERATION.TURN) * change * (F(1) if size <= most else (most / size) ** 2)
@@ -111,11 +113,12 @@ def track_acceleration(
             v, was = v_seen, seen
             view_velocity[y, x, 3] = 1
         found = (v - was) * (ratio / (1 + ratio))
-        acceleration[y, x] = (*found, 0)
+        share, later = F(ACCELERATION.FIRST), found
         if before_weights > 0 and carried == was_carried:
             before = ratio * ratio * (before / before_weights)
             before = before if carried else rotate(before, from_previous)
-            acceleration[y, x, 3] = _trust(v, found, before)
-            bend[y, x, :3] = acceleration[y, x, 3] * _carried_on(found, before)
+            share, later = _lasted(found, before), _carried_on(found, before)
+        acceleration[y, x] = (*found, _trust(v, found, share))
+        bend[y, x, :3] = acceleration[y, x, 3] * later
     bend[..., 3] = np.maximum(acceleration[..., 3], F(0))
     return velocity, _as_packed(acceleration), _as_packed(bend), _as_packed(view_velocity)

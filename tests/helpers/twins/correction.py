@@ -31,7 +31,7 @@ def choose_flow(judgement, candidates, differences, alpha):
     return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None], trusted[None]])
 
 
-def judge(frames, trends, judgement, chosen, head):
+def judge(frames, trends, judgement, chosen, head, texture):
     """(5, h, w): the correction at half resolution."""
     seen_count, hidden, said_count = CORRECTION.SEEN, CORRECTION.HIDDEN, CORRECTION.SAID
     parts = np.split(head, np.cumsum([hidden * seen_count, hidden, said_count * hidden]))
@@ -58,7 +58,9 @@ def judge(frames, trends, judgement, chosen, head):
     mask = np.where(
         frames[7] < CORRECTION.DISOCCLUDED_BELOW, F(0), np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
     )
-    return np.concatenate([delta, sigmoid(said[3])[None], (mask * trusted)[None]])
+    keep = sigmoid(said[3])
+    keep = keep + (F(1) - keep) * doubled(texture)
+    return np.concatenate([delta, keep[None], (mask * trusted)[None]])
 
 
 def correct(color, frames, correction, exposure, within_mask=True):

@@ -93,6 +93,20 @@ def _summed(plane):
     return ((a + b) + c) + d
 
 
+def find_texture(frames):
+    """(h/2, w/2) from frames (8, h, w): how far detail of brightness within 2×2 pixels is the same in both frames."""
+    change, power = F(0), FLOW.FAINT
+    third = FLOW.THIRD
+    parts = [(third * c[0] + third * c[1]) + third * c[2] for c in (frames[:3], frames[3:6])]
+    means = [third * _in_order([halved(plane) for plane in c]) for c in (frames[:3], frames[3:6])]
+    for y in (0, 1):
+        for x in (0, 1):
+            now, before = (part[y::2, x::2] - mean for part, mean in zip(parts, means, strict=True))
+            changed = now - before
+            change, power = change + changed * changed, power + (now * now + before * before)
+    return np.clip(FLOW.TEXTURE - FLOW.TEXTURE_CHANGE * (change / power), F(0), F(1))
+
+
 def find_candidates(frames, trends, alpha):
     """(flow (2, h/4, w/4), differences (4, h/4, w/4), candidates (16, h/2, w/2)) from frames (8, h, w)."""
     halves = np.stack([halved(plane) for plane in frames[:6]])

@@ -149,7 +149,7 @@ def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshol
             )
             said.append(Step(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
         if bend > 0:
-            bent = f"{bend:.0%} of its acceleration counts too: so much of that there was before."
+            bent = f"{bend:.0%} of its acceleration counts too, by what the interval before shows of it."
             said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
     return tuple(said)
 
