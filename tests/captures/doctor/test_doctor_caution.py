@@ -178,3 +178,13 @@ def test_the_order_of_repairs_in_the_report(gffe, tmp_path):
     assert code == 1 and "it fits now" in text
     assert json.loads((tmp_path / "said.json").read_text())["changed"] == ["frames-gap"]
     assert [entry.reset for entry in open_sequence(out).rendered] == [k in (0, 4) for k in range(8)]
+
+
+@pytest.mark.parametrize(("factor", "told"), [(2.0, "they are 2.00 times as long as by depth and cameras"), (0.5, "a frame may be missing")])
+def test_vectors_of_single_frames_that_are_multiples(factor, told):
+    """The sentence says how long they are, and of short ones that a frame may be missing."""
+    frames = list(clip().images)
+    frames[4] = replace(frames[4], motion=frames[4].motion * np.float32(factor))
+    (finding,) = [one for one in examine(Kept(frames)).findings if one.id == "frames-gap"]
+    assert f"{factor:.2f} times" in str(finding) and told in str(finding)
+    assert ("missing" in str(finding)) == (factor < 1)
