@@ -180,11 +180,11 @@ def test_the_order_of_repairs_in_the_report(gffe, tmp_path):
     assert [entry.reset for entry in open_sequence(out).rendered] == [k in (0, 4) for k in range(8)]
 
 
-@pytest.mark.parametrize(("factor", "told"), [(2.0, "they are 2.00 times as long as by depth and cameras"), (0.5, "a frame may be missing")])
-def test_vectors_of_single_frames_that_are_multiples(factor, told):
+@pytest.mark.parametrize("factor", [2.0, 0.5])
+def test_vectors_of_single_frames_that_are_multiples(factor):
     """The sentence says how long they are, and of short ones that a frame may be missing."""
     frames = list(clip().images)
     frames[4] = replace(frames[4], motion=frames[4].motion * np.float32(factor))
     (finding,) = [one for one in examine(Kept(frames)).findings if one.id == "frames-gap"]
-    assert f"{factor:.2f} times" in str(finding) and told in str(finding)
+    assert f"they are {factor:.2f} times as long as by depth and cameras" in str(finding)
     assert ("missing" in str(finding)) == (factor < 1)

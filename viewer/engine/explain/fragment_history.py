@@ -116,9 +116,7 @@ def _residual(static: np.ndarray | None, motion, error) -> float | None:
     return float(np.hypot(*np.maximum(off, 0)))
 
 
-def _fragment_sentences(
-    pipeline, shot, depth, motion, static, label, residual, threshold, mover
-) -> tuple[str, ...]:
+def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, threshold, mover) -> tuple[str, ...]:
     used, bend, carried = mover
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
