@@ -72,7 +72,6 @@ class FrameSource(Source, Protocol):
     def stored(self, k: int) -> RenderedFrame | None:
         """Return rendered frame `k` as an engine stored it, for a pipeline with `format`; None where it is stored in
         our conventions, or where only a part of it is used."""
-        return None
 
     def grow(self) -> bool:
         """Take over frames that were added at the end since it was opened. Returns whether there are any."""
