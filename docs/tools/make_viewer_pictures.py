@@ -75,7 +75,7 @@ def main() -> None:
                 script.write_text(shot.script)
                 view(prepared(shot.sequence), shot.size, script)
                 (made,) = Path(place).glob("*.png")
-                Image.open(made).convert("RGB").save(PICTURES / f"{name}.jpg", quality=88)
+                Image.open(made).convert("RGB").save(PICTURES / f"{name}.jpg", quality=82)
         print(name)
 
 

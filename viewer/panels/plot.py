@@ -14,7 +14,7 @@ from . import widgets
 from .interface import Interface
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
-_LOW = 9.0  # em: in a lower panel the plot comes first, and its controls are scrolled to
+_LOW = 9.0  # em: in a panel that is lower, and narrow, the plot comes first, and its controls are scrolled to
 _ONE_ROW = 30.0  # em: in less, the label of the first control is shorter
 _FEW = 80  # slots: these are marked one by one
 
@@ -24,7 +24,8 @@ def draw(app: Interface) -> None:
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
-    is_low = imgui.get_content_region_avail().y < hello_imgui.em_size(_LOW)
+    room = imgui.get_content_region_avail()
+    is_low = room.y < hello_imgui.em_size(_LOW) and room.x < hello_imgui.em_size(_ONE_ROW)
     if not is_low:
         _controls(app)
     curves = _curves(model.survey)
