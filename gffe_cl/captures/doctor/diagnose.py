@@ -160,7 +160,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
         found.findings = [finding for finding in found.findings if finding.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
-    _judge_order(found, {}, [])
+    _judge_order(found, {}, {})
     return found
 
 
