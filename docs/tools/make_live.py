@@ -69,7 +69,7 @@ MISTAKES = (
 class Rigid(Game):
     """The example with a skin whose old vertices are taken to be those of now."""
 
-    def draw(self, now, camera):
+    def draw(self, now, camera, jittered=None):
         super().draw(now, camera)
         if not self.cut:
             self.kept = self.latest[0], *self.kept[1:]
@@ -79,10 +79,7 @@ class Rigid(Game):
 class Jittered(Game):
     """The example with a camera that is jittered, while gffe-cl is given the one without jitter."""
 
-    count = 0
-
-    def draw(self, now, camera):
-        self.count += 1
+    def draw(self, now, camera, jittered=None):
         return super().draw(now, gffe.Jitter(16).camera(camera, self.count))
 
 

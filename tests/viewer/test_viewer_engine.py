@@ -17,6 +17,7 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import (
     FrameEntry,
+    FrameFormat,
     GffeError,
     Options,
     Pipeline,
@@ -316,6 +317,41 @@ def test_invalid_pixels_of_the_input_are_named(device):
         engine.inspect(2, 2)
         seen = wait_for(engine.poll_inspection)
         assert seen.fault == "" and not any("Invalid" in sentence for sentence in seen.story.sentences)
+
+
+def test_buffers_as_an_engine_has_them(device, tmp_path):
+    """They are named, depth and motion are shown at their own size, and so is the jitter that was taken out of motion;
+    all else is as of the frames in our conventions."""
+    format, half = FrameFormat(motion_jittered=True), (W // 2, H // 2)
+    with SequenceWriter(tmp_path / "given", W, H, FPS, format=format) as writer:
+        for k, frame in enumerate(frames()[:4]):
+            entry = FrameEntry(
+                f"{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera, geometry_size=half,
+                geometry_jitter=(0.25 if k % 2 else -0.25, 0.0),
+            )  # fmt: skip
+            motion = None if k == 0 else frame.motion[::2, ::2] / 2
+            writer.add(entry, named_channels(frame.color, frame.depth[::2, ::2], motion))
+    sequence = open_sequence(tmp_path / "given")
+    with running(device, RecordedSource(sequence, device)) as engine:
+        result = ask(engine, 6, Setup(n=1), "all")
+        generated = ask(engine, 7, Setup(n=1), ("final", "upload.small_motion"))
+    assert result.buffers == (
+        f"depth and motion {half[0]}×{half[1]}, color {W}×{H}", "geometry_jitter (+0.25, +0.00) px", "motion_jittered"
+    )  # fmt: skip
+    converted = sequence.read(sequence.rendered[3])
+    assert result.images["rendered.depth"].tobytes() == converted.depth.tobytes()
+    assert result.images["rendered.motion"].tobytes() == converted.motion.tobytes()
+    assert result.images["upload.small_depth"].tobytes() == frames()[3].depth[::2, ::2].tobytes()
+    np.testing.assert_allclose(
+        result.images["rendered.undone"][8:-8, 8:-8], np.full((H - 16, W - 16, 2), (1.0, 0)), atol=1e-3
+    )
+    assert generated.images["upload.small_motion"].shape == (H // 2, W // 2, 2)
+    assert not {"upload.small_depth", "rendered.undone"} & plain_layers(device)
+
+
+def plain_layers(device):
+    with running(device, Clip()) as engine:
+        return ask(engine, 6, Setup(n=1)).specs.keys()
 
 
 def test_options_change_what_they_should(device):

@@ -52,12 +52,13 @@ class Shot:
 @dataclass(frozen=True)
 class DeviceLayer:
     """An image in a device buffer, described by `spec`; `size`: (width, height); `known`: the layer that marks its
-    valid places, see `BufferSpec`."""
+    valid places, see `BufferSpec`; `scale`: pixels of it for one of the grid, where it is smaller than that."""
 
     buffer: cl.Buffer
     spec: BufferSpec
     size: tuple[int, int]
     known: DeviceLayer | None = None
+    scale: tuple[float, float] = (1.0, 1.0)
 
     def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
         """Return the stored values, (planes?, H, W, channels), on the host, valid after the event."""
@@ -100,7 +101,7 @@ class DeviceLayer:
         if lies_on_source(self.spec.grid):
             if source_px is None:
                 return None
-            px = int(np.floor(source_px[0])), int(np.floor(source_px[1]))
+            px = int(np.floor(source_px[0] * self.scale[0])), int(np.floor(source_px[1] * self.scale[1]))
         x, y = (c // side for c, side in zip(px, texel_of(self.spec.grid), strict=True))
         return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None
 
@@ -111,11 +112,15 @@ def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
     generated = shot.moment.alpha > 0
     images = {name: (FRAME_BUFFERS[name], buffer) for name, buffer in shot.buffers.items()}
     images |= named_images(pipeline, generated)
+    source = pipeline.sizes.source
+    own_sizes = {f"{owner.name}.{spec.name}": size for owner, spec, size in pipeline.conversions()}
     layers = {
-        name: DeviceLayer(buffer, spec, spec.size(pipeline.sizes))
+        name: DeviceLayer(buffer, spec, own_sizes.get(name) or spec.size(pipeline.sizes))
         for name, (spec, buffer) in images.items()
-        if generated or not spec.transient
+        if generated or not spec.transient or name in own_sizes
     }
+    for name, (width, height) in own_sizes.items():
+        layers[name] = replace(layers[name], scale=(width / source[0], height / source[1]))
     for name, layer in layers.items():
         if layer.spec.known_where:
             known = layers[f"{name.partition('.')[0]}.{layer.spec.known_where[0]}"]

@@ -9,9 +9,10 @@ import pyopencl as cl
 
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Output, Stage
-from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, ExtrapolatedBuffers, Owner
+from gffe_cl.engine.stages.buffers import RENDERED, RGBA, XY, BufferSpec, ExtrapolatedBuffers, Owner
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import FocusMask
+from gffe_cl.engine.stages.upload import Upload
 from . import names
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
@@ -65,6 +66,14 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
             "color",
         ),
         *FocusMask.buffers,
+        BufferSpec(
+            names.UNDONE,
+            np.float32,
+            XY,
+            "source",
+            "vectors in use minus vectors as given, pixels: dilation or jitter undone, the camera's part added",
+            "motion",
+        ),
     )
 }
 _LABELS = {
@@ -72,6 +81,9 @@ _LABELS = {
     names.GAE: "GAE",
     names.TRUTH: "Ground truth",
     names.FOCUS_TRUTH: "True focus mask",
+    names.UNDONE: "Changed motion",
+    "upload.small_depth": "Depth, own size",
+    "upload.small_motion": "Motion, own size",
 }
 
 
@@ -82,7 +94,7 @@ def named_images(pipeline: Pipeline, generated: bool = True) -> dict[str, tuple[
         f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name])
         for owner, spec in pipeline.named_buffers()
         if spec.grid != "once" and (generated or not _only_for_generated(owner))
-    }
+    } | {f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name]) for owner, spec, _ in pipeline.conversions()}
 
 
 def _words(name: str) -> str:
@@ -121,7 +133,8 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
         if spec.grid != "once" and not isinstance(owner, Output)
     ]
     made += [layer_of(stage, spec, of_generated=True) for stage, spec in pipeline.outputs()]
-    order = [FRAME_GROUP, *pipeline.stages]
+    made += [layer_of(owner.name, spec) for owner, spec, _ in pipeline.conversions()]
+    order = [FRAME_GROUP, Upload.name, *pipeline.stages]
     made.sort(key=lambda spec: order.index(spec.group) if spec.group in order else len(order))
     own = {name: spec for name, spec in FRAME_LAYERS.items() if name != names.GAE or "correction" in pipeline.stages}
     return own | {spec.name: spec for spec in made}

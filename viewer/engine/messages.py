@@ -91,6 +91,8 @@ class Result:
         Rendered frames that were found to be cuts so far.
     render_size : (width, height)
         Of rendered frame k.
+    buffers : tuple of str
+        Properties of the engine's buffers that differ from our conventions.
     """
 
     request: Request
@@ -106,6 +108,7 @@ class Result:
     metrics: dict[str, float] = field(default_factory=dict)
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
+    buffers: tuple[str, ...] = ()
 
     @property
     def milliseconds(self) -> dict[str, float]:

@@ -50,6 +50,8 @@ class Seeker:
         self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
         self.bad_pixels = BadPixels()
         self.invalid: np.ndarray | None = None  # pixels of the frame submitted last: a mask, see `invalid_pixels`
+        self.stored: RenderedFrame | None = None  # the frame submitted last, as an engine stored it, ...
+        self.converted: RenderedFrame | None = None  # ... and in our conventions
         self._at: int | None = None  # the frame submitted last
         self._frame: RenderedFrame | None = None
         self._before: Camera | None = None  # render camera of the frame before
@@ -139,8 +141,9 @@ class Seeker:
         self.drop()  # before as much is allocated again
         source = self.source
         self.pipeline = Pipeline(
-            self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps
-        )
+            self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps,
+            format=source.format,
+        )  # fmt: skip
         if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
             self._ring = []
             self._upload = Upload(Board(self.device, Sizes(source.render_size, source.render_size)))
@@ -148,9 +151,9 @@ class Seeker:
 
     def _submit(self, m: int, last: bool) -> None:
         source, before = self.source, self._frame
-        frame = source.rendered(m)
+        frame, self.stored = source.rendered(m), source.stored(m)
         host = host_arrays(frame) if isinstance(frame.color, np.ndarray) else None  # else it is on the device
-        if host:
+        if host and self.stored is None:
             if len(self._ring) < 3:
                 self._ring.append(DeviceFrame.allocate(self.device, source.render_size, None, None, 0.0))
             else:
@@ -163,7 +166,12 @@ class Seeker:
             pipeline.take_timings()  # of the warm-up: not this slot's
             self._count_launches()
         pipeline.exposure = self.source.exposure
-        pipeline.submit(frame)
+        pipeline.submit(self.stored or frame)
+        if self.stored:  # the pipeline has converted it
+            self.converted, on_device = frame, pipeline.board.rendered
+            assert on_device is not None  # as it was submitted
+            color, depth, motion = on_device.buffers
+            frame = replace(frame, color=color, depth=depth, motion=motion)
         self._at, self._frame = m, frame
         if pipeline.is_cut:
             self.cuts.add(m)
@@ -177,5 +185,5 @@ class Seeker:
                 self._before is None,
             )
         )  # fmt: skip
-        self.bad_pixels = self._upload.take_bad_pixels() if host else BadPixels()
+        self.bad_pixels = host.bad if self.stored and host else self._upload.take_bad_pixels() if host else BadPixels()
         self.invalid = invalid_pixels(host) if host and last and self.bad_pixels else None

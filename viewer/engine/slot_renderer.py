@@ -15,6 +15,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.timing import traffic
 from . import names
 from .buffers import Shot, device_layers, moved, pixel_values, read_layers, source_position
+from .description import changed_motion, in_words
 from .explain.pixel_explain import pixel_story
 from .invalid import Invalid, fault_at, seen_at, seen_through
 from .layers import layers_of
@@ -84,6 +85,11 @@ class SlotMaker:
         specs = layers_of(pipeline)
         if not source.has_truth:
             del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
+        stored, size, buffers = seeker.stored, source.render_size, ()
+        if stored is None:
+            del specs[names.UNDONE]
+        else:
+            buffers = in_words(source.format, size, stored.depth.shape[::-1], stored.geometry_jitter)
         kernels = pipeline.take_kernel_timings()
         measure = request.metrics and alpha > 0 and source.has_truth
         wanted = (request.layers | ({names.FINAL} if measure else set())) & specs.keys()
@@ -96,6 +102,9 @@ class SlotMaker:
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3
         known = Metrics(request.slot, request.setup)
+        if stored is not None and names.UNDONE in wanted:
+            assert seeker.converted is not None  # as it was stored
+            images[names.UNDONE] = changed_motion(stored, seeker.converted, source.format)
         if truth is not None and names.TRUTH in wanted:
             images[names.TRUTH] = _rgba(truth)
         if truth is not None and measure:
@@ -113,7 +122,8 @@ class SlotMaker:
             invalid=self._invalid(shot),
             metrics=known.values,
             cuts=frozenset(seeker.cuts),
-            render_size=source.render_size,
+            render_size=size,
+            buffers=buffers,
         )
 
     def _invalid(self, shot: Shot) -> Invalid | None:

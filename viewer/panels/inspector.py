@@ -40,6 +40,7 @@ def draw(app: Interface) -> None:
         _story(model, model.pointing.story)
     if model.selection.rectangle is not None:
         _rectangle(model, *model.selection.rectangle)
+    _buffers(model)
     widgets.heading("Values")
     inspection = model.pointing.inspection
     if inspection is None:
@@ -53,6 +54,16 @@ def draw(app: Interface) -> None:
     if inspection.fault:
         widgets.colored(widgets.RED, f"invalid in the input: {inspection.fault}")
     _values(app, inspection)
+
+
+def _buffers(model: Model) -> None:
+    """Draw the description of the engine's buffers, if they differ from our conventions."""
+    result = model.contents.result
+    if result is not None and result.buffers:
+        widgets.heading("Buffers as given")
+        for line in result.buffers:
+            imgui.text_wrapped(line)
+        widgets.tooltip("Where the buffers of this frame differ from our conventions (docs/engines.md)")
 
 
 def _values(app: Interface, inspection) -> None:

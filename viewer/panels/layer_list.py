@@ -70,7 +70,9 @@ def _display(model: Model) -> None:
     if spec is None:
         return
     display, change = model.looks.of(spec.name), partial(model.looks.change, spec.name)
-    widgets.heading(f"Display of {spec.label}")
+    widgets.heading(
+        widgets.cut(f"Display of {spec.label}", imgui.get_content_region_avail().x - hello_imgui.em_size(3))
+    )
     view, _ = shown_as(spec, display)
     if view == "color":
         widgets.slider("exposure", display.exposure, -8.0, 8.0, 0.0, lambda v: change(exposure=v), "%+.2f EV")
@@ -82,6 +84,8 @@ def _display(model: Model) -> None:
         )  # fmt: skip
         widgets.toggle("arrows", model.arrows, lambda on: setattr(model, "arrows", on), "Arrows over the picture")
         imgui.same_line()
+        if imgui.get_content_region_avail().x < imgui.calc_text_size("reversed").x + 2 * imgui.get_frame_height():
+            imgui.new_line()
         widgets.toggle(
             "reversed", display.reverse, lambda on: change(reverse=on), "From then to now instead of now to then"
         )
@@ -110,9 +114,10 @@ def _display(model: Model) -> None:
 
 
 def _range(display, change) -> None:
-    widgets.leave_room_for("range")
+    above = widgets.leave_room_for("range")
     speed = max(abs(display.high - display.low) / 200, 1e-4)
     changed, low, high = imgui.drag_float_range2("###range", display.low, display.high, speed, 0.0, 0.0, "%.3g", "%.3g")
-    widgets.beside("range")
+    if not above:
+        widgets.beside("range")
     if changed:
         change(low=low, high=high)

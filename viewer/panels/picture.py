@@ -297,7 +297,10 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         inside = left - origin.x, top - origin.y, end - origin.x + 1, bottom - origin.y + 1
         covers.append(tuple(map(int, inside)))
 
-    if model.comparison.flipped and view.b:
+    line = hello_imgui.em_size(1.6)
+    if height < 2.6 * line:
+        pass  # there is room for the line at the foot only
+    elif model.comparison.flipped and view.b:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
         settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
@@ -307,7 +310,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         label(b, width - 10, 8, right=True)
     else:
         label(_layer_text(model, view.a), 10, 8)
-    kind, line = f"{model.frame_text}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    kind = f"{model.frame_text}   {view.zoom * 100:.0f} %"
     if found := model.invalid.text():
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)

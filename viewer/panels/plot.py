@@ -14,6 +14,8 @@ from . import widgets
 from .interface import Interface
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
+_LOW = 9.0  # em: in a panel that is lower, and narrow, the plot comes first, and its controls are scrolled to
+_ONE_ROW = 30.0  # em: in less, the label of the first control is shorter
 _FEW = 80  # slots: these are marked one by one
 
 
@@ -22,10 +24,15 @@ def draw(app: Interface) -> None:
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
-    _controls(app)
+    room = imgui.get_content_region_avail()
+    is_low = room.y < hello_imgui.em_size(_LOW) and room.x < hello_imgui.em_size(_ONE_ROW)
+    if not is_low:
+        _controls(app)
     curves = _curves(model.survey)
     if not curves:
         widgets.hint(_why_empty(model))
+        if is_low:
+            _controls(app)
         return
     flags = implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend
     height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(4))
@@ -34,6 +41,8 @@ def draw(app: Interface) -> None:
         _plot(model, curves, height - 2 * imgui.get_text_line_height())
         implot.end_plot()
     implot.pop_style_var()
+    if is_low:
+        _controls(app)
 
 
 def _curves(survey) -> list[tuple]:
@@ -116,7 +125,7 @@ def _controls(app: Interface) -> None:
     with widgets.in_rows(indent=0.0) as row:
         row(0)
         widgets.toggle(
-            "measure every frame",
+            "measure every frame" if imgui.get_content_region_avail().x > em(_ONE_ROW) else "measure",
             survey.on,
             lambda _: app.actions.run("survey"),
             "Every generated frame, in the background",

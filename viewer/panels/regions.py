@@ -11,8 +11,6 @@ from ..state.captions import region_colors
 from . import widgets
 from .interface import Interface
 
-_NAMES = 2.6  # columns of numbers: width of the regions' names
-
 
 def draw(app: Interface) -> None:
     model = app.model
@@ -44,7 +42,9 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
     number = hello_imgui.em_size(2.6)
     columns = [("pixels", number), ("error", 1.2 * number)]
     columns += [("dB", number)] if b is None else [("A dB", number), ("B dB", number)]
-    if imgui.get_content_region_avail().x < sum(width for _, width in columns) + _NAMES * number:
+    names = max(imgui.calc_text_size(region).x for region in REGIONS) + hello_imgui.em_size(1.5)
+    gaps = 2 * (len(columns) + 1) * imgui.get_style().cell_padding.x
+    if imgui.get_content_region_avail().x < sum(width for _, width in columns) + names + gaps:
         del columns[0]  # also in the tooltip
     if not imgui.begin_table(f"###regions {name}", len(columns) + 1, imgui.TableFlags_.row_bg.value):
         return

@@ -11,7 +11,8 @@ from ..state.model import Model
 from . import widgets
 from .interface import Interface
 
-_COLUMNS = (("stage", 0.38), ("time", 0.2), ("ms", 0.17), ("bytes/px", 0.25))
+_COLUMNS = {"stage": 0.38, "time": 0.2, "ms": 0.17, "bytes/px": 0.25}
+_NARROW = 20.0  # em: a narrower table has no bars
 _PALE = 0.4  # of a bar's color: bytes that did not have to move
 
 
@@ -27,9 +28,12 @@ def draw(app: Interface) -> None:
         f" {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
     )
     bandwidth, longest = model.engine.bandwidth, max(means.values())
-    if imgui.begin_table("###timings", len(_COLUMNS), imgui.TableFlags_.row_bg.value):
-        for title, share in _COLUMNS:
-            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
+    columns = [name for name in _COLUMNS if bandwidth or name != "bytes/px"]  # measured on request
+    if imgui.get_content_region_avail().x < hello_imgui.em_size(_NARROW):
+        columns.remove("time")
+    if imgui.begin_table("###timings", len(columns), imgui.TableFlags_.row_bg.value):
+        for title in columns:
+            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, _COLUMNS[title])
         imgui.table_headers_row()
         for index, (name, milliseconds) in enumerate(means.items()):
             color = implot.get_colormap_color(index)
@@ -41,12 +45,12 @@ def draw(app: Interface) -> None:
             if name == "correction":
                 network, copies = model.timings.network(), model.timings.copies()
                 widgets.tooltip(f"of this {network:.2f} ms in the network, {copies:.2f} ms in copies to it and back")
-            _cost(model, milliseconds, longest, color)
+            _cost(model, columns, milliseconds, longest, color)
             if is_open:
-                _kernels(model, name, longest, color)
+                _kernels(model, columns, name, longest, color)
         imgui.table_next_column()
         imgui.text("all")
-        _cost(model, sum(means.values()), None, None)
+        _cost(model, columns, sum(means.values()), None, None)
         imgui.end_table()
     _measure(model, bandwidth)
     if model.follows and model.program is not None and model.program.pacing:
@@ -78,17 +82,22 @@ def _pacing(told: list) -> None:
         implot.end_plot()
 
 
-def _cost(model: Model, milliseconds: float, longest: float | None, color, must: float | None = None) -> None:
-    """Draw three cells: a bar, full for the `longest` stage; milliseconds; and bytes per pixel with those that
-    `must` move, which are a darker part of the bar."""
+def _cost(
+    model: Model, columns: list[str], milliseconds: float, longest: float | None, color, must: float | None = None
+) -> None:
+    """Draw the cells of those `columns` that there are: a bar, full for the `longest` stage; milliseconds; and bytes
+    per pixel with those that `must` move, which are a darker part of the bar."""
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
     moved = milliseconds * 1e6 * bandwidth / pixels if bandwidth else None
     part = None if moved is None or must is None else must / max(moved, 1e-9)
-    imgui.table_next_column()
-    if longest is not None:
-        _bar(milliseconds / max(longest, 1e-9), part, color)
+    if "time" in columns:
+        imgui.table_next_column()
+        if longest is not None:
+            _bar(milliseconds / max(longest, 1e-9), part, color)
     imgui.table_next_column()
     imgui.text(f"{milliseconds:.2f}")
+    if "bytes/px" not in columns:
+        return
     imgui.table_next_column()
     imgui.text(("–" if moved is None else f"{moved:.0f}") + ("" if must is None else f" / {must:.0f}"))
     widgets.tooltip(
@@ -96,7 +105,7 @@ def _cost(model: Model, milliseconds: float, longest: float | None, color, must:
     )
 
 
-def _kernels(model: Model, stage: str, longest: float, color) -> None:
+def _kernels(model: Model, columns: list[str], stage: str, longest: float, color) -> None:
     """Draw a row for each kernel of a stage."""
     must_move = model.engine.traffic.get(stage, {})
     for kernel, milliseconds in model.timings.of_stage(stage).items():
@@ -105,7 +114,7 @@ def _kernels(model: Model, stage: str, longest: float, color) -> None:
         imgui.text(widgets.cut(kernel, imgui.get_content_region_avail().x))
         widgets.tooltip(kernel)
         imgui.unindent(hello_imgui.em_size(2))
-        _cost(model, milliseconds, longest, color, must_move.get(kernel))
+        _cost(model, columns, milliseconds, longest, color, must_move.get(kernel))
 
 
 def _bar(share: float, necessary: float | None, color) -> None:

@@ -15,6 +15,7 @@ from ..picture.legends import Legend
 
 RED = ImVec4(0.97, 0.5, 0.45, 1.0)
 _GRABS = imgui.Col_.slider_grab.value, imgui.Col_.slider_grab_active.value
+_LEAST_CONTROL = 5.0  # em: a control narrower than this has its label above
 _USUAL_LETTERS = 15.0  # screen pixels
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
@@ -72,6 +73,9 @@ def slider(
     whole, room = isinstance(default, int), hello_imgui.em_size(11)  # the same for all, so that they line up
     needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
     written = imgui.calc_text_size(text % value).x + 2 * imgui.get_style().frame_padding.x
+    above = _above(label, needed, written)
+    if above:
+        needed -= imgui.calc_text_size(label).x
     _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed), written)
     for grab in _GRABS:
         imgui.push_style_color(grab, ImVec4(0, 0, 0, 0))  # it would lie over the number
@@ -90,7 +94,8 @@ def slider(
         change(default)
     imgui.end_disabled()
     tooltip(f"back to {default:g}")
-    beside(label)
+    if not above:
+        beside(label)
 
 
 def _level(share: float, color: int) -> None:
@@ -115,9 +120,22 @@ def beside(label: str) -> None:
     tooltip("" if text == label else label)
 
 
-def leave_room_for(label: str) -> None:
-    """Make the next item leave space for `label` on its right."""
-    _leave_room(imgui.calc_text_size(label).x + 2 * imgui.get_style().item_spacing.x)
+def leave_room_for(label: str) -> bool:
+    """Make the next item leave space for `label` on its right, where it goes. Where the line is too narrow for both, it
+    is drawn above, and True returned."""
+    needed = imgui.calc_text_size(label).x + 2 * imgui.get_style().item_spacing.x
+    above = _above(label, needed, hello_imgui.em_size(_LEAST_CONTROL))
+    _leave_room(0.0 if above else needed)
+    return above
+
+
+def _above(label: str, needed: float, least: float) -> bool:
+    """Draw `label` on a line of its own if, with `needed` pixels for it, fewer than `least` are left of the line.
+    Returns whether it did."""
+    above = imgui.get_content_region_avail().x - needed < least
+    if above:
+        imgui.text(cut(label, imgui.get_content_region_avail().x))
+    return above
 
 
 def _leave_room(pixels: float, least: float = 0.0) -> None:
@@ -146,7 +164,7 @@ def choice(
 ) -> None:
     """Draw a combo box over keys of `options` (shown by their texts), with a `help_texts` for each."""
     texts = options if isinstance(options, dict) else {name: name for name in options}
-    leave_room_for(label)
+    above = leave_room_for(label)
     if imgui.begin_combo(f"###{label}", texts.get(value, value)):
         for name, text in texts.items():
             chosen = imgui.selectable(text, name == value)[0]
@@ -154,7 +172,8 @@ def choice(
             if chosen and name != value:
                 change(name)
         imgui.end_combo()
-    beside(label)
+    if not above:
+        beside(label)
 
 
 def hint(text: str) -> None:
@@ -219,7 +238,7 @@ def show_legend(shown: Legend) -> None:
         imgui.dummy(ImVec2(2 * radius, 2 * radius))
         imgui.same_line()
     if shown.unit:
-        imgui.text_disabled(shown.unit)
+        hint(shown.unit)
     _swatches(shown.labels)
 
 
@@ -252,7 +271,7 @@ def _swatches(labels) -> None:
             used = 0.0
         used += width
         swatch(f"swatch {text}", color, 0.9)
-        imgui.text(text)
+        imgui.text_wrapped(text) if width > room else imgui.text(text)
 
 
 def label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[float, float, float, float]:

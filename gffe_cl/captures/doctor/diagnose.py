@@ -41,6 +41,7 @@ _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings are equivalent
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
 _SAME_SHOT = 0.7  # of the usual color score along depth and cameras
+_STRETCHED = 0.5  # pixels: least motion by depth and cameras with which vectors are compared in length
 _MOST_GAPS = 12  # frames at which gaps are told from cuts
 _SKY_STILL = 0.05  # pixels
 _LATE, _STEADY = 1.5, 0.9  # of the usual interval: frames after more are late; share of frames that come as usual
@@ -163,7 +164,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
         found.findings = [finding for finding in found.findings if finding.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
-    _judge_order(found, {}, [])
+    _judge_order(found, {}, {})
     return found
 
 
@@ -294,21 +295,34 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 
 
-def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> list[int]:
+def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:
     """Return the frames whose vectors do not lead to the frame before although both frames show the same: depth and
-    cameras lead to the same colors, only the vectors lead elsewhere."""
+    cameras lead to the same colors, only the vectors lead elsewhere. With each its `_stretch`."""
     assert found.order is not None and found.best is not None  # examined before
-    gaps = []
+    gaps = {}
     for index in found.order.misfits[:_MOST_GAPS]:
         pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
         look = pair[index]
         if look.motion is not None and np.nanmedian(np.abs(look.motion)) > 0:
-            color = Search([look]).camera_color(found.reading.camera, found.reading.depth)
-            gaps += [index] if color > _SAME_SHOT * found.best.camera_color else []
+            search = Search([look])
+            if search.camera_color(found.reading.camera, found.reading.depth) > _SAME_SHOT * found.best.camera_color:
+                gaps[index] = _stretch(search, found.reading)
     return gaps
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> None:
+def _stretch(search: Search, reading: Reading) -> float | None:
+    """Return how many times as long vectors are as those by depth and cameras; None if they are no multiple."""
+    motion, static = search.motions(reading, search.full)
+    length = np.linalg.norm(static, axis=-1)
+    use = search.full.solid & np.isfinite(motion).all(-1) & (length > _STRETCHED)
+    if not use.any():
+        return None
+    factor = float(np.median((motion[use] * static[use]).sum(-1) / length[use] ** 2))
+    off = np.linalg.norm(motion[use] - factor * static[use], axis=-1)
+    return factor if (off <= 0.1 * length[use]).mean() > 0.5 else None
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None]) -> None:
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -316,9 +330,11 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: list[int]) -> N
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
-    for index in gaps:
+    for index, factor in gaps.items():
         sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
-        sentence += " vectors do not lead there; a frame may be missing"
+        sentence += " vectors do not lead there"
+        sentence += f"; they are {factor:.2f} times as long as by depth and cameras" if factor else ""
+        sentence += "" if factor and factor > 1 else "; a frame may be missing"
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )

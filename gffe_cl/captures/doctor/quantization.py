@@ -108,7 +108,7 @@ def are_sums(motion: np.ndarray, static: np.ndarray, steps: np.ndarray) -> bool:
 
 
 def precision_notes(looks: list[Look], exposure: float) -> list[Finding]:
-    """Return notes on depth of half floats and colors of 8 bits."""
+    """Return notes on depth of half floats and colors of 8 bits, also such that are read as linear ones."""
     found = []
     depth = np.concatenate([look.depth for look in looks])
     depth = depth[np.isfinite(depth) & (depth > 0)]
@@ -118,9 +118,18 @@ def precision_notes(looks: list[Look], exposure: float) -> list[Finding]:
         sentence = "depth went through half floats: it is off by up to 1/2048 of itself"
         found.append(Finding(NOTE, "depth", "half floats", sentence))
     colors = np.concatenate([look.image[::4, ::4].reshape(-1) for look in looks if look.image is not None] or [[]])
-    codes = 255 * to_display(colors, exposure)
+    if _are_codes(to_display(colors, exposure)):
+        found.append(Finding(NOTE, "color", "8 bits", "colors have 8 bits: gradients show bands"))
+    elif _are_codes(colors):
+        sentence = "colors are 8-bit numbers that are read as linear light; such files usually hold display values"
+        sentence += ' (of a gffe-folder expected "encoding": "srgb")'
+        found.append(Finding(NOTE, "color", "8 bits linear", sentence))
+    return found
+
+
+def _are_codes(colors: np.ndarray) -> bool:
+    """Return whether values (N,) are multiples of 1/255."""
+    codes = 255 * colors.astype(np.float32)
     codes = codes[(codes > 0.5) & (codes < 254.5)]
     off = np.abs(codes - np.round(codes))
-    if len(codes) and len(np.unique(np.round(codes))) >= 16 and (off < 0.1).mean() > 0.99:
-        found.append(Finding(NOTE, "color", "8 bits", "colors have 8 bits: gradients show bands"))
-    return found
+    return len(codes) > 0 and len(np.unique(np.round(codes))) >= 16 and bool((off < 0.1).mean() > 0.99)

@@ -13,6 +13,8 @@ class Keys:
     ones."""
 
     def __init__(self, document: Any, label: str):
+        if document is None:
+            raise GffeError(f"{label} is missing (expected an object)")
         if not isinstance(document, dict):
             raise GffeError(f"{label} must be an object, got {shown(document)}")
         self._left, self.label, self._known = dict(document), label, []

@@ -191,6 +191,7 @@ class Pipeline:
         self.stages: dict[str, Any] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._upload: Upload | None = None  # made with the first NumPy arrays
+        self._geometry_size = self.sizes.source  # of depth and motion of the last frame, as they were given
         self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # kept outputs of each stage
         self._current: DeviceFrame | None = None
@@ -440,7 +441,7 @@ class Pipeline:
         return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
 
     def _on_device(self, prepared: PreparedFrame, zero_copy: bool) -> DeviceFrame:
-        frame, host = prepared.frame, prepared.arrays
+        frame, host, self._geometry_size = prepared.frame, prepared.arrays, prepared.geometry
         seen = {
             "camera": frame.camera,
             "display_camera": prepared.display_camera,
@@ -687,6 +688,17 @@ class Pipeline:
             yield from ((self.presentation, spec) for spec in self.presentation.buffers)
         if composition := self._overlaid:
             yield from ((composition, spec) for spec in composition.held())
+
+    def conversions(self) -> Iterator[tuple[Owner, BufferSpec, tuple[int, int]]]:
+        """Yield the buffers in which depth and motion of the last rendered frame were before they got the size of
+        color, or before dilation was undone: owner, description, and width and height. Nothing else is among them."""
+        is_small = self._geometry_size != self.sizes.source
+        is_dilated = self.format is not None and self.format.motion_dilated
+        if self._upload is None or not (is_small or is_dilated):
+            return
+        for spec in self._upload.buffers:
+            if spec.view != "scalar" and spec.name in self._upload.buffer and (is_small or spec.name != "small_depth"):
+                yield self._upload, spec, self._geometry_size
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
         """Yield the results that `keep` can keep: the stages' names, and the buffers of the extrapolated frame that

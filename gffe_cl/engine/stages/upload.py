@@ -40,12 +40,12 @@ class Upload(Stage):
             planes=_MOST_BYTES, scratch=True, transient=True,
         ),
         BufferSpec(
-            "small_depth", np.float32, (), "source", "depth that is smaller than color, converted", scratch=True,
-            transient=True,
+            "small_depth", np.float32, (), "source", "depth that is smaller than color, converted", "depth",
+            scratch=True, transient=True,
         ),
         BufferSpec(
             "small_motion", np.float32, XY, "source",
-            "motion that is smaller than color or dilated, in pixels of color",
+            "motion that is smaller than color or dilated, in pixels of color", "motion",
             scratch=True, transient=True,
         ),
         BufferSpec(

@@ -64,6 +64,12 @@ def test_it_names_other_encodings(part, found):
     assert examine(clip()).findings == []
 
 
+def test_it_names_display_values_of_8_bits_that_are_read_as_linear():
+    frames = [replace(f, color=(np.round(255 * f.color.clip(0, 1)) / 255).astype(np.float32)) for f in clip().images]
+    (note,) = examine(Kept(frames)).findings
+    assert note.id == "color-8-bits-linear" and '"encoding": "srgb"' in note.sentence
+
+
 def test_movers_decide_nothing_where_the_exposure_changes():
     assert names(examine(broken(clip(False, False), ["exposure fades in"]))) == []
 

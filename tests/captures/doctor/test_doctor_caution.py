@@ -178,3 +178,13 @@ def test_the_order_of_repairs_in_the_report(gffe, tmp_path):
     assert code == 1 and "it fits now" in text
     assert json.loads((tmp_path / "said.json").read_text())["changed"] == ["frames-gap"]
     assert [entry.reset for entry in open_sequence(out).rendered] == [k in (0, 4) for k in range(8)]
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.5])
+def test_vectors_of_single_frames_that_are_multiples(factor):
+    """The sentence says how long they are, and of short ones that a frame may be missing."""
+    frames = list(clip().images)
+    frames[4] = replace(frames[4], motion=frames[4].motion * np.float32(factor))
+    (finding,) = [one for one in examine(Kept(frames)).findings if one.id == "frames-gap"]
+    assert f"they are {factor:.2f} times as long as by depth and cameras" in str(finding)
+    assert ("missing" in str(finding)) == (factor < 1)

@@ -29,6 +29,7 @@ from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from .. import names
 from ..buffers import Moment, Shot, device_layers, pixel_values, start_reading
+from ..description import in_words
 from ..explain.motion_trail import Passed
 from ..explain.pixel_explain import pixel_story
 from ..layers import LayerSpec, layers_of
@@ -200,6 +201,7 @@ class _Watcher:
         self.viewer: _Viewer | None = None
         self._pacer = pacer
         self._number = -1  # of the rendered frame
+        self._buffers: tuple[str, ...] = ()  # its description
         self._camera: Camera | None = None  # its camera, and that of the one before
         self._before: Camera | None = None
         self._frame: DeviceFrame | None = None
@@ -232,6 +234,8 @@ class _Watcher:
         is_cut = self.viewer is not None and pipeline.is_cut
         begins = frame.reset or is_cut or self._camera is None
         self._number += 1
+        geometry = frame.geometry_size or (pipeline.format and pipeline.format.geometry_size)
+        self._buffers = in_words(pipeline.format, pipeline.sizes.source, geometry, frame.geometry_jitter)
         self._before, self._camera = None if begins else self._camera, frame.camera
         self._frame = on_device
         self._passed.appendleft(
@@ -342,13 +346,17 @@ class _Watcher:
 
     def _start(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: Look, start: float) -> None:
         """Start reading the layers back while the program continues."""
-        board, before = (pipeline.board, bool(pipeline.presentation), bool(pipeline.composition)), self._specs_of
+        converted = tuple(spec.name for _, spec, _ in pipeline.conversions())
+        board, before = (
+            (pipeline.board, bool(pipeline.presentation), bool(pipeline.composition), converted),
+            self._specs_of,
+        )
         if before is None or before[0] is not board[0] or before[1:] != board[1:]:
             self._specs_of = board
             self._specs = {
                 name: spec
                 for name, spec in layers_of(pipeline).items()
-                if name not in (names.TRUTH, names.FOCUS_TRUTH)  # it is not rendered
+                if name not in (names.TRUTH, names.FOCUS_TRUTH, names.UNDONE)  # it is not rendered, or not kept
             }
         wanted = look.layers & self._specs.keys()
         events, images = start_reading(pipeline, device_layers(pipeline, shot), wanted)
@@ -382,7 +390,7 @@ class _Watcher:
         viewer.send(
             Seen(
                 pending.moment, places, specs, kernels, pending.frame_ms, look_ms, pipeline.bad_pixels,
-                pipeline.exposure, pipeline.options, self._pacer.statistics if self._pacer else None,
+                pipeline.exposure, pipeline.options, self._pacer.statistics if self._pacer else None, self._buffers,
             ),
             fds,
         )  # fmt: skip

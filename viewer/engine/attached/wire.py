@@ -98,6 +98,7 @@ class Seen:
     exposure: float
     options: Options
     pacing: PacingStatistics | None = None
+    buffers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,8 @@ class Fragment:
         px = np.add(at, 0.5)
         history_stage = pipeline.stages["history"]
         error = history_stage.read("quantization_error").ravel()
-        residual = _residual(shot, px, depth, motion, error) if pipeline.options.motion else None
+        static = _static_motion(shot, px, depth, motion) if pipeline.options.motion else None
+        residual = _residual(static, motion, error)
         threshold = None if residual is None else float(np.sqrt(history_stage.read("static_threshold_squared")[0]))
         known = _known_places(shot, px + motion, float(met[0, 0]), values.get(names.HISTORY)) if dynamic else []
 
@@ -63,7 +64,7 @@ class Fragment:
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
         bend, carried = _of_mover(pipeline, layers, at, depth) if used == 1 else (0.0, False)
         mover = (used, bend, carried)
-        sentences = _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, mover)
+        sentences = _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, threshold, mover)
         at = int(at[0]), int(at[1])
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
 
@@ -97,17 +98,25 @@ def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bo
     return at if best is None else (x0 + best % width, y0 + best // width)
 
 
-def _residual(shot: Shot, px, depth: float, motion, error) -> float | None:
-    """Return the distance in pixels between the fragment's previous position by its motion and the static one,
-    beyond quantization errors, `error` (4,); None if not tested."""
+def _static_motion(shot: Shot, px, depth: float, motion) -> np.ndarray | None:
+    """Return the motion (2,) in pixels that the fragment would have if it stood still; None if `motion` is not compared
+    with it."""
     if shot.moment.previous_camera is None or not (0 < depth < np.inf) or not np.isfinite(motion).all():
         return None
     was, z = shot.moment.previous_camera.project(shot.moment.render_camera.unproject(px, depth))
-    off = np.abs(was - px - motion) - np.where(was < px, error[1::2], error[::2])
-    return float(np.hypot(*np.maximum(off, 0))) if z > 0 else None
+    return was - px if z > 0 else None
 
 
-def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, mover) -> tuple[str, ...]:
+def _residual(static: np.ndarray | None, motion, error) -> float | None:
+    """Return the distance in pixels between the fragment's motion and the static one beyond quantization errors,
+    `error` (4,); None if not tested."""
+    if static is None:
+        return None
+    off = np.abs(static - motion) - np.where(static < 0, error[1::2], error[::2])
+    return float(np.hypot(*np.maximum(off, 0)))
+
+
+def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, threshold, mover) -> tuple[str, ...]:
     used, bend, carried = mover
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
@@ -130,8 +139,8 @@ def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshol
     kind, than = ("Dynamic", "more than") if dynamic else ("Static", "not more than")
     said: list[str] = [
         Step(
-            f"{kind}: its motion is {residual:.2f} px from that of a surface that stands still,"
-            f" {than} the threshold of {threshold:.2f} px.",
+            f"{kind}: its motion ({motion[0]:+.2f}, {motion[1]:+.2f}) px is {residual:.2f} px from that of a surface"
+            f" that stands still ({static[0]:+.2f}, {static[1]:+.2f}), {than} the threshold of {threshold:.2f} px.",
             Link("dynamic mask", names.DYNAMIC_MASK),
         )
     ]

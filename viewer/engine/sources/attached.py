@@ -97,6 +97,7 @@ class RemoteSlots:
             readback_ms=seen.look_ms,
             bad_pixels=seen.bad_pixels or BadPixels(),
             render_size=self.source.render_size,
+            buffers=seen.buffers,
         )
 
     def must_move(self) -> dict[str, dict[str, float]]:

@@ -44,7 +44,7 @@ class RecordedSource(Recorded, FrameSource):
         super()._take(sequence)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
-        self.has_truth = bool(truths)
+        self.has_truth, self.format = bool(truths), sequence.format
 
     def grow(self):
         sequence = self.growth and self.growth.look()
@@ -72,6 +72,16 @@ class RecordedSource(Recorded, FrameSource):
         following = [(k + i) % self.count for i in range(1, _AHEAD + 1)]
         self._cache.ahead("rendered", {("rendered", m): partial(read, m) for m in following})
         return made
+
+    def stored(self, k):
+        entry = self.entries[k]
+        if (
+            self._cut
+            or self._upscale
+            or not (self.sequence.format or entry.geometry_size or any(entry.geometry_jitter))
+        ):
+            return None
+        return self._cache.get(("stored", k), lambda: self.sequence.read_stored(entry))
 
     def _read(self, k):
         return self._cache.get(("rendered", k), partial(super()._read, k))

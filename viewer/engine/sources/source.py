@@ -10,6 +10,8 @@ import numpy as np
 
 from gffe_cl.captures.offline.source import Source
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.options import Options
 from ..explain.motion_trail import REMEMBERED
 
@@ -25,7 +27,7 @@ class FrameSource(Source, Protocol):
     poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `follows`: shows what a
     running program does: the only slot is another frame whenever it is asked for; `options`: of the running program
     that the frames are from; `generated`: its new frames after each rendered one; `suspicions`: sentences about the
-    whole, more of them may come.
+    whole, more of them may come; `format`: the description of `stored` frames.
     """
 
     target: str = ""
@@ -38,6 +40,7 @@ class FrameSource(Source, Protocol):
     options: Options | None = None
     generated: int = 1
     suspicions: Iterable[str] = ()
+    format: FrameFormat | None = None
 
     def sibling(self) -> FrameSource:
         """Return a source of the same frames for another pipeline on the same thread, with its own window and
@@ -65,6 +68,10 @@ class FrameSource(Source, Protocol):
     def truth(self, k: int, alpha: float) -> np.ndarray | None:
         """Return (H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, None if there is
         none."""
+
+    def stored(self, k: int) -> RenderedFrame | None:
+        """Return rendered frame `k` as an engine stored it, for a pipeline with `format`; None where it is stored in
+        our conventions, or where only a part of it is used."""
 
     def grow(self) -> bool:
         """Take over frames that were added at the end since it was opened. Returns whether there are any."""
