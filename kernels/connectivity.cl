@@ -213,8 +213,8 @@ typedef struct {
 } Collecting;
 
 /* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`:
-   texels are SHOWN where depth is valid and no pixel within GROW is dynamic or nearer, an EDGE where one is nearer, but
-   none is dynamic. The others are EMPTY, and no fragment is offered to them yet, nor to level 1. */
+   texels are SHOWN where depth is valid and no pixel within GROW is dynamic or nearer. Of a `single` level, which
+   remembers what movers hide, those are an EDGE where one is nearer, but none is dynamic. The others are EMPTY, and no fragment is offered to them yet, nor to level 1. */
 INLINE void find(const Place p, const int collect, const bool single, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest;
@@ -228,12 +228,13 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
     store_some_bytes(to_bytes(linked), count, links + i);
     if (!collect) return;
-    store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY)), count, to.state + i);
+    const Ints closed = single ? settled : clean;
+    store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : closed ? (Ints)(EDGE) : (Ints)(EMPTY)), count, to.state + i);
     if (!single && !((p.x | p.y) & 1)) {
         const int level_width = (p.width + 1) / 2, first = p.y / 2 * level_width + p.x / 2;
         for (int k = 0; k < (count + 1) / 2; ++k) forget(to.push_keys, to.push_winners, first + k);
     }
-    if (ALL(settled)) return;
+    if (ALL(closed)) return;
     for (int k = 0; k < count; ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 

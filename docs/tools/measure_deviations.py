@@ -100,7 +100,7 @@ GAE: dict[str, Change] = {
     "nothing is collected after a reset": Change(
         edits={
             "connectivity.cl": {"if (!collect) return;": ""},
-            "background.cl": {"if (collect && !level.single": "if (!level.single", "collect != 0, keys": "true, keys"},
+            "background.cl": {"if (collect && x + RUN": "if (x + RUN", "collect != 0, keys": "true, keys"},
         }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),
@@ -113,7 +113,7 @@ GAE: dict[str, Change] = {
             }
         },
     ),
-    "a single level of background, at full resolution": Change({"levels": 2}),
+    "a single level of background, which remembers what movers hide": Change({"levels": 2}),
     "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
     "what the frame before showed is taken from there": Change(
         edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}

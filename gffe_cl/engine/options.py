@@ -133,7 +133,11 @@ class Preset:
 
 
 PRESETS = {
-    "quality": Preset("Everything is splatted, so that edges hardly moving apart are exact, too.", {"blocks": False}),
+    "quality": Preset(
+        "Everything is splatted, so that edges hardly moving apart are exact, too. What static surfaces hide is"
+        " remembered.",
+        {"blocks": False, "levels": 2},
+    ),
     "balanced": Preset("The defaults.", {}),
     "performance": Preset(
         "The dilated warp, without background, silhouettes and shading correction.",
@@ -265,7 +269,7 @@ class Options:
         needs="motion",
     )
     levels: int = _option(
-        2,
+        1,
         "background levels",
         "Background levels L: the first remembers what movers hide, further ones, each at half the resolution, what"
         " static surfaces hide.",
