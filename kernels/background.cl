@@ -2,10 +2,10 @@
    ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
    depth and its pixel position (not the texel's center) in the camera of the frame for which the level was
    collected. What is SHOWN is not stored: it is that frame's own pixel. A single level remembers what movers hide, two
-   or more, as in the paper, what static surfaces hide, too. Stored positions are two 16-bit offsets from the texel's center, x in the
-   lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5. Fragments of
-   B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
-   do RUN at once. */
+   or more, as in the paper, what static surfaces hide, too. Stored positions are two 16-bit offsets from the texel's
+   center, x in the lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5.
+   Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold
+   nothing to do RUN at once. */
 
 #include "frame.h"
 #include "simd.h"

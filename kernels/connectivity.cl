@@ -214,7 +214,8 @@ typedef struct {
 
 /* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`:
    texels are SHOWN where depth is valid and no pixel within GROW is dynamic or nearer. Of a `single` level, which
-   remembers what movers hide, those are an EDGE where one is nearer, but none is dynamic. The others are EMPTY, and no fragment is offered to them yet, nor to level 1. */
+   remembers what movers hide, those are an EDGE where one is nearer, but none is dynamic. The others are EMPTY, and no
+   fragment is offered to them yet, nor to level 1. */
 INLINE void find(const Place p, const int collect, const bool single, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest;
