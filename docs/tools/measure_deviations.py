@@ -86,7 +86,7 @@ GAE: dict[str, Change] = {
     "color is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
     "resampling is cubic, not bilinear": Change({"blocks": False}, {"resampling.h": {"ALL_ALIKE": "0x1FF"}}),
     "colors are mixed as they are seen": Change({"resampling": "linear"}),
-    "… brighter than white, compressed": Change(
+    "… above display white the code is compressed": Change(
         edits={"color_code.h": {"root > white_root ?": "false ?", "size > white ?": "false ?"}}
     ),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
@@ -119,7 +119,7 @@ GAE: dict[str, Change] = {
         edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}
     ),
     "hidden parts of movers": Change({"hidden_parts": False}),
-    "… none where the frame before showed something farther": Change(
+    "… the frame before must not have shown anything farther": Change(
         edits={"hidden_parts.cl": {"if (!frame->has_previous ||": "if (true ||"}}
     ),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
