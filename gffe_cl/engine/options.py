@@ -271,8 +271,8 @@ class Options:
     levels: int = _option(
         1,
         "background levels",
-        "Background levels L: the first remembers what movers hide, further ones, each at half the resolution, what"
-        " static surfaces hide.",
+        "Background levels L: the first remembers surfaces behind movers; further ones, each at half the resolution,"
+        " those behind static surfaces.",
         low=0,
         high=MAX_LEVELS,
         off=0,

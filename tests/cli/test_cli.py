@@ -282,9 +282,9 @@ def test_wrong_options_of_shading_correction(gffe, scene, tmp_path):
 
 
 def test_study_is_a_part_of_eval(gffe, tmp_path, monkeypatch):
-    """The older name says which command does the same, and does it: here with a network that only blurs."""
+    """The older name says which command does the same, and does it: here with a network that brightens all."""
     monkeypatch.chdir(tmp_path)
-    model = constant_model(tmp_path / "m.onnx", keep=0.0, mask=0.2)
+    model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.2)
     options = ("--seeds", 1, "--size", "96x54", "--frames", 5, "--scn-model", model)
     code, text, err = gffe("study", "room", "--shading", *options)
     assert code == 0 and "focus" in text and "gffe eval room --seeds 1 --size 96x54" in err

@@ -416,7 +416,7 @@ def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path)
         images, mask = on.images, is_mover(on.images)
         made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
         names = {"gae", "network_input.frames", *(f"correction.{name}" for name in made)}
-        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates")}
+        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates", "texture")}
         assert set(images) - set(plain) == names
         assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})
         for name, other in (("gae", "final"), ("focus_truth", "focus_truth")):

@@ -315,7 +315,7 @@ def test_flow_to_the_next_frame(tmp_path):
         (lambda d: d["motion"].update(packing="unity", values="raw", channels=list("RGBA")), "from 0 to 1"),
         (lambda d: d["camera"]["list"].pop(), "for each of the 3 frames"),
         (lambda d: d["camera"]["list"][0].update(fx=None), "fy|no projection"),
-        (lambda d: d["camera"].update(list=None), "frame 3, camera must be an object"),
+        (lambda d: d["camera"].update(list=None), "frame 3, camera is missing"),
         (lambda d: d["frames"].update(count=0), "count must be a whole number"),
         (lambda d: d["frames"].update(count=10**7), "count must be a whole number"),
         (lambda d: d.update(fps=None), "need fps"),
@@ -337,7 +337,7 @@ def test_captures_without_cameras(tmp_path):
     """Injectors have none: calibration finds them, from buffers that need no camera."""
     write(tmp_path)
     edit_json(tmp_path / "sequence.json", lambda d: d.pop("camera"))
-    with pytest.raises(GffeError, match="camera must be an object"):
+    with pytest.raises(GffeError, match="camera is missing"):
         open_capture(tmp_path)
     sequence = open_capture(tmp_path, cameras="optional")
     frame = sequence.read(sequence.rendered[1])

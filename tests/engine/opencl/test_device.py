@@ -288,7 +288,7 @@ def test_builds_with_warnings_are_silent(device, capfd):
 def test_lines_of_the_expanded_source_are_named():
     """NVIDIA's compiler ignores `#line`."""
     source = expand("copy.cl").splitlines()
-    (at,) = (k for k, line in enumerate(source, 1) if line.startswith("__kernel"))
+    at = next(k for k, line in enumerate(source, 1) if line.startswith("__kernel"))
     lines = (kernel_folder() / "copy.cl").read_text().splitlines()
     own = next(k for k, line in enumerate(lines, 1) if "__kernel" in line)
     log = f"<kernel>:{at}:3: error: x\n<kernel>:2:1: note: y"

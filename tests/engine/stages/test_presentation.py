@@ -186,7 +186,7 @@ def test_static_stays_static_through_windows(device):
         through = WINDOWS[k % len(WINDOWS)].camera(turning(k), (W, H))
         which, _, _ = MOVING._hit(through, k / 30, twins.centers(H, W).astype(np.float64))
         assert (dynamic == (which == 1)).mean() > 0.99
-        assert (pipeline.stages["background"].read("state_1") == REMEMBERED).mean() < 0.15
+        assert (pipeline.stages["background"].read("state_0") == REMEMBERED).mean() < 0.15
         motion = made.numpy("motion")
         assert np.isfinite(motion).all()
 
