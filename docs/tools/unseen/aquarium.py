@@ -6,7 +6,7 @@ import numpy as np
 
 import gffe_cl as gffe
 from unseen.posed import PosedScene, ball, mesh, sheet, tube
-from unseen.recording import Picture, wobble
+from unseen.recording import wobble
 
 _STILL, _FISH, _WEED, _BUBBLE = range(4)
 
@@ -49,24 +49,14 @@ vec3 shaded(vec3 n) {
 """
 
 
-class Aquarium:
+class Aquarium(PosedScene):
     """A diver's look around while fish of three sizes cross."""
 
-    fps = 30.0
-
     def __init__(self, width: int = 720, height: int = 405, frames: int = 12):
-        self.width, self.height, self.frames = width, height, frames
-        self._scene = PosedScene(width, height, _contents(), _POSE, _SHADE, (0.03, 0.16, 0.22))
+        super().__init__(width, height, frames, _contents(), _POSE, _SHADE, (0.03, 0.16, 0.22))
 
-    def picture(self, time: float, previous: float | None) -> Picture:
-        """Return what is seen at `time` (seconds), with motion since `previous`."""
-        return self._scene.picture(time, previous, self._camera)
-
-    def close(self) -> None:
-        """Release the context."""
-        self._scene.close()
-
-    def _camera(self, time: float) -> gffe.Camera:
+    def camera(self, time: float) -> gffe.Camera:
+        """Return the camera at `time` (seconds)."""
         position = np.array([-1.2 + 1.1 * time, -6.5 + 0.4 * time, 1.9 + 0.15 * wobble(time, (2.1, 3.3), 1)])
         target = position + (0.9 - 1.9 * time + 0.1 * wobble(time, (4, 7), 2), 6, -0.25)
         focal = 0.85 * self.width

@@ -6,7 +6,7 @@ import numpy as np
 
 import gffe_cl as gffe
 from unseen.posed import PosedScene, ball, mesh, sheet, tube
-from unseen.recording import Picture, wobble
+from unseen.recording import wobble
 
 _STILL, _WHEEL, _CABIN, _CAROUSEL, _HORSE, _VISITOR, _LIMB = range(7)
 _GLOW = 10  # added to a kind: it shines by itself
@@ -57,24 +57,14 @@ vec3 shaded(vec3 n) {
 """
 
 
-class Fairground:
+class Fairground(PosedScene):
     """A visitor who walks along a barrier and looks around."""
 
-    fps = 30.0
-
     def __init__(self, width: int = 800, height: int = 450, frames: int = 12):
-        self.width, self.height, self.frames = width, height, frames
-        self._scene = PosedScene(width, height, _contents(), _POSE, _SHADE, (0.004, 0.006, 0.016))
+        super().__init__(width, height, frames, _contents(), _POSE, _SHADE, (0.004, 0.006, 0.016))
 
-    def picture(self, time: float, previous: float | None) -> Picture:
-        """Return what is seen at `time` (seconds), with motion since `previous`."""
-        return self._scene.picture(time, previous, self._camera)
-
-    def close(self) -> None:
-        """Release the context."""
-        self._scene.close()
-
-    def _camera(self, time: float) -> gffe.Camera:
+    def camera(self, time: float) -> gffe.Camera:
+        """Return the camera at `time` (seconds)."""
         step = 0.02 * abs(np.sin(6.0 * time))
         position = np.array([-2.6 + 1.3 * time, -4.6 + 0.2 * time, 1.65 + step])
         target = position + (1.1 * np.sin(1.4 * time) + 0.03 * wobble(time, (9, 14), 3), 5, 0.75 - 0.5 * time)

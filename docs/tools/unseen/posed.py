@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import moderngl
 import numpy as np
 
@@ -59,8 +61,8 @@ void main() {
 """
 
 
-class PosedScene:
-    """Draws triangles that a shader poses.
+class PosedScene(ABC):
+    """A generator that draws triangles which a shader poses.
 
     Parameters
     ----------
@@ -74,8 +76,11 @@ class PosedScene:
         Linear color where nothing is: the sky.
     """
 
-    def __init__(self, width: int, height: int, vertices: np.ndarray, pose: str, shade: str, background):
-        self.width, self.height, self.background = width, height, np.asarray(background, np.float32)
+    fps = 30.0
+
+    def __init__(self, width: int, height: int, frames: int, vertices: np.ndarray, pose: str, shade: str, background):
+        self.width, self.height, self.frames = width, height, frames
+        self._background = np.asarray(background, np.float32)
         self._context = offscreen_context()
         self._program = self._context.program(vertex_shader=_VERTEX % pose, fragment_shader=_FRAGMENT % shade)
         names = ("position", "paint", "kind", "first", "second")
@@ -84,14 +89,18 @@ class PosedScene:
         repeating_texture(self._context, noise_texture(256, 91, 6, 0.7)[..., None]).use(0)
         self._targets = [Target(self._context, width * k, height * k, 2) for k in (_SUPERSAMPLING, 1)]
 
-    def picture(self, time: float, previous: float | None, camera_at) -> Picture:
-        """Return what the camera `camera_at(time)` sees, with motion since `previous` (seconds)."""
+    @abstractmethod
+    def camera(self, time: float) -> gffe.Camera:
+        """Return the camera at `time` (seconds)."""
+
+    def picture(self, time: float, previous: float | None) -> Picture:
+        """Return the picture at `time` (seconds), with motion since `previous`."""
         earlier = time if previous is None else previous
-        camera, before = camera_at(time), camera_at(earlier)
+        camera, before = self.camera(time), self.camera(earlier)
         for target, scale in zip(self._targets, (_SUPERSAMPLING, 1), strict=True):
             self._draw(target, camera.scaled(scale, scale), before, time, earlier)
         sharp = self._targets[0].read()
-        sharp = np.where(sharp[..., 3:] > 0, sharp[..., :3], self.background)
+        sharp = np.where(sharp[..., 3:] > 0, sharp[..., :3], self._background)
         found = self._targets[1].read(1)
         depth, motion = with_sky(found[..., 0], found[..., 1:3], camera, None if previous is None else before)
         return Picture(mean_of_blocks(sharp, _SUPERSAMPLING), depth, motion, camera)

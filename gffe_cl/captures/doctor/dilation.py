@@ -41,12 +41,13 @@ def count_beside_edges(depth: np.ndarray, motion: np.ndarray) -> tuple[int, int]
     of their own surface `_REACH` pixels away, where the two differ. `depth` (H, W), `motion` (H, W, 2)."""
     height, width = depth.shape
     depth = np.asarray(depth, np.float32)
-    nearest = nearest_motion(depth[..., None], depth)[..., 0]
+    around = nearest_motion(np.dstack([motion, depth]), depth)  # of the nearest of 3×3 pixels
+    near_motion, nearest = around[..., :2], around[..., 2]
     with np.errstate(invalid="ignore"):
         beside = (depth > 0) & (nearest < _C["NEARER"] * depth)
         y, x = np.nonzero(beside)
         own, z = motion[y, x], depth[y, x]
-        near = nearest_motion(motion, depth)[y, x]
+        near = near_motion[y, x]
         dilated, undecided = 0, np.ones(len(y), bool)
         total = 0
         for step_y, step_x in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):

@@ -293,9 +293,8 @@ class Device:
         size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
         mapped = require_bool(mapped, "device: mapped")
         self.require_process()
-        total = int(self.cl_device.global_mem_size)  # NVIDIA's driver refuses nothing until it is used
-        if size > total:
-            raise GffeError(f"{self.info.name}: cannot allocate {size / 2**20:.0f} MiB of {total / 2**20:.0f}")
+        if size > self.memory:  # NVIDIA's driver refuses nothing until it is used
+            raise GffeError(f"{self.info.name}: cannot allocate {size / 2**20:.0f} MiB of {self.memory / 2**20:.0f}")
         try:
             for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
             made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)
