@@ -19,16 +19,28 @@ INLINE void wide_cubic_weights(const Floats t, Floats *weights) {
     weights[3] = 0.5f * t3 - 0.5f * t2;
 }
 
-/* Cubic interpolation of the 4x4 taps from index `first` on, clamped to the four inner ones. Of finite numbers. */
+/* Weights of the columns with which those of all 4x4 taps but the corners, which weigh little, add up to 1. */
+INLINE float4 without_corners(const float4 wx, const float4 wy) {
+    return wx * divide(1.0f, 1.0f - (wx.x + wx.w) * (wy.x + wy.w));
+}
+
+INLINE void wide_without_corners(Floats *wx, const Floats *wy) {
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (wx[0] + wx[3]) * (wy[0] + wy[3]));
+    for (int k = 0; k < 4; ++k) wx[k] *= scale;
+}
+
+/* Cubic interpolation of the 4x4 taps from index `first` on, but for the corners, clamped to the four inner ones. Of
+   finite numbers. */
 INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
     __global const half *p = image + 4 * first;
-    const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
-                  d = vload_half16(0, p + 12 * width);
-    const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
-    const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
-    const float16 low_columns = b < c ? b : c, high_columns = b < c ? c : b;
-    const float4 low = low_columns.s4567 < low_columns.s89ab ? low_columns.s4567 : low_columns.s89ab;
-    const float4 high = high_columns.s4567 < high_columns.s89ab ? high_columns.s89ab : high_columns.s4567;
+    const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
+    const float8 a = vload_half8(0, p + 4), d = vload_half8(0, p + 12 * width + 4);
+    const float16 columns = wy.y * b + wy.z * c;
+    const float8 inner = columns.s456789ab + (wy.x * a + wy.w * d);
+    const float4 sum = wx.x * columns.s0123 + wx.y * inner.lo + wx.z * inner.hi + wx.w * columns.scdef;
+    const float8 least = b.s456789ab < c.s456789ab ? b.s456789ab : c.s456789ab,
+                 most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
+    const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
     const float4 raised = sum < low ? low : sum;
     return (high < raised ? high : raised).xyz;
 }
@@ -39,33 +51,22 @@ INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int
 #define SPREAD(w) ((w).s0000111122223333)
 #define WITHOUT_ALPHA(c) ((float16)((c).s012, 0.0f, (c).s456, 0.0f, (c).s89a, 0.0f, (c).scde, 0.0f))
 
-/* Seven texels of a row: those from each of the first four on, four at a time. */
-INLINE void load_taps(__global const half *p, float16 *taps) {
-    const float16 a = vload_half16(0, p), b = vload_half16(0, p + 12);
-    taps[0] = a;
-    taps[1] = (float16)(a.s4567, a.s89ab, a.scdef, b.s4567);
-    taps[2] = (float16)(a.s89ab, a.scdef, b.s4567, b.s89ab);
-    taps[3] = b;
-}
-
 /* cubic of four pixels in a row whose taps lie in a row, from index `first` on. */
 INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
                             __global const half *image) {
-    __global const half *p = image + 4 * first;
-    float16 total, low, high, a[4], b[4], c[4], d[4];
-    load_taps(p, a);
-    load_taps(p + 4 * width, b);
-    load_taps(p + 8 * width, c);
-    load_taps(p + 12 * width, d);
+    float16 total, low, high;
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
-        const float16 column =
-            SPREAD(wy[0]) * a[tx] + SPREAD(wy[1]) * b[tx] + SPREAD(wy[2]) * c[tx] + SPREAD(wy[3]) * d[tx];
+        __global const half *p = image + 4 * (first + tx);
+        const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
+        float16 column = SPREAD(wy[1]) * b + SPREAD(wy[2]) * c;
+        if (tx == 1 || tx == 2) {
+            column += SPREAD(wy[0]) * vload_half16(0, p) + SPREAD(wy[3]) * vload_half16(0, p + 12 * width);
+            const float16 lower = b < c ? b : c, higher = b < c ? c : b;
+            low = tx == 1 ? lower : low < lower ? low : lower;
+            high = tx == 1 ? higher : high < higher ? higher : high;
+        }
         total = tx == 0 ? SPREAD(wx[0]) * column : total + SPREAD(wx[tx]) * column;
-        if (tx == 0 || tx == 3) continue;
-        const float16 lower = b[tx] < c[tx] ? b[tx] : c[tx], higher = b[tx] < c[tx] ? c[tx] : b[tx];
-        low = tx == 1 ? lower : low < lower ? low : lower;
-        high = tx == 1 ? higher : high < higher ? higher : high;
     }
     const float16 raised = total < low ? low : total;
     return high < raised ? high : raised;

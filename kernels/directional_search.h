@@ -10,8 +10,8 @@ INLINE int2 direction(const int k) {
     return (int2)(quarter == 3 ? -sign : quarter == 2 ? 0 : sign, quarter == 0 ? 0 : sign);
 }
 
-/* px per step. */
-INLINE float step_length(const int2 d) { return d.x && d.y ? 1.41421356f : 1.0f; }
+#define DIAGONAL 1.41421356f /* px per step of odd directions; others: 1 */
+INLINE float step_length(const int2 d) { return d.x && d.y ? DIAGONAL : 1.0f; }
 
 INLINE int room(const int at, const int direction, const int side) {
     return direction > 0 ? side - 1 - at : direction < 0 ? at : INT_MAX;
@@ -26,12 +26,16 @@ INLINE int steps_within(const int reach, const int2 d, const int x, const int y,
 }
 
 /* A value for each direction. On GPUs, which index no registers, it is a vector: AT and SET select among its
-   components. */
+   components. FLOATS_AT and INTS_AT give those of LANES directions from k on, SET_FLOATS and SET_INTS store them. */
 #if LANES == 8
 typedef int DirectionInts[DIRECTIONS];
 typedef float DirectionFloats[DIRECTIONS];
 #define AT(values, k) ((values)[k])
 #define SET(values, k, value) ((values)[k] = (value))
+#define FLOATS_AT(values, k) load_floats(0, (values) + (k))
+#define INTS_AT(values, k) load_ints(0, (values) + (k))
+#define SET_FLOATS(values, k, value) store_floats(value, 0, (values) + (k))
+#define SET_INTS(values, k, value) store_ints(value, 0, (values) + (k))
 #else
 typedef int8 DirectionInts;
 typedef float8 DirectionFloats;
@@ -43,7 +47,22 @@ typedef float8 DirectionFloats;
      (values).s2 = (k) == 2 ? (value) : (values).s2, (values).s3 = (k) == 3 ? (value) : (values).s3,                   \
      (values).s4 = (k) == 4 ? (value) : (values).s4, (values).s5 = (k) == 5 ? (value) : (values).s5,                   \
      (values).s6 = (k) == 6 ? (value) : (values).s6, (values).s7 = (k) == 7 ? (value) : (values).s7)
+#define FLOATS_AT AT
+#define INTS_AT AT
+#define SET_FLOATS SET
+#define SET_INTS SET
 #endif
 
 /* Whether direction k is among those of a set, which has a bit for each. */
 INLINE bool has(const int directions, const int k) { return (directions >> k) & 1; }
+
+/* The same of LANES directions from k on, ... */
+INLINE Ints wide_has(const int directions, const int k) { return ((Ints)(directions) >> (k + LANE_NUMBERS) & 1) != 0; }
+
+/* ... and the set of those for which a condition holds. */
+INLINE int set_of(const Ints condition, const int k) {
+    int lane_bit[LANES], bits = 0;
+    store_ints(condition ? (Ints)(1) << (k + LANE_NUMBERS) : (Ints)(0), 0, lane_bit);
+    for (int lane = 0; lane < LANES; ++lane) bits |= lane_bit[lane];
+    return bits;
+}

@@ -4,7 +4,7 @@
    it. */
 
 #include "frame.h"
-#include "simd.h"
+#include "simd_rgb.h"
 #include "color_code.h"
 #include "directional_search.h"
 #include "blocks.h"
@@ -53,6 +53,24 @@ INLINE int first_beside(const int dst, const int offset, const int steps, __glob
     return 0;
 }
 
+/* Steps from a hole's pixel in row y to the first pixel beside the hole up and down its column; 0: none within reach.
+   Holes at the image's border are as long as the image is, and the next row need not look along them again. */
+typedef struct {
+    int y, up, down;
+} Column;
+
+#define NO_ROW -2 /* the `y` of a column before its first one */
+
+/* Goes on from the hole's pixel above. */
+INLINE void step_down(const int dst, const int reach, const int width, const int height, __global const uchar *mask,
+                      const uchar hole, Column *c) {
+    const int last = dst + reach * width;
+    const bool comes_near = c->y + 1 + reach < height && mask[last] != hole;
+    c->up = c->up && c->up < reach ? c->up + 1 : 0;
+    c->down = c->down ? c->down - 1 : comes_near ? reach : 0;
+    ++c->y;
+}
+
 /* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their
    inverse depths. */
 typedef struct {
@@ -62,38 +80,66 @@ typedef struct {
     float least_inverse;
 } Border;
 
+/* `column`: that of the row above, if its pixel is one of the hole; becomes this one's. LANES directions at once. */
 INLINE void find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
-                        __global const uchar *mask, const uchar hole, __global const float *depth, Border *found) {
+                        __global const uchar *mask, const uchar hole, __global const float *depth, Column *column,
+                        Border *found) {
     const int dst = dst_y * width + dst_x;
+    const bool goes_on = column->y == dst_y - 1;
+    if (goes_on) step_down(dst, reach, width, height, mask, hole, column);
     found->met = 0;
-    found->least_inverse = INFINITY;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        const int2 d = direction(k);
-        const int offset = d.y * width + d.x;
-        const int t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
-        if (t == 0) continue;
-        const int px = dst + t * offset;
-        const float inverse = isinf(depth[px]) ? 0.0f : divide(1.0f, depth[px]);
-        const float closeness = divide(1.0f, (float)t * step_length(d));
-        SET(found->px, k, px);
-        SET(found->inverse, k, inverse);
-        SET(found->closeness, k, closeness);
-        found->least_inverse = fmin(found->least_inverse, inverse);
-        found->met |= 1 << k;
+    for (int k = 0; k < DIRECTIONS; k += LANES) {
+        int lane_t[LANES], lane_px[LANES];
+        for (int lane = 0; lane < LANES; ++lane) {
+            const int2 d = direction(k + lane);
+            const int offset = d.y * width + d.x;
+            int t;
+            if (goes_on && d.x == 0)
+                t = d.y > 0 ? column->down : column->up;
+            else
+                t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
+            if (d.x == 0 && d.y > 0) column->down = t;
+            if (d.x == 0 && d.y < 0) column->up = t;
+            lane_t[lane] = t;
+            lane_px[lane] = dst + t * offset;
+        }
+        const Ints t = load_ints(0, lane_t), px = load_ints(0, lane_px), is_met = t > 0;
+        const Floats z = gather_floats(depth, px), none = (Floats)(0.0f), one = (Floats)(1.0f);
+        const Floats step = ((k + LANE_NUMBERS) & 1) != 0 ? (Floats)(DIAGONAL) : one;
+        const Floats inverse = isinf(z) ? none : wide_divide(one, z);
+        SET_INTS(found->px, k, px);
+        SET_FLOATS(found->inverse, k, is_met ? inverse : (Floats)(INFINITY));
+        SET_FLOATS(found->closeness, k, is_met ? wide_divide(one, to_floats(t) * step) : none);
+        found->met |= set_of(is_met, k);
     }
+    found->least_inverse = INFINITY;
+#pragma unroll
+    for (int k = 0; k < DIRECTIONS; ++k) found->least_inverse = fmin(found->least_inverse, AT(found->inverse, k));
+    column->y = dst_y;
 }
 
-INLINE bool is_as_far(const float inverse, const float other) {
-    return !(inverse > other * FAR_SIDE) && !(other > inverse * FAR_SIDE);
+INLINE Ints is_as_far(const Floats inverse, const Floats other) {
+    return !(inverse > other * FAR_SIDE) & !(other > inverse * FAR_SIDE);
 }
 
 /* The directions that meet the far side. */
 INLINE int far_side(const Border *a) {
     int far = 0;
 #pragma unroll
-    for (int k = 0; k < DIRECTIONS; ++k)
-        if (has(a->met, k) && !(AT(a->inverse, k) > a->least_inverse * FAR_SIDE)) far |= 1 << k;
-    return far;
+    for (int k = 0; k < DIRECTIONS; k += LANES)
+        far |= set_of(!(FLOATS_AT(a->inverse, k) > a->least_inverse * FAR_SIDE), k);
+    return far & a->met;
+}
+
+DEFINE_COLOR_CODE(Floats, wide_root, wide_encode, wide_decode)
+
+/* A sum that goes on with one lane after another. */
+INLINE float sum_of(const float before, const Floats values) {
+    float lane_value[LANES], sum = before;
+    store_floats(values, 0, lane_value);
+#pragma unroll
+    for (int lane = 0; lane < LANES; ++lane) sum += lane_value[lane];
+    return sum;
 }
 
 /* Mean (color, inverse depth) of the pixels in some directions, weighted by their closeness, or by its `square`. */
@@ -101,19 +147,34 @@ INLINE float4 weighted_mean(const Border *a, const int directions, const bool sq
                             __global const half *color) {
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        if (!has(directions, k)) continue;
-        const float closeness = AT(a->closeness, k), weight = square ? closeness * closeness : closeness;
-        sum += weight * (float4)(load_code(color, AT(a->px, k), code_offset), AT(a->inverse, k));
-        weight_sum += weight;
+    for (int k = 0; k < DIRECTIONS; k += LANES) {
+        const Ints is_in = wide_has(directions, k);
+        if (!ANY(is_in)) continue;
+        const Floats closeness = FLOATS_AT(a->closeness, k), none = (Floats)(0.0f);
+        const Floats weight = is_in ? (square ? closeness * closeness : closeness) : none;
+        const WideRgb c = finite_rgb(gather_rgb(color, INTS_AT(a->px, k)));
+        sum.x = sum_of(sum.x, weight * wide_encode(c.r, code_offset));
+        sum.y = sum_of(sum.y, weight * wide_encode(c.g, code_offset));
+        sum.z = sum_of(sum.z, weight * wide_encode(c.b, code_offset));
+        sum.w = sum_of(sum.w, is_in ? weight * FLOATS_AT(a->inverse, k) : none);
+        weight_sum = sum_of(weight_sum, weight);
     }
     return (float4)(decode_color(mean_of(sum.xyz, weight_sum), code_offset), divide(sum.w, weight_sum));
 }
 
-/* The place of a static pixel in the rendered image, and its depth there; z <= 0: behind the camera. */
-INLINE float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
-    return reproject(pixel_center(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY,
-                     to_source);
+/* Where a static pixel is in the rendered image, and its depth there, for LANES inverse depths; z <= 0: behind the
+   camera. */
+INLINE Wide3 static_source(const int dst_x, const int dst_y, const Floats inverse_depth, const Reprojection to_source) {
+    const Floats z = inverse_depth > 0.0f ? wide_divide((Floats)(1.0f), inverse_depth) : (Floats)(INFINITY);
+    const float2 px = pixel_center(dst_x, dst_y);
+    return wide_reproject((Floats)(px.x), (Floats)(px.y), z, to_source);
+}
+
+/* The same for one. */
+INLINE float3 static_source_of(const int dst_x, const int dst_y, const float inverse_depth,
+                               const Reprojection to_source) {
+    const Wide3 px_source = static_source(dst_x, dst_y, (Floats)(inverse_depth), to_source);
+    return (float3)(FIRST_LANE(px_source.x), FIRST_LANE(px_source.y), FIRST_LANE(px_source.z));
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
@@ -130,10 +191,10 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
     return sum;
 }
 
-/* Whether `px_source` lies outside of the rendered image. */
-INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
-    return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f
-             && px_source.x < (float)frame->source_width && px_source.y < (float)frame->source_height);
+/* Whether places lie outside of the rendered image. */
+INLINE Ints is_out_of_screen(const Wide3 px_source, __constant Frame *frame) {
+    return !((px_source.z > 0.0f) & (px_source.x >= 0.0f) & (px_source.y >= 0.0f)
+             & (px_source.x < (float)frame->source_width) & (px_source.y < (float)frame->source_height));
 }
 
 /* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
@@ -144,62 +205,73 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
-/* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows
+/* Whether surfaces can be at places `inside` of the rendered frame: not in front of those that the frame shows
    there. */
-INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
-    const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
-    return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
+INLINE Ints can_be_at(const Ints inside, const Wide3 px_source, __constant Frame *frame,
+                      __global const float *source_depth) {
+    const Floats none = (Floats)(0.0f);
+    const Ints x = to_ints(inside ? px_source.x : none), y = to_ints(inside ? px_source.y : none);
+    const Floats shown = gather_floats(source_depth, y * frame->source_width + x);
+    return inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown);
 }
 
 /* The directions that meet the surface behind a disocclusion. Candidates, `behind`, are static surfaces that,
    continued into the disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of
    inverse distances counts; without candidates the far side. */
 INLINE int surface_behind(const Border *a, const int behind) {
-    float most = 0.0f, inverse = 0.0f;
-    for (int j = 0; j < DIRECTIONS; ++j) {
-        if (!has(behind, j)) continue;
-        const float inverse_j = AT(a->inverse, j);
-        float sum = 0.0f;
+    if (!behind) return far_side(a);
+    DirectionFloats sums;
+    for (int j = 0; j < DIRECTIONS; j += LANES) {
+        Floats sum = (Floats)(0.0f);
 #pragma unroll
         for (int k = 0; k < DIRECTIONS; ++k)
-            if (has(behind, k) && is_as_far(inverse_j, AT(a->inverse, k))) sum += AT(a->closeness, k);
-        if (sum > most) {
-            most = sum;
-            inverse = inverse_j;
-        }
+            if (has(behind, k))
+                sum += is_as_far(FLOATS_AT(a->inverse, j), (Floats)(AT(a->inverse, k))) ? (Floats)(AT(a->closeness, k))
+                                                                                        : (Floats)(0.0f);
+        SET_FLOATS(sums, j, sum);
     }
-    if (!(most > 0.0f)) return far_side(a);
+    float most = 0.0f, inverse = 0.0f;
+#pragma unroll
+    for (int j = 0; j < DIRECTIONS; ++j) {
+        if (!has(behind, j) || !(AT(sums, j) > most)) continue;
+        most = AT(sums, j);
+        inverse = AT(a->inverse, j);
+    }
     int counts = 0;
 #pragma unroll
-    for (int k = 0; k < DIRECTIONS; ++k)
-        if (has(behind, k) && is_as_far(AT(a->inverse, k), inverse)) counts |= 1 << k;
-    return counts;
+    for (int k = 0; k < DIRECTIONS; k += LANES)
+        counts |= set_of(is_as_far(FLOATS_AT(a->inverse, k), (Floats)(inverse)), k);
+    return counts & behind;
 }
 
 /* Continues the surfaces of the first valid pixels in eight directions, up to `reach` px away: a surface that,
    continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
    theirs, those close by count most. Else it is a disocclusion, and shows the surface behind it. Gives (color,
    inverse depth); false where no direction meets a valid pixel. */
-INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
+INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, Column *column,
+                             float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     Border a;
-    find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth, &a);
+    find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth, column, &a);
     if (!a.met) return false;
     int out_of_screen = 0, behind = 0;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        if (!has(a.met, k)) continue;
-        const int px = AT(a.px, k);
-        const float3 px_source = static_source(dst_x, dst_y, AT(a.inverse, k), frame->to_source);
-        if (is_out_of_screen(px_source, frame))
-            out_of_screen |= 1 << k;
-        else if (!f.is_dynamic[px] && f.filled_by[px] != BY_HIDDEN_PART && can_be_at(px_source, frame, f.source_depth))
-            behind |= 1 << k;
+    for (int k = 0; k < DIRECTIONS; k += LANES) {
+        const Ints is_met = wide_has(a.met, k), px = INTS_AT(a.px, k);
+        if (!ANY(is_met)) continue;
+        const Wide3 px_source = static_source(dst_x, dst_y, FLOATS_AT(a.inverse, k), frame->to_source);
+        const Ints is_outside = is_out_of_screen(px_source, frame);
+        out_of_screen |= set_of(is_met & is_outside, k);
+        behind |= set_of(can_be_at(is_met & !is_outside, px_source, frame, f.source_depth)
+                             & (to_ints(gather_bytes(f.is_dynamic, px)) == 0)
+                             & (to_ints(gather_bytes(f.filled_by, px)) != BY_HIDDEN_PART),
+                         k);
     }
     const bool is_disocclusion = !out_of_screen;
     *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion,
                           frame->code_offset, f.color);
     if (!is_disocclusion)
-        mean->xyz = continued(mean->xyz, static_source(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
+        mean->xyz =
+            continued(mean->xyz, static_source_of(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
     return true;
 }
 
@@ -235,7 +307,8 @@ SCAN __kernel void mix_far_side(__constant Frame *restrict frame, __global const
         const int dst = dst_y * target_width + dst_x;
         if (!disoccluded[dst] || filled_by[dst] == BY_HOLE_FILLING || filled_by[dst] == BY_HIDDEN_PART) continue;
         Border a;
-        find_border(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth, &a);
+        Column column = {.y = NO_ROW};
+        find_border(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth, &column, &a);
         if (!a.met) continue;
         const int far = far_side(&a);
         const float3 mean = weighted_mean(&a, far, false, frame->code_offset, color).xyz;
@@ -330,7 +403,7 @@ __kernel void pull_level(__constant Frame *restrict frame, const int level, __gl
 INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame,
                             const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
-    const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
+    const float3 px_source = static_source_of(dst_x, dst_y, inverse_depth, frame->to_source);
     f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
     f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
     return px_source;
@@ -344,7 +417,7 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 
 #define BEYOND_REACH -1.0f /* depth of pixels that have no far side within reach, until they are filled */
 
-/* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
+/* Fills pixels that are still invalid from the far side. RUN x LANES pixels per work-item. */
 SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
@@ -357,19 +430,23 @@ SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                            .depth = depth,
                            .motion = motion};
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
-    if (first_x >= target_width || dst_y >= target_height) return;
-    if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
-    const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) return;
-    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
-        const int dst = dst_y * target_width + dst_x;
-        if (filled_by[dst] != BY_HOLE_FILLING) continue;
-        float4 mean;
-        if (continue_surface(dst_x, dst_y, frame, images, &mean))
-            fill_pixel(dst_x, dst_y, mean, frame, images);
-        else
-            depth[dst] = BEYOND_REACH;
+    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
+    if (first_x >= target_width) return;
+    Column columns[RUN];
+    for (int k = 0; k < RUN; ++k) columns[k].y = NO_ROW;
+    for (int dst_y = first_y; dst_y < min(first_y + LANES, target_height); ++dst_y) {
+        const int first = dst_y * target_width + first_x;
+        if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
+        if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) continue;
+        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (filled_by[dst] != BY_HOLE_FILLING) continue;
+            float4 mean;
+            if (continue_surface(dst_x, dst_y, frame, images, columns + (dst_x - first_x), &mean))
+                fill_pixel(dst_x, dst_y, mean, frame, images);
+            else
+                depth[dst] = BEYOND_REACH;
+        }
     }
 }
 
@@ -446,7 +523,8 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
     }
     float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
     const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
-    if (tile.after_far_side && is_out_of_screen(px_source, frame))
+    const Wide3 place = {(Floats)(px_source.x), (Floats)(px_source.y), (Floats)(px_source.z)};
+    if (tile.after_far_side && ANY(is_out_of_screen(place, frame)))
         mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }

@@ -39,8 +39,8 @@ typedef struct {
 INLINE float3 resample(const Sample s, const int source_width, const Rendered shown) {
     if (s.tap == s.src && s.u == 0.0f && s.v == 0.0f) return load_color(shown.color, s.src);
     if (s.alike != ALL_ALIKE) return of_those_alike(s.alike, s.tap, s.u, s.v, source_width, s.src, shown);
-    const float3 code =
-        cubic(s.tap - source_width - 1, cubic_weights(s.u), cubic_weights(s.v), source_width, shown.codes);
+    const float4 wx = cubic_weights(s.u), wy = cubic_weights(s.v);
+    const float3 code = cubic(s.tap - source_width - 1, without_corners(wx, wy), wy, source_width, shown.codes);
     return decode_color(code, shown.code_offset);
 }
 
@@ -92,6 +92,7 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     store_ints(tap, 0, lane_tap);
     wide_cubic_weights(u, wx);
     wide_cubic_weights(v, wy);
+    wide_without_corners(wx, wy);
     const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
     /* Halves whose taps lie in a row; elsewhere one lane after another. */
     const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;

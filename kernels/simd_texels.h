@@ -80,8 +80,8 @@ INLINE float8 two_texels(__global const half *image, const int x, const int y, c
 }
 
 /* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
-INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width,
-                               const int height, __global const half *image) {
+INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const float4 wy, const int width,
+                            const int height, __global const half *image) {
 #if LANES == 8
     const float8 above = two_texels(image, x + 1, y, width, height),
                  below = two_texels(image, x + 1, y + 3, width, height);
@@ -119,31 +119,6 @@ INLINE float4 round_cubic_from(const int x, const int y, const float4 wx, const 
 #endif
 }
 
-#if LANES == 8
-
-/* The round cubic sums of four pixels whose taps lie in a row, within the image, from index `first` on. */
-INLINE float16 round_cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
-                                  __global const half *image) {
-    float16 total, low, high;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        __global const half *p = image + 4 * (first + tx);
-        const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
-        float16 column = SPREAD(wy[1]) * b + SPREAD(wy[2]) * c;
-        if (tx == 1 || tx == 2) {
-            column += SPREAD(wy[0]) * vload_half16(0, p) + SPREAD(wy[3]) * vload_half16(0, p + 12 * width);
-            const float16 lower = b < c ? b : c, higher = b < c ? c : b;
-            low = tx == 1 ? lower : low < lower ? low : lower;
-            high = tx == 1 ? higher : high < higher ? higher : high;
-        }
-        total = tx == 0 ? SPREAD(wx[0]) * column : total + SPREAD(wx[tx]) * column;
-    }
-    const float16 raised = total < low ? low : total;
-    return high < raised ? high : raised;
-}
-
-#endif
-
 /* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is
    sharper. */
 INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
@@ -164,8 +139,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     Floats wx[4], wy[4];
     sloped_weights(corner_x - first_x, slope, wx);
     sloped_weights(corner_y - first_y, slope, wy);
-    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (wx[0] + wx[3]) * (wy[0] + wy[3]));
-    for (int k = 0; k < 4; ++k) wx[k] *= scale;
+    wide_without_corners(wx, wy);
     int lane_use[LANES], lane_x[LANES], lane_y[LANES];
     float texels[4 * LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     store_ints(x, 0, lane_x);
@@ -184,8 +158,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                                   k ? wx[3].hi : wx[3].lo};
         const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo,
                                   k ? wy[3].hi : wy[3].lo};
-        store_texels(round_cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k,
-                     texels);
+        store_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k, texels);
         if (k)
             rest.hi = (int4)(0);
         else
@@ -200,7 +173,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     }
     for (int k = 0; k < LANES; ++k)
         if (lane_use[k])
-            vstore4(round_cubic_from(
+            vstore4(clamped_cubic(
                         lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
                         (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
                     k, texels);

@@ -106,7 +106,7 @@ class FarSide(Downsampled):
             }
             | _image(UNFILLED),
             _filled(UNFILLED),
-            step=("RUN", 1),
+            step=("RUN", "LANES"),
         ),
         *Downsampled.kernels,
     )

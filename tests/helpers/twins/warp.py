@@ -263,11 +263,12 @@ def resampled(taps, alike, u, v, own):
     told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
     everywhere = np.all([alike[tap] for tap in told_by], axis=0)
     wx, wy = _cubic_weights(u), _cubic_weights(v)
+    wx = wx * (F(1) / (F(1) - (wx[0] + wx[3]) * (wy[0] + wy[3])))
     cubic = np.zeros((*u.shape, 3), F)
     for tx in range(4):
-        column = np.zeros((*u.shape, 3), F)
-        for ty in range(4):
-            column = column + wy[ty][..., None] * taps[ty, tx]
+        column = wy[1][..., None] * taps[1, tx] + wy[2][..., None] * taps[2, tx]
+        if tx in (1, 2):
+            column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
         cubic = cubic + wx[tx][..., None] * column
     stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
     cubic = np.clip(cubic, stack.min(0), stack.max(0))
