@@ -85,9 +85,10 @@ INLINE void find_border(const int dst_x, const int dst_y, const int width, const
                         __global const uchar *mask, const uchar hole, __global const float *depth, Column *column,
                         Border *found) {
     const int dst = dst_y * width + dst_x;
-    const bool goes_on = column->y == dst_y - 1;
+    const bool goes_on = LANES > 1 && column->y == dst_y - 1; /* GPUs have one row per work-item */
     if (goes_on) step_down(dst, reach, width, height, mask, hole, column);
     found->met = 0;
+    found->least_inverse = INFINITY;
     for (int k = 0; k < DIRECTIONS; k += LANES) {
         int lane_t[LANES], lane_px[LANES];
         for (int lane = 0; lane < LANES; ++lane) {
@@ -111,10 +112,9 @@ INLINE void find_border(const int dst_x, const int dst_y, const int width, const
         SET_FLOATS(found->inverse, k, is_met ? inverse : (Floats)(INFINITY));
         SET_FLOATS(found->closeness, k, is_met ? wide_divide(one, to_floats(t) * step) : none);
         found->met |= set_of(is_met, k);
+        for (int lane = 0; lane < LANES; ++lane)
+            if (lane_t[lane]) found->least_inverse = fmin(found->least_inverse, AT(found->inverse, k + lane));
     }
-    found->least_inverse = INFINITY;
-#pragma unroll
-    for (int k = 0; k < DIRECTIONS; ++k) found->least_inverse = fmin(found->least_inverse, AT(found->inverse, k));
     column->y = dst_y;
 }
 
@@ -220,22 +220,21 @@ INLINE Ints can_be_at(const Ints inside, const Wide3 px_source, __constant Frame
    inverse distances counts; without candidates the far side. */
 INLINE int surface_behind(const Border *a, const int behind) {
     if (!behind) return far_side(a);
-    DirectionFloats sums;
+    float most = 0.0f, inverse = 0.0f;
     for (int j = 0; j < DIRECTIONS; j += LANES) {
-        Floats sum = (Floats)(0.0f);
+        const Floats inverse_j = FLOATS_AT(a->inverse, j), none = (Floats)(0.0f);
+        Floats sum = none;
 #pragma unroll
         for (int k = 0; k < DIRECTIONS; ++k)
             if (has(behind, k))
-                sum += is_as_far(FLOATS_AT(a->inverse, j), (Floats)(AT(a->inverse, k))) ? (Floats)(AT(a->closeness, k))
-                                                                                        : (Floats)(0.0f);
-        SET_FLOATS(sums, j, sum);
-    }
-    float most = 0.0f, inverse = 0.0f;
-#pragma unroll
-    for (int j = 0; j < DIRECTIONS; ++j) {
-        if (!has(behind, j) || !(AT(sums, j) > most)) continue;
-        most = AT(sums, j);
-        inverse = AT(a->inverse, j);
+                sum += is_as_far(inverse_j, (Floats)(AT(a->inverse, k))) ? (Floats)(AT(a->closeness, k)) : none;
+        float lane_sum[LANES];
+        store_floats(sum, 0, lane_sum);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!has(behind, j + lane) || !(lane_sum[lane] > most)) continue;
+            most = lane_sum[lane];
+            inverse = AT(a->inverse, j + lane);
+        }
     }
     int counts = 0;
 #pragma unroll
@@ -431,11 +430,11 @@ SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                            .motion = motion};
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
-    if (first_x >= target_width) return;
+    if (first_x >= target_width || first_y >= target_height) return;
     Column columns[RUN];
     for (int k = 0; k < RUN; ++k) columns[k].y = NO_ROW;
-    for (int dst_y = first_y; dst_y < min(first_y + LANES, target_height); ++dst_y) {
-        const int first = dst_y * target_width + first_x;
+    for (int row = 0; row < LANES && (LANES == 1 || first_y + row < target_height); ++row) {
+        const int dst_y = first_y + row, first = dst_y * target_width + first_x;
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) continue;
         for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
