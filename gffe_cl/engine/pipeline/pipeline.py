@@ -50,6 +50,7 @@ from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.dilated_warp import DilatedWarp
+from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
 from gffe_cl.engine.stages.hidden_parts import HiddenParts
 from gffe_cl.engine.stages.history import HistoryTracking
 from gffe_cl.engine.stages.holes import FILLINGS, HoleFilling
@@ -76,9 +77,9 @@ STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
     Acceleration,
     Connectivity,
-    ColorCode,
     PositionPrediction,
     BackwardBlocks,
+    ColorCode,
     Warp,
     DilatedWarp,
     HiddenParts,
@@ -199,6 +200,9 @@ class Pipeline:
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # their cameras
+        # Members of the frame block: the rendered frame's number, for how many intervals its camera has been the same,
+        # and whether all of its colors are encoded.
+        self._rest = {"number": 0, "rests": 0, "coded": 0}
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
     @telling_device_faults
@@ -343,6 +347,7 @@ class Pipeline:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
         self._current = on_device
+        self._count_rest()
         if frame.reset:
             self._times.clear()
             self._path.clear()
@@ -363,11 +368,28 @@ class Pipeline:
             self.watcher.submitted(self, frame, self._shown)
         return done
 
+    def _count_rest(self) -> None:
+        """Number the current frame, and count the intervals for which the rendered camera has been the same."""
+        frame, previous, rests = self._current, self._previous, 0
+        assert frame is not None
+        if previous and self.options.motion and see_alike(previous.camera, frame.camera):
+            rests = min(self._rest["rests"] + 1, MOST_RESTS)
+        self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": 0}
+
+    def _rest_of(self, camera: Camera, is_replaced: bool) -> dict[str, int]:
+        """Return `_rest`, and whether points at rest stay where they are for a new `camera`. Where they do, not all
+        colors are encoded; elsewhere they are from then on. `is_replaced`: predicted positions are the caller's."""
+        copies = self.board.facts.get("copies") and self.sizes.source == self.sizes.target and not is_replaced
+        stays = bool(copies and self._previous and see_alike(self._need_frame().camera, camera))
+        found = self._rest | {"stays": stays}
+        self._rest["coded"] = self._rest["coded"] or int(not stays)
+        return found
+
     def _take_rendered(self) -> None:
         """Enqueue the stages' work on the current frame."""
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
         assert self._current is not None
-        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
+        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure, given=self._rest.copy())
         for stage in self.stages.values():
             stage.rendered(step)
 
@@ -378,7 +400,7 @@ class Pipeline:
             if self._is_cut:
                 self._leaving.append((self._done(), self._previous))
                 del self._times[1:], self._path[1:]
-                self._previous = None
+                self._previous, self._rest["rests"] = None, 0
                 self._take_rendered()
 
     @property
@@ -588,6 +610,7 @@ class Pipeline:
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
         if self.watcher:
             self.watcher.before(self)
+        replaced["given"] = self._rest_of(camera, target_position is not None)
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         self._finish()
         self._wait(events)

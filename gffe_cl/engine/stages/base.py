@@ -127,7 +127,8 @@ class Step:
     overlays : int
         Overlays that the rendered frame brings: bits, in the order of `OVERLAYS`.
     given : mapping of name to numbers
-        Members of the frame block that convert an engine's buffers (`conversion`); empty: there is nothing to convert.
+        Members of the frame block that do not follow from the others: those that convert an engine's buffers
+        (`conversion`), or those about cameras that rest (`Pipeline`).
     """
 
     frame: DeviceFrame

@@ -12,13 +12,15 @@ import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.vectors import length, view_to_view
-from gffe_cl.engine.opencl.program import expand, parse_struct
+from gffe_cl.engine.opencl.program import expand, parse_constants, parse_struct
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.mu_law import color_law
 
 _SOURCE = expand("frame.h")
 FRAME = parse_struct(_SOURCE, "Frame")
+MOST_RESTS = parse_constants(_SOURCE)["MOST_RESTS"]
+MOST_NUMBER = 2**30  # of rendered frames, after which they are counted from 1 again
 _GRIDS = ("source", "target", "network", "cells")
 # Where each member is, in words of 4 bytes.
 _WORDS = {
@@ -128,6 +130,11 @@ def _reprojection(source: Camera, target: Camera) -> list[float]:
     row0, row1, row2 = view_to_view(source.rows, source.inverse, target.rows)
     inverse = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
     return [*row0, *row1, *row2, *source.intrinsics, *inverse, *target.intrinsics]
+
+
+def see_alike(a: Camera, b: Camera) -> bool:
+    """Return whether two cameras show everything at the same pixels, to the bit."""
+    return a is b or (a.intrinsics == b.intrinsics and a.rows == b.rows)
 
 
 def mapping(a: Camera, b: Camera) -> np.ndarray:
