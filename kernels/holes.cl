@@ -21,6 +21,7 @@ typedef struct {
     __global const half *source_color;
     __global const float *source_depth;
     __global const uchar *is_dynamic;
+    __global const float *border_lines;
     __global half *color;
     __global float *depth;
     __global float2 *motion;
@@ -144,6 +145,109 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
+/* ---- lines at the image's border --------------------------------------------------------------------------------- */
+
+#define CELL 8 /* px each way, of the grid "cells" */
+#define SAMPLE_STRIDE 2 /* px between its samples */
+#define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
+#define NEAR 4.0f /* ... those close by count most: one a cell away 1 / (1 + NEAR) */
+#define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
+#define NOISE 1e-4f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
+#define APPROACHES 2 /* of the place where a line leaves the image */
+#define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
+
+/* Sums over samples of the cells at the image's border: products of the changes of color codes in x and y (the
+   structure tensor). Other cells are 0. */
+SPARSE __kernel void find_border_lines(__constant Frame *restrict frame, __global const half *codes,
+                                       __global float *border_lines) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
+    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
+    if (cell_x >= cells_width || cell_y >= cells_height) return;
+    const bool at_border = cell_x == 0 || cell_y == 0 || cell_x == cells_width - 1 || cell_y == cells_height - 1;
+    const int first_x = max(min(cell_x * CELL, width - CELL), 0) + 1,
+              first_y = max(min(cell_y * CELL, height - CELL), 0) + 1;
+    float xx = 0.0f, xy = 0.0f, yy = 0.0f;
+    for (int y = first_y; at_border && y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
+        for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += SAMPLE_STRIDE) {
+            const int src = y * width + x;
+            const float3 dx = 0.5f * (load_color(codes, src + 1) - load_color(codes, src - 1));
+            const float3 dy = 0.5f * (load_color(codes, src + width) - load_color(codes, src - width));
+            xx += dx.x * dx.x + dx.y * dx.y + dx.z * dx.z;
+            xy += dx.x * dy.x + dx.y * dy.y + dx.z * dy.z;
+            yy += dy.x * dy.x + dy.y * dy.y + dy.z * dy.z;
+        }
+    const int cell = cell_y * cells_width + cell_x, plane = cells_width * cells_height;
+    border_lines[cell] = xx;
+    border_lines[plane + cell] = xy;
+    border_lines[2 * plane + cell] = yy;
+}
+
+DEFINE_ROOT(float, root)
+
+/* The lines that cross the border around a place on it. */
+typedef struct {
+    float slope; /* px along the border, per px along the other axis */
+    float spread; /* by how much that is uncertain: the root of the change that it leaves unexplained */
+} Lines;
+
+/* Lines at the border's pixel `along` (px in x if the border is `horizontal`, else in y), in the border's row or
+   column of cells that begins at cell `first`. */
+INLINE Lines lines_at(const float along, const bool horizontal, const int first, __constant Frame *frame,
+                      __global const float *border_lines) {
+    const int plane = frame->cells_width * frame->cells_height;
+    const int count = horizontal ? frame->cells_width : frame->cells_height, step = horizontal ? 1 : frame->cells_width;
+    const float side = (float)(horizontal ? frame->source_width : frame->source_height);
+    const float at = clamp(along, 0.0f, side) * (1.0f / CELL) - 0.5f;
+    const int low = (int)floor(at);
+    float across = 0.0f, both = 0.0f, inward = 0.0f;
+    for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
+        const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
+        const float window = fmax(1.0f - part * part, 0.0f), weight = divide(window * window, 1.0f + NEAR * off * off);
+        const int cell = first + k * step;
+        across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
+        both += weight * border_lines[plane + cell];
+        inward += weight * border_lines[(horizontal ? 2 * plane : 0) + cell];
+    }
+    const float white = frame->code_offset > 0.0f ? 4.0f * frame->code_offset * frame->code_offset : 1.0f;
+    const float sure = across + NOISE * white * white;
+    Lines lines;
+    lines.slope = clamp(-divide(both, sure), -STEEPEST, STEEPEST);
+    const float unexplained = inward + lines.slope * (2.0f * both + lines.slope * across);
+    lines.spread = root(divide(fmax(unexplained, 0.0f), sure));
+    return lines;
+}
+
+/* Code of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
+   direction. */
+INLINE float3 code_beyond(const float2 px_source, __constant Frame *frame, __global const half *source_color,
+                          __global const float *border_lines) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float out_x = clamp(px_source.x, 0.5f, (float)width - 0.5f) - px_source.x;
+    const float out_y = clamp(px_source.y, 0.5f, (float)height - 0.5f) - px_source.y;
+    const bool horizontal = fabs(out_y) > fabs(out_x);
+    const float out = horizontal ? out_y : out_x;
+    const int first = !(out < 0.0f)  ? 0
+                      : horizontal ? (frame->cells_height - 1) * frame->cells_width
+                                   : frame->cells_width - 1;
+    float along = horizontal ? px_source.x : px_source.y;
+    const float start = along;
+    Lines lines;
+    for (int k = 0; k < APPROACHES; ++k) {
+        lines = lines_at(along, horizontal, first, frame, border_lines);
+        along = start + out * lines.slope;
+    }
+    const float blur = FADE * lines.spread * fabs(out);
+    float3 sum = (float3)(0.0f);
+    for (int k = -2; k <= 2; ++k) {
+        const float at = along + 0.75f * blur * (float)k;
+        const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
+        const float weight = k == 0 ? 0.316f : k == 1 || k == -1 ? 0.239f : 0.103f;
+        sum += weight * border_code(place, frame, source_color);
+    }
+    return sum;
+}
+
 /* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows
    there. */
 INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
@@ -198,8 +302,9 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame 
     const bool is_disocclusion = !out_of_screen;
     *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion,
                           frame->code_offset, f.color);
-    if (!is_disocclusion)
-        mean->xyz = continued(mean->xyz, static_source(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
+    const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
+    if (!is_disocclusion && px_source.z > 0.0f)
+        mean->xyz = decode_color(code_beyond(px_source.xy, frame, f.source_color, f.border_lines), frame->code_offset);
     return true;
 }
 
@@ -348,11 +453,12 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
-                                 __global half *color, __global float *depth, __global float2 *motion) {
+                                 __global const float *border_lines, __global half *color, __global float *depth, __global float2 *motion) {
     const Images images = {.filled_by = filled_by,
                            .source_color = source_color,
                            .source_depth = source_depth,
                            .is_dynamic = is_dynamic,
+                           .border_lines = border_lines,
                            .color = color,
                            .depth = depth,
                            .motion = motion};
