@@ -152,7 +152,7 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 #define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
 #define NEAR 4.0f /* ... those close by count most: one a cell away 1 / (1 + NEAR) */
 #define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
-#define NOISE 1e-4f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
+#define NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
 #define APPROACHES 2 /* of the place where a line leaves the image */
 #define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
 
