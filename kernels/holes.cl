@@ -1,5 +1,5 @@
-/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image
-   downsampled 32 times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their
+/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion or, out of screen, the lines
+   at the image's border, or come from the image downsampled 32 times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their
    label. RUN pixels without any are skipped at once, and the downsampled image is only computed for pixels that need
    it. */
 
@@ -137,7 +137,8 @@ INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
              && px_source.x < (float)frame->source_width && px_source.y < (float)frame->source_height);
 }
 
-/* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
+/* Color of pixels out of screen beyond the reach of the far side: the mean of the color around and of the image's
+   border. */
 INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame,
                         __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
@@ -226,10 +227,10 @@ INLINE float3 code_beyond(const float2 px_source, __constant Frame *frame, __glo
     const float out_x = clamp(px_source.x, 0.5f, (float)width - 0.5f) - px_source.x;
     const float out_y = clamp(px_source.y, 0.5f, (float)height - 0.5f) - px_source.y;
     const bool horizontal = fabs(out_y) > fabs(out_x);
-    const float out = horizontal ? out_y : out_x;
-    const int first = !(out < 0.0f)  ? 0
-                      : horizontal ? (frame->cells_height - 1) * frame->cells_width
-                                   : frame->cells_width - 1;
+    const float out = clamp(horizontal ? out_y : out_x, -(float)width, (float)width); /* finite */
+    const int first = !(out < 0.0f) ? 0
+                      : horizontal  ? (frame->cells_height - 1) * frame->cells_width
+                                    : frame->cells_width - 1;
     float along = horizontal ? px_source.x : px_source.y;
     const float start = along;
     Lines lines;
@@ -282,7 +283,8 @@ INLINE int surface_behind(const Border *a, const int behind) {
 
 /* Continues the surfaces of the first valid pixels in eight directions, up to `reach` px away: a surface that,
    continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
-   theirs, those close by count most. Else it is a disocclusion, and shows the surface behind it. Gives (color,
+   theirs: its depth is the mean of theirs, in which those close by count most, its color that of lines at the border.
+   Else it is a disocclusion, and shows the surface behind it. Gives (color,
    inverse depth); false where no direction meets a valid pixel. */
 INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
@@ -453,7 +455,8 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
-                                 __global const float *border_lines, __global half *color, __global float *depth, __global float2 *motion) {
+                                 __global const float *border_lines, __global half *color, __global float *depth,
+                                 __global float2 *motion) {
     const Images images = {.filled_by = filled_by,
                            .source_color = source_color,
                            .source_depth = source_depth,

@@ -129,6 +129,13 @@ GAE: dict[str, Change] = {
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
     ),
+    "… beyond it, lines go on at their angle": Change(
+        edits={
+            "holes.cl": {
+                "decode_color(code_beyond(px_source.xy, frame, f.source_color, f.border_lines), frame->code_offset)": "continued(mean->xyz, px_source, frame, f.source_color)"
+            }
+        }
+    ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
 # Beyond the paper, each a module with an option of its own.

@@ -110,8 +110,8 @@ def continued(beside, at, source_color):
 
 
 def border_lines(codes):
-    """Structure tensor (3, h, w) of color codes (height, width, 3): sums of xx, xy and yy in cells at the image's border,
-    0 in others."""
+    """Structure tensor (3, h, w) of color codes (height, width, 3): sums of xx, xy and yy in cells at the border, 0 in
+    others."""
     height, width = codes.shape[:2]
     cell = HOLES.CELL
     found = np.zeros((3, -(-height // cell), -(-width // cell)))
@@ -129,8 +129,8 @@ def border_lines(codes):
 
 
 def _lines_at(along, cells, side):
-    """(slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes along the
-    border, of both changes, and of changes inward."""
+    """(slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes along
+    the border, of both changes, and of changes inward."""
     at = min(max(along, F(0)), F(side)) / F(HOLES.CELL) - F(0.5)
     k = np.arange(cells.shape[1])
     around = HOLES.CELLS_AROUND
