@@ -1,7 +1,7 @@
 /* Hole filling: pixels that are still invalid continue the surface behind the disocclusion or, out of screen, the lines
-   at the image's border, or come from the image downsampled 32 times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their
-   label. RUN pixels without any are skipped at once, and the downsampled image is only computed for pixels that need
-   it. */
+   at the image's border, or come from the image downsampled 32 times (paper: 'Shading correction network'). Only pixels
+   labeled for filling change, and keep their label. RUN pixels without any are skipped at once, and the downsampled
+   image is only computed for pixels that need it. */
 
 #include "frame.h"
 #include "simd.h"
@@ -9,8 +9,8 @@
 #include "directional_search.h"
 #include "blocks.h"
 
-#define LEAST_REACH 16       /* target px, in which the far side is looked for ... */
-#define REACH_SHARE 10       /* ... or this part of the target's width */
+#define LEAST_REACH 16 /* target px, in which the far side is looked for ... */
+#define REACH_SHARE 10 /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
 /* RENDERED_WEIGHT: of the rendered frame relative to valid pixels: it only counts without any of them */
 #define RENDERED_WEIGHT 0.0009765625f
@@ -219,10 +219,9 @@ INLINE Lines lines_at(const float along, const bool horizontal, const int first,
     return lines;
 }
 
-/* Code of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
+/* Color of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
    direction. */
-INLINE float3 code_beyond(const float2 px_source, __constant Frame *frame, __global const half *source_color,
-                          __global const float *border_lines) {
+INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, const Images f) {
     const int width = frame->source_width, height = frame->source_height;
     const float out_x = clamp(px_source.x, 0.5f, (float)width - 0.5f) - px_source.x;
     const float out_y = clamp(px_source.y, 0.5f, (float)height - 0.5f) - px_source.y;
@@ -235,7 +234,7 @@ INLINE float3 code_beyond(const float2 px_source, __constant Frame *frame, __glo
     const float start = along;
     Lines lines;
     for (int k = 0; k < APPROACHES; ++k) {
-        lines = lines_at(along, horizontal, first, frame, border_lines);
+        lines = lines_at(along, horizontal, first, frame, f.border_lines);
         along = start + out * lines.slope;
     }
     const float blur = FADE * lines.spread * fabs(out);
@@ -244,9 +243,9 @@ INLINE float3 code_beyond(const float2 px_source, __constant Frame *frame, __glo
         const float at = along + 0.75f * blur * (float)k;
         const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
         const float weight = k == 0 ? 0.316f : k == 1 || k == -1 ? 0.239f : 0.103f;
-        sum += weight * border_code(place, frame, source_color);
+        sum += weight * border_code(place, frame, f.source_color);
     }
-    return sum;
+    return decode_color(sum, frame->code_offset);
 }
 
 /* Whether a surface can be at a place inside of the rendered frame: not in front of the surface that the frame shows
@@ -305,8 +304,7 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame 
     *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion,
                           frame->code_offset, f.color);
     const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
-    if (!is_disocclusion && px_source.z > 0.0f)
-        mean->xyz = decode_color(code_beyond(px_source.xy, frame, f.source_color, f.border_lines), frame->code_offset);
+    if (!is_disocclusion && px_source.z > 0.0f) mean->xyz = color_beyond(px_source.xy, frame, f);
     return true;
 }
 
