@@ -19,6 +19,7 @@
 typedef struct {
     __global const uchar *filled_by;
     __global const half *source_color;
+    __global const half *codes; /* of it */
     __global const float *source_depth;
     __global const uchar *is_dynamic;
     __global const float *border_lines;
@@ -118,7 +119,7 @@ INLINE float3 static_source(const int dst_x, const int dst_y, const float invers
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
-INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *source_color) {
+INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *codes) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
                 y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
@@ -126,7 +127,7 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
-        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_code(source_color, src, frame->code_offset);
+        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_color(codes, src);
     }
     return sum;
 }
@@ -140,9 +141,9 @@ INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
 /* Color of pixels out of screen beyond the reach of the far side: the mean of the color around and of the image's
    border. */
 INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame,
-                        __global const half *source_color) {
+                        __global const half *codes) {
     if (!(px_source.z > 0.0f)) return beside;
-    const float3 border = border_code(px_source.xy, frame, source_color);
+    const float3 border = border_code(px_source.xy, frame, codes);
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
@@ -243,7 +244,7 @@ INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, cons
         const float at = along + 0.75f * blur * (float)k;
         const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
         const float weight = k == 0 ? 0.316f : k == 1 || k == -1 ? 0.239f : 0.103f;
-        sum += weight * border_code(place, frame, f.source_color);
+        sum += weight * border_code(place, frame, f.codes);
     }
     return decode_color(sum, frame->code_offset);
 }
@@ -451,12 +452,12 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 
 /* Fills pixels that are still invalid from the far side. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
-                                 __global const uchar *filled_by, __global const half *source_color,
+                                 __global const uchar *filled_by, __global const half *codes,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
                                  __global const float *border_lines, __global half *color, __global float *depth,
                                  __global float2 *motion) {
     const Images images = {.filled_by = filled_by,
-                           .source_color = source_color,
+                           .codes = codes,
                            .source_depth = source_depth,
                            .is_dynamic = is_dynamic,
                            .border_lines = border_lines,
@@ -554,7 +555,7 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
     float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
     const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
     if (tile.after_far_side && is_out_of_screen(px_source, frame))
-        mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
+        mean.xyz = continued(mean.xyz, px_source, frame, f.codes);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
@@ -584,11 +585,12 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
    wants to look at them. */
 SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side, __global const uchar *filled_by,
-                      __global const half *source_color, __global const float *source_depth, __global half *color,
-                      __global float *depth, __global float2 *motion, __global float4 *downsampled_color,
-                      __global float *downsampled_inverse_depth) {
+                      __global const half *codes, __global const half *source_color, __global const float *source_depth,
+                      __global half *color, __global float *depth, __global float2 *motion,
+                      __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
     const Images images = {.filled_by = filled_by,
                            .source_color = source_color,
+                           .codes = codes,
                            .source_depth = source_depth,
                            .color = color,
                            .depth = depth,

@@ -132,7 +132,7 @@ GAE: dict[str, Change] = {
     "… beyond it, lines go on at their angle": Change(
         edits={
             "holes.cl": {
-                "= color_beyond(px_source.xy, frame, f);": "= continued(mean->xyz, px_source, frame, f.source_color);"
+                "= color_beyond(px_source.xy, frame, f);": "= continued(mean->xyz, px_source, frame, f.codes);"
             }
         }
     ),

@@ -70,6 +70,7 @@ class Downsampled(HoleFilling):
             "tiles",
             {
                 "filled_by": "frame.filled_by",
+                "codes": Access("color_code.codes", BEYOND_REACH),
                 "source_color": Access("rendered.color", BEYOND_REACH),
                 "source_depth": Access("rendered.depth", BEYOND_REACH),
             }
@@ -123,7 +124,7 @@ class FarSide(Downsampled):
             {
                 "block_class": "backward_blocks.block_class",
                 "filled_by": Access("frame.filled_by", SPLATTED_PIXELS),
-                "source_color": Access("rendered.color", UNFILLED),
+                "codes": Access("color_code.codes", UNFILLED),
                 "source_depth": Access("rendered.depth", UNFILLED),
                 "is_dynamic": Access("frame.dynamic", UNFILLED),
                 "border_lines": Access("holes.border_lines", BORDER),
