@@ -1,7 +1,7 @@
-/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion, or come from the image
-   downsampled 32 times (paper: 'Shading correction network'). Only pixels labeled for filling change, and keep their
-   label. RUN pixels without any are skipped at once, and the downsampled image is only computed for pixels that need
-   it. */
+/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion or, out of screen, the lines
+   at the image's border, or come from the image downsampled 32 times (paper: 'Shading correction network'). Only pixels
+   labeled for filling change, and keep their label. RUN pixels without any are skipped at once, and the downsampled
+   image is only computed for pixels that need it. */
 
 #include "frame.h"
 #include "simd_rgb.h"
@@ -9,8 +9,8 @@
 #include "directional_search.h"
 #include "blocks.h"
 
-#define LEAST_REACH 16       /* target px, in which the far side is looked for ... */
-#define REACH_SHARE 10       /* ... or this part of the target's width */
+#define LEAST_REACH 16 /* target px, in which the far side is looked for ... */
+#define REACH_SHARE 10 /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
 /* RENDERED_WEIGHT: of the rendered frame relative to valid pixels: it only counts without any of them */
 #define RENDERED_WEIGHT 0.0009765625f
@@ -19,8 +19,10 @@
 typedef struct {
     __global const uchar *filled_by;
     __global const half *source_color;
+    __global const half *codes; /* of it */
     __global const float *source_depth;
     __global const uchar *is_dynamic;
+    __global const float *border_lines;
     __global half *color;
     __global float *depth;
     __global float2 *motion;
@@ -178,7 +180,7 @@ INLINE float3 static_source_of(const int dst_x, const int dst_y, const float inv
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
-INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *source_color) {
+INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *codes) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
                 y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
@@ -186,7 +188,7 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
-        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_code(source_color, src, frame->code_offset);
+        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_color(codes, src);
     }
     return sum;
 }
@@ -197,12 +199,116 @@ INLINE Ints is_out_of_screen(const Wide3 px_source, __constant Frame *frame) {
              & (px_source.x < (float)frame->source_width) & (px_source.y < (float)frame->source_height));
 }
 
-/* Color of pixels out of screen: the mean of the color beside the hole and of the image's border. */
+/* Color of pixels out of screen beyond the reach of the far side: the mean of the color around and of the image's
+   border. */
 INLINE float3 continued(const float3 beside, const float3 px_source, __constant Frame *frame,
-                        __global const half *source_color) {
+                        __global const half *codes) {
     if (!(px_source.z > 0.0f)) return beside;
-    const float3 border = border_code(px_source.xy, frame, source_color);
+    const float3 border = border_code(px_source.xy, frame, codes);
     return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
+}
+
+/* ---- lines at the image's border --------------------------------------------------------------------------------- */
+
+#define CELL 8 /* px each way, of the grid "cells" */
+#define SAMPLE_STRIDE 2 /* px between its samples */
+#define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
+#define NEAR 4.0f /* ... those close by count most: one a cell away 1 / (1 + NEAR) */
+#define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
+#define NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
+#define APPROACHES 2 /* of the place where a line leaves the image */
+#define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
+
+/* Sums over samples of the cells at the image's border: products of the changes of color codes in x and y (the
+   structure tensor). Other cells are 0. Once for all new frames that are made of a rendered one; not under a camera
+   that stays, which has nothing out of screen. */
+SPARSE __kernel void find_border_lines(__constant Frame *restrict frame, __global const half *codes,
+                                       __global float *border_lines) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
+    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
+    if (cell_x >= cells_width || cell_y >= cells_height || frame->coded || frame->stays) return;
+    const bool at_border = cell_x == 0 || cell_y == 0 || cell_x == cells_width - 1 || cell_y == cells_height - 1;
+    const int first_x = max(min(cell_x * CELL, width - CELL), 0) + 1,
+              first_y = max(min(cell_y * CELL, height - CELL), 0) + 1;
+    float xx = 0.0f, xy = 0.0f, yy = 0.0f;
+    for (int y = first_y; at_border && y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
+        for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += SAMPLE_STRIDE) {
+            const int src = y * width + x;
+            const float3 dx = 0.5f * (load_color(codes, src + 1) - load_color(codes, src - 1));
+            const float3 dy = 0.5f * (load_color(codes, src + width) - load_color(codes, src - width));
+            xx += dx.x * dx.x + dx.y * dx.y + dx.z * dx.z;
+            xy += dx.x * dy.x + dx.y * dy.y + dx.z * dy.z;
+            yy += dy.x * dy.x + dy.y * dy.y + dy.z * dy.z;
+        }
+    const int cell = cell_y * cells_width + cell_x, plane = cells_width * cells_height;
+    border_lines[cell] = xx;
+    border_lines[plane + cell] = xy;
+    border_lines[2 * plane + cell] = yy;
+}
+
+DEFINE_ROOT(float, root)
+
+/* The lines that cross the border around a place on it. */
+typedef struct {
+    float slope; /* px along the border, per px along the other axis */
+    float spread; /* by how much that is uncertain: the root of the change that it leaves unexplained */
+} Lines;
+
+/* Lines at the border's pixel `along` (px in x if the border is `horizontal`, else in y), in the border's row or
+   column of cells that begins at cell `first`. */
+INLINE Lines lines_at(const float along, const bool horizontal, const int first, __constant Frame *frame,
+                      __global const float *border_lines) {
+    const int plane = frame->cells_width * frame->cells_height;
+    const int count = horizontal ? frame->cells_width : frame->cells_height, step = horizontal ? 1 : frame->cells_width;
+    const float side = (float)(horizontal ? frame->source_width : frame->source_height);
+    const float at = clamp(along, 0.0f, side) * (1.0f / CELL) - 0.5f;
+    const int low = (int)floor(at);
+    float across = 0.0f, both = 0.0f, inward = 0.0f;
+    for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
+        const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
+        const float window = fmax(1.0f - part * part, 0.0f), weight = divide(window * window, 1.0f + NEAR * off * off);
+        const int cell = first + k * step;
+        across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
+        both += weight * border_lines[plane + cell];
+        inward += weight * border_lines[(horizontal ? 2 * plane : 0) + cell];
+    }
+    const float white = frame->code_offset > 0.0f ? 4.0f * frame->code_offset * frame->code_offset : 1.0f;
+    const float sure = across + NOISE * white * white;
+    Lines lines;
+    lines.slope = clamp(-divide(both, sure), -STEEPEST, STEEPEST);
+    const float unexplained = inward + lines.slope * (2.0f * both + lines.slope * across);
+    lines.spread = root(divide(fmax(unexplained, 0.0f), sure));
+    return lines;
+}
+
+/* Color of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
+   direction. */
+INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, const Images f) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float out_x = clamp(px_source.x, 0.5f, (float)width - 0.5f) - px_source.x;
+    const float out_y = clamp(px_source.y, 0.5f, (float)height - 0.5f) - px_source.y;
+    const bool horizontal = fabs(out_y) > fabs(out_x);
+    const float out = clamp(horizontal ? out_y : out_x, -(float)width, (float)width); /* finite */
+    const int first = !(out < 0.0f) ? 0
+                      : horizontal  ? (frame->cells_height - 1) * frame->cells_width
+                                    : frame->cells_width - 1;
+    float along = horizontal ? px_source.x : px_source.y;
+    const float start = along;
+    Lines lines;
+    for (int k = 0; k < APPROACHES; ++k) {
+        lines = lines_at(along, horizontal, first, frame, f.border_lines);
+        along = start + out * lines.slope;
+    }
+    const float blur = FADE * lines.spread * fabs(out);
+    float3 sum = (float3)(0.0f);
+    for (int k = -2; k <= 2; ++k) {
+        const float at = along + 0.75f * blur * (float)k;
+        const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
+        const float weight = k == 0 ? 0.316f : k == 1 || k == -1 ? 0.239f : 0.103f;
+        sum += weight * border_code(place, frame, f.codes);
+    }
+    return decode_color(sum, frame->code_offset);
 }
 
 /* Whether surfaces can be at places `inside` of the rendered frame: not in front of those that the frame shows
@@ -245,8 +351,9 @@ INLINE int surface_behind(const Border *a, const int behind) {
 
 /* Continues the surfaces of the first valid pixels in eight directions, up to `reach` px away: a surface that,
    continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
-   theirs, those close by count most. Else it is a disocclusion, and shows the surface behind it. Gives (color,
-   inverse depth); false where no direction meets a valid pixel. */
+   theirs: its depth is the mean of theirs, in which those close by count most, its color that of lines at the border.
+   Else it is a disocclusion, and shows the surface behind it. Gives (color, inverse depth); false where no direction
+   meets a valid pixel. */
 INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, Column *column,
                              float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
@@ -268,9 +375,8 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame 
     const bool is_disocclusion = !out_of_screen;
     *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion,
                           frame->code_offset, f.color);
-    if (!is_disocclusion)
-        mean->xyz =
-            continued(mean->xyz, static_source_of(dst_x, dst_y, mean->w, frame->to_source), frame, f.source_color);
+    const float3 px_source = static_source_of(dst_x, dst_y, mean->w, frame->to_source);
+    if (!is_disocclusion && px_source.z > 0.0f) mean->xyz = color_beyond(px_source.xy, frame, f);
     return true;
 }
 
@@ -418,13 +524,15 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 
 /* Fills pixels that are still invalid from the far side. RUN x LANES pixels per work-item. */
 SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
-                                 __global const uchar *filled_by, __global const half *source_color,
+                                 __global const uchar *filled_by, __global const half *codes,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
-                                 __global half *color, __global float *depth, __global float2 *motion) {
+                                 __global const float *border_lines, __global half *color, __global float *depth,
+                                 __global float2 *motion) {
     const Images images = {.filled_by = filled_by,
-                           .source_color = source_color,
+                           .codes = codes,
                            .source_depth = source_depth,
                            .is_dynamic = is_dynamic,
+                           .border_lines = border_lines,
                            .color = color,
                            .depth = depth,
                            .motion = motion};
@@ -524,7 +632,7 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
     const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
     const Wide3 place = {(Floats)(px_source.x), (Floats)(px_source.y), (Floats)(px_source.z)};
     if (tile.after_far_side && ANY(is_out_of_screen(place, frame)))
-        mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
+        mean.xyz = continued(mean.xyz, px_source, frame, f.codes);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
 
@@ -554,11 +662,12 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
    wants to look at them. */
 SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side, __global const uchar *filled_by,
-                      __global const half *source_color, __global const float *source_depth, __global half *color,
-                      __global float *depth, __global float2 *motion, __global float4 *downsampled_color,
-                      __global float *downsampled_inverse_depth) {
+                      __global const half *codes, __global const half *source_color, __global const float *source_depth,
+                      __global half *color, __global float *depth, __global float2 *motion,
+                      __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
     const Images images = {.filled_by = filled_by,
                            .source_color = source_color,
+                           .codes = codes,
                            .source_depth = source_depth,
                            .color = color,
                            .depth = depth,

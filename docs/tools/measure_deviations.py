@@ -129,6 +129,13 @@ GAE: dict[str, Change] = {
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
     ),
+    "… beyond it, lines go on at their angle": Change(
+        edits={
+            "holes.cl": {
+                "= color_beyond(px_source.xy, frame, f);": "= continued(mean->xyz, px_source, frame, f.codes);"
+            }
+        }
+    ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
 # Beyond the paper, each a module with an option of its own.

@@ -17,6 +17,7 @@ HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "hist
 VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
 VIEW_VELOCITY = "acceleration.view_velocity"
 TARGET_POSITION = "prediction.target_position"
+BORDER_LINES = "holes.border_lines"
 COVERAGE = "silhouettes.coverage"
 FOCUS_MASK = "correction.focus_mask"
 UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling.lock"

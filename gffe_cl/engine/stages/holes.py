@@ -18,7 +18,13 @@ _CONSTANTS = constants("holes.cl")
 _VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
 
 UNFILLED = share_of("unfilled", "frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING))
+BORDER = Share("border", lambda board: _share_of_border(*board.sizes.of("cells")))
 BEYOND_REACH = share_of("beyond reach", "holes.downsampled_color", lambda sums: sums[..., 3] != 0)
+
+
+def _share_of_border(width: int, height: int) -> float:
+    """Return the share of texels at the border of an image."""
+    return 1 - max(width - 2, 0) * max(height - 2, 0) / (width * height)
 
 
 def _image(share: Share) -> dict[str, Access]:
@@ -64,6 +70,7 @@ class Downsampled(HoleFilling):
             "tiles",
             {
                 "filled_by": "frame.filled_by",
+                "codes": Access("color_code.codes", BEYOND_REACH),
                 "source_color": Access("rendered.color", BEYOND_REACH),
                 "source_depth": Access("rendered.depth", BEYOND_REACH),
             }
@@ -85,7 +92,24 @@ class FarSide(Downsampled):
     """Continues the surface behind a disocclusion. Beyond its reach the downsampled image is used. Colors from the
     background are mixed with the far side."""
 
+    buffers = (
+        *Downsampled.buffers,
+        BufferSpec(
+            "border_lines",
+            np.float32,
+            (),
+            "cells",
+            "structure tensor of the color code, xx, xy and yy, in cells at the image's border; 0 elsewhere",
+            planes=3,
+        ),
+    )
     kernels = (
+        Kernel(
+            "find_border_lines",
+            "cells",
+            {"codes": Access("color_code.codes", BORDER)},
+            {"border_lines": "holes.border_lines"},
+        ),
         Kernel(
             "mix_far_side",
             "target",
@@ -100,9 +124,10 @@ class FarSide(Downsampled):
             {
                 "block_class": "backward_blocks.block_class",
                 "filled_by": Access("frame.filled_by", SPLATTED_PIXELS),
-                "source_color": Access("rendered.color", UNFILLED),
+                "codes": Access("color_code.codes", UNFILLED),
                 "source_depth": Access("rendered.depth", UNFILLED),
                 "is_dynamic": Access("frame.dynamic", UNFILLED),
+                "border_lines": Access("holes.border_lines", BORDER),
             }
             | _image(UNFILLED),
             _filled(UNFILLED),
@@ -117,6 +142,7 @@ class FarSide(Downsampled):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
+        self.launch("find_border_lines", step)
         if self.mixes:
             self.launch("mix_far_side", step)
         self.launch("fill_far_side", step)

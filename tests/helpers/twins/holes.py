@@ -92,16 +92,75 @@ def march(y, x, d, reach, shape):
         t += 1
 
 
+def _border_code(at, source_color):
+    """Code of the rendered image (height, width, 3) at a place, or at the place on its border that is closest."""
+    height, width = source_color.shape[:2]
+    x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
+    xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
+    rows = [encode_color(source_color[j, xs]) for j in ys]
+    across = [row[0] * (1 - x % 1) + row[1] * (x % 1) for row in rows]
+    return across[0] * (1 - y % 1) + across[1] * (y % 1)
+
+
 def continued(beside, at, source_color):
     """What is beside a hole that lies out of screen, with the border of the rendered image (height, width, 3)."""
     if not at[2] > 0:
         return beside
+    return decode_color((encode_color(beside) + _border_code(at, source_color)) / 2)
+
+
+def border_lines(codes):
+    """Structure tensor (3, h, w) of color codes (height, width, 3): sums of xx, xy and yy in cells at the border, 0 in
+    others."""
+    height, width = codes.shape[:2]
+    cell = HOLES.CELL
+    found = np.zeros((3, -(-height // cell), -(-width // cell)))
+    codes = codes.astype(np.float64)
+    for y, x in np.ndindex(found.shape[1:]):
+        if 0 < y < found.shape[1] - 1 and 0 < x < found.shape[2] - 1:
+            continue
+        first = [max(min(k * cell, side - cell), 0) + 1 for k, side in ((y, height), (x, width))]
+        for sy in range(first[0], min(first[0] + cell - 1, height - 1), HOLES.SAMPLE_STRIDE):
+            for sx in range(first[1], min(first[1] + cell - 1, width - 1), HOLES.SAMPLE_STRIDE):
+                dx = (codes[sy, sx + 1] - codes[sy, sx - 1]) / 2
+                dy = (codes[sy + 1, sx] - codes[sy - 1, sx]) / 2
+                found[:, y, x] += dx @ dx, dx @ dy, dy @ dy
+    return found
+
+
+def _lines_at(along, cells, side):
+    """(slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes along
+    the border, of both changes, and of changes inward."""
+    at = min(max(along, F(0)), F(side)) / F(HOLES.CELL) - F(0.5)
+    k = np.arange(cells.shape[1])
+    around = HOLES.CELLS_AROUND
+    k = k[(k > np.floor(at) - around) & (k <= np.floor(at) + around)]
+    off = at - k
+    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.NEAR * off**2)
+    across, both, inward = (cells[:, k] * weight).sum(1)
+    sure = across + HOLES.NOISE
+    slope = np.clip(-both / sure, -HOLES.STEEPEST, HOLES.STEEPEST)
+    return slope, np.sqrt(max(inward + slope * (2 * both + slope * across), 0) / sure)
+
+
+def beyond(at, source_color, lines):
+    """Color out of screen at `at`: `border_lines` go on from the border of the rendered image (height, width, 3)."""
     height, width = source_color.shape[:2]
-    x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
-    xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
-    codes = encode_color(source_color)
-    across = [codes[j, xs[0]] * (1 - x % 1) + codes[j, xs[1]] * (x % 1) for j in ys]
-    return decode_color((encode_color(beside) + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2)
+    out = [np.clip(at[k], F(0.5), F(side - 0.5)) - at[k] for k, side in ((0, width), (1, height))]
+    axis = 0 if abs(out[1]) > abs(out[0]) else 1  # along the border
+    away, side = out[1 - axis], (width, height)[axis]
+    row = 0 if not away < 0 else -1
+    cells = lines[:, row] if axis == 0 else lines[::-1, :, row]
+    along = at[axis]
+    for _ in range(HOLES.APPROACHES):
+        slope, spread = _lines_at(along, cells, side)
+        along = at[axis] + away * slope
+    total = np.zeros(3)
+    for k, weight in enumerate((0.103, 0.239, 0.316, 0.239, 0.103)):
+        place = [at[0], at[1]]
+        place[axis] = along + 0.75 * HOLES.FADE * spread * abs(away) * (k - 2)
+        total += weight * _border_code(place, source_color)
+    return decode_color(total.astype(F))
 
 
 def source_of(y, x, inverse, to_source):
@@ -135,8 +194,9 @@ def surface_behind(met, ways, source_depth):
     return [(w, values) for inverse, w, values in candidates if are_as_far(inverse, first)]
 
 
-def continued_surface(warped, y, x, reach, to_source, source_color, source_depth):
-    """(color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width, 3)."""
+def continued_surface(warped, y, x, reach, to_source, source_color, source_depth, lines):
+    """(color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width, 3);
+    `lines`: `border_lines`."""
     met = []
     for d in _DIRECTIONS:
         for distance, q in march(y, x, d, reach, warped["depth"].shape):
@@ -157,7 +217,8 @@ def continued_surface(warped, y, x, reach, to_source, source_color, source_depth
     outside = [(w * w, values) for at, (_, w, values, _) in zip(ways, met, strict=True) if is_outside(at, source_color)]
     if outside:
         found = mean(outside)
-        return np.append(continued(found[:3], source_of(y, x, found[3], to_source), source_color), found[3])
+        at = source_of(y, x, found[3], to_source)
+        return np.append(beyond(at, source_color, lines), found[3]) if at[2] > 0 else found
     return mean(surface_behind(met, ways, source_depth))
 
 
@@ -187,10 +248,10 @@ def mix_far_side(warped):
     return color
 
 
-def continued_surfaces(warped, reach, to_source, source_color, source_depth):
+def continued_surfaces(warped, reach, to_source, source_color, source_depth, lines):
     """{(y, x): `continued_surface`} of all holes."""
     holes = map(tuple, np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING))
-    return {at: continued_surface(warped, *at, reach, to_source, source_color, source_depth) for at in holes}
+    return {at: continued_surface(warped, *at, reach, to_source, source_color, source_depth, lines) for at in holes}
 
 
 def asked_texels(warped, surfaces):

@@ -196,7 +196,12 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
     filled = f"Hole filling: its color {HOLE_FILLINGS[pipeline.options.hole_filling]}."
     said: list[str | Step] = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
-        said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")
+        outside = f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f})"
+        if pipeline.options.hole_filling == "far-side":
+            lines = Link("lines at the border", names.BORDER_LINES)
+            said.append(Step(f"{outside}: near the border, lines that cross it go on at their angle.", lines))
+        else:
+            said.append(f"{outside}.")
     return tuple(said)
 
 
