@@ -227,8 +227,8 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
 /* Offers the fragments of B'_level. */
 WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int level, const int pass,
                                  __global const float *depth, __global const uchar *dynamic_mask,
-                                 __global const uchar *links, __global const float *frame_depth,
-                                 __global const float *old_depth, __global const int *old_px,
+                                 __global const uchar *links, __global const int *last_stir,
+                                 __global const float *frame_depth, __global const float *old_depth, __global const int *old_px,
                                  __global const uchar *old_state, __global const uchar *taken,
                                  __global const float *level_depth, __global Key *fill_keys,
                                  __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
@@ -238,6 +238,8 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
     const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
+    if (frame->rests && last_level == 0 && last_stir[block_of(texel_x, texel_y, source_width)] != frame->number)
+        return; /* they stay where they are, and all texels around are taken */
     const int texel = texel_y * level_width + texel_x;
     const Collection to = {.width = source_width,
                            .height = source_height,

@@ -132,10 +132,14 @@ INLINE bool keeps_depth(const Fragments f, const int x0, const int y0) {
     return ALL(keeps);
 }
 
+/* Whether a block and MARGIN around it lie in the image. */
+INLINE bool lies_within(const int bx, const int by, const int width, const int height) {
+    return bx > 0 && by > 0 && (bx + 1) * BLOCK_WIDTH + MARGIN <= width && (by + 1) * BLOCK_HEIGHT + MARGIN <= height;
+}
+
 /* Whether positions are linear over the block: STRICT, LOOSE, RIGID or 0; if so, *box is its reach. */
 INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
-    if (x0 < MARGIN || y0 < MARGIN || x0 + BLOCK_WIDTH + MARGIN > f.width || y0 + BLOCK_HEIGHT + MARGIN > f.height)
-        return 0;
+    if (!lies_within(x0 / BLOCK_WIDTH, y0 / BLOCK_HEIGHT, f.width, f.height)) return 0;
     __global const float *p = f.target_position + y0 * f.width + x0;
     float x, y, xx, xy, yx, yy;
     const Floats off_x = deviation_from_linear(p, f.width, &x, &xx, &yx);
@@ -158,13 +162,13 @@ INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
     return strict ? STRICT : rigid ? RIGID : LOOSE;
 }
 
-/* One work-item per source block. smooth: STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach: the
+/* One work-item per source block. smooth: RESTING, STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach: the
    target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for each
    target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y + 1;
    of blocks that are not smooth, everything. */
 WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const float *depth,
                               __global const uchar *links, __global const float *target_position,
-                              __global uchar *smooth, __global short4 *reach, __global int *reached_by) {
+                              __global const int *last_stir, __global uchar *smooth, __global short4 *reach, __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments fragments = {.depth = depth,
@@ -179,6 +183,11 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
     if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
+    if (frame->stays && last_stir[by * source_blocks + bx] != frame->number) {
+        smooth[by * source_blocks + bx] = RESTING;
+        reach[by * source_blocks + bx] = (short4)(bx, by, bx, by);
+        return;
+    }
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
     const int of_block = smoothness(fragments, x0, y0, &box);
@@ -258,10 +267,17 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
     const int source_blocks = block_columns(source_width), target_blocks = block_columns(target_width);
     if (bx >= target_blocks || by >= block_rows(target_height)) return;
     const int block = by * target_blocks + bx;
-    const int4 extent = (int4)(FAR_OFF - reached_by[4 * block], FAR_OFF - reached_by[4 * block + 1],
-                               reached_by[4 * block + 2] - 1, reached_by[4 * block + 3] - 1);
-    vstore4((int4)(0), block, reached_by);
     if (softens) marked[block] = 0;
+    const int4 reached = vload4(block, reached_by);
+    int4 extent = (int4)(FAR_OFF - reached.xy, reached.zw - 1);
+    if (frame->stays && smooth[block] == RESTING) { /* source and target have the same blocks */
+        if (reached.z == 0 && (bx + 1) * BLOCK_WIDTH <= target_width) {
+            block_class[block] = COPIED;
+            return;
+        }
+        extent = (int4)(min(extent.x, bx), min(extent.y, by), max(extent.z, bx), max(extent.w, by));
+    }
+    vstore4((int4)(0), block, reached_by);
     bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && (by + 1) * BLOCK_HEIGHT <= target_height
                     && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < COLUMNS_MOST
                     && extent.w - extent.y < ROWS_MOST;
@@ -269,9 +285,9 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
     for (int y = extent.y; backward && y <= extent.w; ++y)
         for (int x = extent.x; x <= extent.z; ++x) {
             const uchar of_source = smooth[y * source_blocks + x];
-            backward = backward && of_source;
+            backward = backward && of_source && (of_source != RESTING || lies_within(x, y, source_width, source_height));
             loose = loose || of_source == LOOSE;
-            rigid = rigid || of_source == RIGID;
+            rigid = rigid || of_source == RIGID || of_source == RESTING;
         }
     if (backward) {
         float8 source;

@@ -4,12 +4,15 @@
 #define BLOCK_HEIGHT 4
 #define SPLATTED 0   /* a target block whose pixels are won by the nearest of the fragments that are splatted there */
 #define BACKWARD 1   /* one whose pixels' sources are found by the inverse of the block's flow: warped backward */
+#define COPIED 2     /* one that nothing but the rendered frame's own pixels reach, which stay: they are copied */
 
 /* Of a source block over which positions are linear: it is of one surface; of several, which hardly move apart; of
    several, which do not. */
 #define STRICT 1
 #define LOOSE 2
 #define RIGID 3
+/* RESTING: of a source block whose pixels stay, and all within STIR_REACH: RIGID, but perhaps at the image's border */
+#define RESTING 4
 
 /* Of a target block that is warped backward: it comes from STRICT blocks; so, and the inverse of its flow is exact; the
    inverse is exact, but some blocks are RIGID; else. */
@@ -21,12 +24,12 @@
 INLINE int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
 INLINE int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }
 
-/* Whether RUN pixels of a row from x on, which is a multiple of RUN, are all warped backward: nothing is left to
-   fill there. */
+/* Whether RUN pixels of a row from x on, which is a multiple of RUN, are all warped backward or copied: nothing is
+   left to fill there. */
 INLINE bool run_is_backward(const int x, const int y, const int width, __global const uchar *block_class) {
     const int row = y / BLOCK_HEIGHT * block_columns(width), last = min(x + RUN, width) - 1;
     for (int column = x / BLOCK_WIDTH; column <= last / BLOCK_WIDTH; ++column)
-        if (block_class[row + column] != BACKWARD) return false;
+        if (block_class[row + column] == SPLATTED) return false;
     return true;
 }
 

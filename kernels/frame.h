@@ -7,6 +7,7 @@
 
 #include "common.h"
 
+#define RESTS_MOST 3 /* as long as any kernel looks back */
 #define MAX_ORDER 5   /* of prediction */
 #define MAX_LEVELS 4  /* of the background */
 
@@ -37,6 +38,9 @@ typedef struct {
     int network_width, network_height;
     int cells_width, cells_height; /* of the grid on which shading trends are measured */
     int has_previous;
+    int number; /* of the rendered frame, since the start */
+    int rests; /* intervals, up to RESTS_MOST, for which the rendered camera has been the same, to the bit */
+    int stays; /* whether the new camera is the rendered one: points at rest stay where they are */
     int order; /* of prediction: the option, or less if there are too few frames */
     float alpha;
     float interval_ratio; /* the last interval between rendered frames, in that before it */

@@ -4,6 +4,7 @@
 
 #include "frame.h"
 #include "simd.h"
+#include "blocks.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
@@ -23,6 +24,9 @@
 #define QUANTIZED_LOW 0.125f
 #define LOOKUPS 2 /* at most so many quantized vectors are added to one */
 
+#define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
+#define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
+#define STIR_REACH 2 /* px: as far as kernels that skip blocks look around a pixel */
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define DEPTH_PER_MOTION 2.0f /* ... and the addition per unit of its sideways motion */
@@ -416,13 +420,27 @@ INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, 
     return fabs(f.depth_prev[y * frame->source_width + x] - f.depth[src]) <= FIXED_DEPTH * f.depth[src];
 }
 
+/* Notes the frame's number in the blocks within STIR_REACH of pixels first_x to last_x of row y. */
+INLINE void note_stir(const int first_x, const int last_x, const int src_y, __constant Frame *frame,
+                      __global int *last_stir) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int x0 = max(first_x - STIR_REACH, 0), x1 = min(last_x + STIR_REACH, width - 1);
+    const int y0 = max(src_y - STIR_REACH, 0), y1 = min(src_y + STIR_REACH, height - 1);
+    for (int by = y0 / BLOCK_HEIGHT; by <= y1 / BLOCK_HEIGHT; ++by)
+        for (int bx = x0 / BLOCK_WIDTH; bx <= x1 / BLOCK_WIDTH; ++bx)
+            last_stir[by * block_columns(width) + bx] = frame->number;
+}
+
 /* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
-   0) where P_i is unknown. Static fragments only take the test. */
+   0) where P_i is unknown. Static fragments only take the test. last_stir: for each block the number of the last frame
+   in which a pixel within STIR_REACH of it was not static, had no valid depth or, while the camera rests, another depth
+   than before. */
 WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
                                  __global const float2 *motion, __global const float *depth_prev,
                                  __global const uchar *dynamic_prev, __global const float4 *history_prev,
                                  __global const float *threshold_squared, __global const float *quantization_error,
-                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history) {
+                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history,
+                                 __global int *last_stir) {
     const Frames frames = {.depth = depth,
                            .motion = motion,
                            .depth_prev = depth_prev,
@@ -437,12 +455,22 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
-    Ints moves = 0, may_stay = 0;
+    Ints moves = 0, may_stay = 0, stirs = 0;
     if (has_previous) {
         const Floats px_x = row_centers(src_x);
         const float px_y = (float)src_y + 0.5f;
         Floats mv_y;
         const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
+        stirs = !(z > 0.0f);
+        if (frame->rests) {
+            const Floats z_prev = load_some_floats(count, depth_prev + src);
+            stirs |= z != z_prev;
+            const Ints may_move = stirs | !(fabs(mv_x) <= NO_MOTION) | !(fabs(mv_y) <= NO_MOTION);
+            if (!ANY(may_move) && *threshold_squared >= LEAST_THRESHOLD * LEAST_THRESHOLD) {
+                store_some_bytes((Bytes)(STATIC), count, dynamic_mask + src);
+                return;
+            }
+        }
         const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
         Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
@@ -455,14 +483,19 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     }
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));
     store_some_bytes(mask, count, dynamic_mask + src);
-    if (!ANY(moves | may_stay)) return;
+    if (!ANY(moves | may_stay | stirs)) return;
     uchar label[LANES];
-    int lane_may_stay[LANES];
+    int lane_may_stay[LANES], lane_stirs[LANES], first = LANES, last = -1;
     store_bytes(mask, 0, label);
     store_ints(may_stay, 0, lane_may_stay);
+    store_ints(stirs, 0, lane_stirs);
     for (int lane = 0; lane < count; ++lane) {
         if (lane_may_stay[lane] && is_fixed(src_x + lane, src_y, frame, frames))
             dynamic_mask[src + lane] = label[lane] = FIXED_TO_CAMERA;
         if (label[lane] != STATIC) find_history(src_x + lane, src_y, frame, frames);
+        if (label[lane] == STATIC && !lane_stirs[lane]) continue;
+        first = min(first, lane);
+        last = lane;
     }
+    if (last >= 0) note_stir(src_x + first, src_x + last, src_y, frame, last_stir);
 }

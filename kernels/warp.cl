@@ -412,6 +412,19 @@ INLINE bool is_smooth(const uint src, const int width, __global const uchar *sou
     return src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)];
 }
 
+/* LANES pixels of a COPIED block, as they are in the rendered frame. */
+INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFrame to, const int pixel) {
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) {
+        Texels c = finite_texels(load_texels(part, shown.color + 4 * pixel));
+        VALID(c) = (float)0;
+        store_half_texels(c, part, to.color + 4 * pixel);
+    }
+    store_floats(load_floats(0, from.depth + pixel), 0, to.depth + pixel);
+    store_xy((Floats)(0.0f), (Floats)(0.0f), to.motion + pixel);
+    store_labels(to, pixel, (Bytes)(STATIC), ALL_LANES);
+}
+
 /* LANES pixels per work-item. */
 WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
                            __global const uchar *block_class, __global const float8 *block_source,
@@ -445,6 +458,10 @@ WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int block = block_of(dst_x, dst_y, target_width);
+    if (block_class[block] == COPIED) {
+        copy_pixels(from, shown, to, dst_y * target_width + dst_x);
+        return;
+    }
     const bool backward = block_class[block] == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
     const bool affine = backward && (source.s7 == FLOW_AFFINE || source.s7 == FLOW_RIGID);

@@ -37,6 +37,7 @@ from gffe_cl.engine.frame.rendered_frame import (
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.device_errors import telling_device_faults
 from gffe_cl.engine.opencl.handles import adopted_events
+from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import MAX_ORDER, Options
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.watching import Watcher
@@ -95,6 +96,8 @@ STAGES: tuple[type[Stage], ...] = (
 )
 
 _FAR_ALPHA = 16  # intervals
+_MOST_RESTS = constants("frame.h")["RESTS_MOST"]
+_MOST_NUMBER = 2**30  # of frames
 
 
 def stages_of(options: Options) -> list[type[Stage]]:
@@ -199,6 +202,8 @@ class Pipeline:
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # their cameras
+        self._number = 0  # of the last rendered frame
+        self._rests = 0  # intervals, up to `_MOST_RESTS`, for which the rendered camera has been the same
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
     @telling_device_faults
@@ -343,6 +348,9 @@ class Pipeline:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
         self._current = on_device
+        self._number = self._number % _MOST_NUMBER + 1
+        is_same = self._previous is not None and self._previous.camera.sees_as(on_device.camera)
+        self._rests = min(self._rests + 1, _MOST_RESTS) if is_same else 0
         if frame.reset:
             self._times.clear()
             self._path.clear()
@@ -367,7 +375,8 @@ class Pipeline:
         """Enqueue the stages' work on the current frame."""
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
         assert self._current is not None
-        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
+        counted = {"number": self._number, "rests": self._rests}
+        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure, **counted)
         for stage in self.stages.values():
             stage.rendered(step)
 
@@ -378,7 +387,7 @@ class Pipeline:
             if self._is_cut:
                 self._leaving.append((self._done(), self._previous))
                 del self._times[1:], self._path[1:]
-                self._previous = None
+                self._previous, self._rests = None, 0
                 self._take_rendered()
 
     @property
@@ -586,9 +595,11 @@ class Pipeline:
             shape = (*reversed(self.sizes.source), 4)
             target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
+        counted = {"number": self._number, "rests": self._rests}
         if self.watcher:
             self.watcher.before(self)
-        step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
+        new = camera, time, alpha, self.exposure
+        step = Step(source, self._previous, self._recent_times, *new, **replaced, **counted)
         self._finish()
         self._wait(events)
         correction = self._correction

@@ -92,6 +92,7 @@ class Background(NearestStage):
                 "depth": Access("rendered.depth", OPEN),
                 "dynamic_mask": Access("history.dynamic_mask", OPEN),
                 "links": Access("connectivity.links", OPEN),
+                "last_stir": "history.last_stir",
                 "frame_depth": Access("{depth_of_shown}"),
                 "taken": Access("background.state_{level}"),
                 "level_depth": Access("{depth_of_taken}"),

@@ -13,16 +13,18 @@ from gffe_cl.engine.stages.silhouettes import Silhouettes
 
 _CONSTANTS = constants("backward_blocks.cl")
 _FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
-SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
+SPLATTED, BACKWARD, COPIED = (_CONSTANTS[name] for name in ("SPLATTED", "BACKWARD", "COPIED"))
 CLASSES = (
     (SPLATTED, "splatted: edges that move apart, movers, disocclusions"),
     (BACKWARD, "nothing moves apart: warped backward"),
+    (COPIED, "nothing moves, nor does the camera: copied"),
 )
 SMOOTHNESS = (
     (0, "not smooth"),
     (_CONSTANTS["STRICT"], "one surface"),
     (_CONSTANTS["LOOSE"], "surfaces that hardly move apart"),
     (_CONSTANTS["RIGID"], "surfaces that do not move apart"),
+    (_CONSTANTS["RESTING"], "surfaces that stay in place"),
 )
 
 
@@ -62,6 +64,7 @@ class BackwardBlocks(NearestStage):
                 "depth": "rendered.depth",
                 "links": "connectivity.links",
                 "target_position": "prediction.target_position",
+                "last_stir": "history.last_stir",
                 "reached_by": "backward_blocks.reached_by",
             },
             {

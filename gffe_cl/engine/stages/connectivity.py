@@ -34,7 +34,7 @@ class Connectivity(NearestStage):
         Kernel(
             "find_links",
             "source",
-            {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask"},
+            {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "last_stir": "history.last_stir"},
             {"links": "connectivity.links"} | _COLLECTING,
             step=("LANES", 1),
             group="GROUP",

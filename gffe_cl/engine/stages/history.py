@@ -55,6 +55,14 @@ class HistoryTracking(Stage):
             "world",
             known_where=("dynamic_mask", 1),
         ),
+        BufferSpec(
+            "last_stir",
+            np.int32,
+            (),
+            "source_blocks",
+            "number of the last rendered frame in which something moved within 2 px of a block",
+            scratch=True,
+        ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(
             "motion_steps",
@@ -154,6 +162,7 @@ class HistoryTracking(Stage):
                 "dynamic_mask": "history.dynamic_mask",
                 "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
                 "history": Access("history.history", DYNAMIC_PIXELS),
+                "last_stir": Access("history.last_stir", DYNAMIC_PIXELS),
             },
             step=("LANES", 1),
         ),
