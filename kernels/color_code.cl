@@ -2,6 +2,7 @@
 
 #include "frame.h"
 #include "simd_rgb.h"
+#include "blocks.h"
 #include "color_code.h"
 
 DEFINE_ROOT(Texels, texel_roots)
@@ -9,11 +10,25 @@ DEFINE_ROOT(Texels, texel_roots)
 /* encode_texels is encode_color of pixels of a strip. */
 DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
 
-/* NaN counts as 0, infinities are clamped. */
-WIDE __kernel void encode_colors(__constant Frame *restrict frame, __global const half *color, __global half *codes) {
-    const int width = frame->source_width, src_x = get_global_id(0) * LANES, src_y = get_global_id(1),
-              count = width - src_x;
-    if (src_x >= width || src_y >= frame->source_height) return;
+/* Whether all blocks around a pixel, and its own, are COPIED, where source and target have the same blocks: then nobody
+   mixes its color. */
+INLINE bool is_unmixed(const int src_x, const int src_y, const int width, const int height,
+                       __global const uchar *block_class) {
+    const int columns = block_columns(width), bx = src_x / BLOCK_WIDTH, by = src_y / BLOCK_HEIGHT;
+    for (int y = max(by - 1, 0); y <= min(by + 1, block_rows(height) - 1); ++y)
+        for (int x = max(bx - 1, 0); x <= min(bx + 1, columns - 1); ++x)
+            if (block_class[y * columns + x] != COPIED) return false;
+    return true;
+}
+
+/* NaN counts as 0, infinities are clamped. Once for all new frames that are made of a rendered one, but under a camera
+   that stays, where only colors are encoded that may be mixed. */
+WIDE __kernel void encode_colors(__constant Frame *restrict frame, __global const half *color,
+                                 __global const uchar *block_class, __global half *codes) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), count = width - src_x;
+    if (src_x >= width || src_y >= height || frame->coded) return;
+    if (frame->stays && is_unmixed(src_x, src_y, width, height, block_class)) return;
     const int src = src_y * width + src_x;
     Strip s = load_strip(count, color + 4 * src);
     for (int part = 0; part < PARTS; ++part)

@@ -7,7 +7,7 @@
 
 #include "common.h"
 
-#define RESTS_MOST 3 /* as long as any kernel looks back */
+#define MOST_RESTS 3 /* as long as any kernel looks back */
 #define MAX_ORDER 5   /* of prediction */
 #define MAX_LEVELS 4  /* of the background */
 
@@ -39,8 +39,9 @@ typedef struct {
     int cells_width, cells_height; /* of the grid on which shading trends are measured */
     int has_previous;
     int number; /* of the rendered frame, since the start */
-    int rests; /* intervals, up to RESTS_MOST, for which the rendered camera has been the same, to the bit */
-    int stays; /* whether the new camera is the rendered one: points at rest stay where they are */
+    int rests; /* intervals, up to MOST_RESTS, for which the rendered camera has been the same, to the bit */
+    int stays; /* whether the new camera is the rendered one, and blocks at rest are copied */
+    int coded; /* whether all colors of the rendered frame are encoded */
     int order; /* of prediction: the option, or less if there are too few frames */
     float alpha;
     float interval_ratio; /* the last interval between rendered frames, in that before it */
@@ -58,6 +59,7 @@ typedef struct {
     int levels; /* of the background */
     int blocks; /* whether smooth surfaces are warped backward in blocks */
     int crack_closing;
+    int copies; /* whether blocks at rest may be copied */
     int softens; /* whether silhouettes are made soft */
     int bends; /* whether movers' acceleration continues */
     int collects; /* whether there is a background */

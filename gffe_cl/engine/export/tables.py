@@ -20,7 +20,7 @@ from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages import correction, mu_law, scene_cuts
 from gffe_cl.engine.stages.base import FrameBlocks, Kernel, NearestStage, Stage
 from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
-from gffe_cl.engine.stages.frame_block import FRAME
+from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
 
 OCCASIONS = (
@@ -72,6 +72,8 @@ def config(options: Options) -> str:
         "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
         "MAX_LEVELS": MAX_LEVELS,
         "MOST_TIMES": MAX_ORDER + 1,
+        "MOST_NUMBER": MOST_NUMBER,
+        "MOST_RESTS": MOST_RESTS,
         "LARGEST": validation.LARGEST,
         "LEAST_FRAME_RATE": validation.FRAME_RATES[0],
         "MOST_FRAME_RATE": validation.FRAME_RATES[1],

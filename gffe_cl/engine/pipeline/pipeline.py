@@ -37,7 +37,6 @@ from gffe_cl.engine.frame.rendered_frame import (
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.device_errors import telling_device_faults
 from gffe_cl.engine.opencl.handles import adopted_events
-from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import MAX_ORDER, Options
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.watching import Watcher
@@ -51,6 +50,7 @@ from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.dilated_warp import DilatedWarp
+from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.hidden_parts import HiddenParts
 from gffe_cl.engine.stages.history import HistoryTracking
 from gffe_cl.engine.stages.holes import FILLINGS, HoleFilling
@@ -77,9 +77,9 @@ STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
     Acceleration,
     Connectivity,
-    ColorCode,
     PositionPrediction,
     BackwardBlocks,
+    ColorCode,
     Warp,
     DilatedWarp,
     HiddenParts,
@@ -96,8 +96,6 @@ STAGES: tuple[type[Stage], ...] = (
 )
 
 _FAR_ALPHA = 16  # intervals
-_MOST_RESTS = constants("frame.h")["RESTS_MOST"]
-_MOST_NUMBER = 2**30  # of frames
 
 
 def stages_of(options: Options) -> list[type[Stage]]:
@@ -202,8 +200,9 @@ class Pipeline:
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # their cameras
-        self._number = 0  # of the last rendered frame
-        self._rests = 0  # intervals, up to `_MOST_RESTS`, for which the rendered camera has been the same
+        # Members of the frame block: the rendered frame's number, for how many intervals its camera has been the same,
+        # and whether all of its colors are encoded.
+        self._rest = {"number": 0, "rests": 0, "coded": 0}
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
     @telling_device_faults
@@ -348,9 +347,7 @@ class Pipeline:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
         self._current = on_device
-        self._number = self._number % _MOST_NUMBER + 1
-        is_same = self._previous is not None and self._previous.camera.sees_as(on_device.camera)
-        self._rests = min(self._rests + 1, _MOST_RESTS) if is_same else 0
+        self._count_rest()
         if frame.reset:
             self._times.clear()
             self._path.clear()
@@ -371,12 +368,30 @@ class Pipeline:
             self.watcher.submitted(self, frame, self._shown)
         return done
 
+    def _count_rest(self) -> None:
+        """Number the current frame, and count the intervals for which the rendered camera has been the same."""
+        frame, previous, rests = self._current, self._previous, 0
+        assert frame is not None
+        if previous and self.options.motion and previous.camera.sees_as(frame.camera):
+            rests = min(self._rest["rests"] + 1, MOST_RESTS)
+        self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": 0}
+
+    def _rest_of(self, camera: Camera, is_replaced: bool) -> dict[str, int]:
+        """Return `_rest`, and whether points at rest stay where they are for a new `camera`. Where they do, not all
+        colors are encoded; elsewhere they are from then on. `is_replaced`: predicted positions are the caller's."""
+        copies = self.board.facts.get("copies") and self.sizes.source == self.sizes.target and not is_replaced
+        stays = bool(copies and self._previous and self._need_frame().camera.sees_as(camera))
+        found = self._rest | {"stays": stays}
+        self._rest["coded"] = self._rest["coded"] or int(not stays)
+        return found
+
     def _take_rendered(self) -> None:
         """Enqueue the stages' work on the current frame."""
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
         assert self._current is not None
-        counted = {"number": self._number, "rests": self._rests}
-        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure, **counted)
+        step = Step(
+            self._current, self._previous, self._recent_times, exposure=self.exposure, given=self._rest.copy()
+        )
         for stage in self.stages.values():
             stage.rendered(step)
 
@@ -387,7 +402,7 @@ class Pipeline:
             if self._is_cut:
                 self._leaving.append((self._done(), self._previous))
                 del self._times[1:], self._path[1:]
-                self._previous, self._rests = None, 0
+                self._previous, self._rest["rests"] = None, 0
                 self._take_rendered()
 
     @property
@@ -595,11 +610,10 @@ class Pipeline:
             shape = (*reversed(self.sizes.source), 4)
             target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
-        counted = {"number": self._number, "rests": self._rests}
         if self.watcher:
             self.watcher.before(self)
-        new = camera, time, alpha, self.exposure
-        step = Step(source, self._previous, self._recent_times, *new, **replaced, **counted)
+        replaced["given"] = self._rest_of(camera, target_position is not None)
+        step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         self._finish()
         self._wait(events)
         correction = self._correction

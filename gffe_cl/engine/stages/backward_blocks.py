@@ -95,6 +95,7 @@ class BackwardBlocks(NearestStage):
     def __init__(self, board: Board):
         self.softens = Silhouettes.is_wanted(board.options)
         board.facts["softens"] = self.softens
+        board.facts["copies"] = board.options.motion and board.options.blocks and board.options.crack_closing
         if not self.softens:  # it writes nothing of them
             find, classify = self.kernels
             nothing = Access("backward_blocks.block_class", planes=0)

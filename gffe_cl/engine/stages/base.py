@@ -126,10 +126,9 @@ class Step:
         Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
     overlays : int
         Overlays that the rendered frame brings: bits, in the order of `OVERLAYS`.
-    number, rests : int
-        Number of the rendered frame, and for how many intervals its camera has been the same, up to 3.
     given : mapping of name to numbers
-        Members of the frame block that convert an engine's buffers (`conversion`); empty: there is nothing to convert.
+        Members of the frame block that do not follow from the others: those that convert an engine's buffers
+        (`conversion`), or those about cameras that rest (`Pipeline`).
     """
 
     frame: DeviceFrame
@@ -143,8 +142,6 @@ class Step:
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
     overlays: int = 0
     given: Mapping[str, Any] = field(default_factory=dict)
-    number: int = 0
-    rests: int = 0
 
     def __post_init__(self) -> None:
         self.slot = "rendered" if self.camera is None else "new"  # of `FrameBlocks`
@@ -153,8 +150,7 @@ class Step:
     def block(self, board: Board) -> np.ndarray:
         """Return the frame block of frame.h, as bytes, for the stages on `board`."""
         rendered = self.frame, self.previous, self.times, self.exposure
-        new = self.camera, self.time, self.alpha
-        return board.writer.write(*rendered, *new, self.overlays, self.given, self.number, self.rests)
+        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays, self.given)
 
 
 class Board:

@@ -12,13 +12,15 @@ import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.vectors import length, view_to_view
-from gffe_cl.engine.opencl.program import expand, parse_struct
+from gffe_cl.engine.opencl.program import expand, parse_constants, parse_struct
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.mu_law import color_law
 
 _SOURCE = expand("frame.h")
 FRAME = parse_struct(_SOURCE, "Frame")
+MOST_RESTS = parse_constants(_SOURCE)["MOST_RESTS"]
+MOST_NUMBER = 2**30  # of rendered frames, after which they are counted from 1 again
 _GRIDS = ("source", "target", "network", "cells")
 # Where each member is, in words of 4 bytes.
 _WORDS = {
@@ -37,7 +39,6 @@ class BlockWriter:
         for name, value in facts.items():
             fixed[name] = value
         self._fixed, self._facts = array("f", fixed.tobytes()), facts
-        self._same_size = sizes.source == sizes.target
         # The last cameras, other parameters, and what follows from them.
         self._rendered: tuple[tuple[Camera, ...], tuple, array[float]] | None = None
 
@@ -52,8 +53,6 @@ class BlockWriter:
         alpha: float,
         overlays: int,
         given: Mapping[str, Any] | None = None,
-        number: int = 0,
-        rests: int = 0,
     ) -> np.ndarray:
         """Return the `Frame` of frame.h, as bytes, of a rendered frame or, with a `camera`, of a new one. Parameters
         are those of `Step`."""
@@ -76,10 +75,6 @@ class BlockWriter:
         integers[_WORDS["has_previous"].start] = previous is not None
         integers[_WORDS["has_overlays"].start] = overlays
         integers[_WORDS["order"].start] = order
-        integers[_WORDS["number"].start] = number
-        if previous is not None and self._facts.get("motion"):  # else nobody looks for what moves
-            integers[_WORDS["rests"].start] = rests
-            integers[_WORDS["stays"].start] = camera is not None and self._same_size and frame.camera.sees_as(camera)
         for name, numbers in (given or {}).items():
             made.view(np.int32 if name in _INTEGERS else np.float32)[_WORDS[name]] = numbers
         return made

@@ -51,7 +51,7 @@ def test_kernel_equals_its_twin(device, lanes, size):
         state, keys = np.full((height, width), 7, np.uint8), np.zeros((height, width), np.uint64)
         pushed = {name: uploaded(device, keys) for name in ("push_keys", "push_winners")}
         written = {"state": uploaded(device, state), "fill_keys": uploaded(device, keys)}
-        given |= written | pushed | {"fill_winners": uploaded(device, keys)}
+        given |= written | pushed | {"fill_winners": uploaded(device, keys), "last_stir": uploaded(device, keys)}
         stage.launch("find_links", frame=uploaded(device, block), **given)
         cl.enqueue_copy(device.queue, state, written["state"])
         cl.enqueue_copy(device.queue, keys, written["fill_keys"])

@@ -12,7 +12,7 @@ from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
-from twins.history import EXACT, residual_histogram, static_threshold, track_history
+from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
 from twins.holes import asked_texels, continued_surfaces, downsample, fill_holes, mix_far_side
 from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import entering_depth, predict_positions
@@ -29,9 +29,10 @@ from twins.upload import (
     spread_geometry,
     undilated,
 )
-from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
+from twins.warp import BLOCKS, block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
+    "BLOCKS",
     "COMMON",
     "EDGE",
     "EXACT",
@@ -63,6 +64,7 @@ __all__ = [
     "find_texture",
     "find_trend",
     "judge",
+    "last_stir",
     "link_surfaces",
     "load_color",
     "measure_changes",

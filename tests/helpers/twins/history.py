@@ -278,3 +278,20 @@ def track_history(
                 break
             history[k, y, x] = (*move(older[:3] + offset, from_previous), 1)
     return dynamic, met_depth, history
+
+
+def last_stir(before, number, depth, dynamic, depth_prev):
+    """(rows, columns) int32: the number of the last frame in which something stirred near each block, under a camera
+    that rests. `before`: the same of the frame before; `depth_prev` None after a reset, when nothing is looked for."""
+    height, width = depth.shape
+    side_y, side_x, reach = HISTORY.BLOCK_HEIGHT, HISTORY.BLOCK_WIDTH, HISTORY.STIR_REACH
+    rows, columns = -(-height // side_y), -(-width // side_x)
+    found = np.zeros((rows, columns), np.int32) if before is None else before.copy()
+    if depth_prev is None:
+        return found
+    stirs = (dynamic > 0) | invalid(depth) | (depth != depth_prev)
+    for by, bx in np.ndindex(rows, columns):
+        y0, x0 = max(by * side_y - reach, 0), max(bx * side_x - reach, 0)
+        if stirs[y0 : (by + 1) * side_y + reach, x0 : (bx + 1) * side_x + reach].any():
+            found[by, bx] = number
+    return found

@@ -235,7 +235,7 @@ static gffe_status look_for_cut(gffe *g) {
 }
 
 static void forget(gffe *g) {
-    g->step.time_count = g->path_count = g->has_previous = 0;
+    g->step.time_count = g->path_count = g->has_previous = g->step.rests = 0;
     g->step.cameras[GFFE_PREVIOUS] = g->step.cameras[GFFE_FRAME];
     g->step.cameras[GFFE_PREVIOUS_DISPLAY] = g->step.cameras[GFFE_FRAME_DISPLAY];
 }
@@ -324,6 +324,13 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     step->cameras[GFFE_FRAME_DISPLAY] = *display_camera;
     g->has_previous = g->has_frame && !reset;
     g->has_frame = 1;
+    step->number = step->number % GFFE_MOST_NUMBER + 1;
+    step->coded = 0;
+    if (!gffe_see_alike(&step->cameras[GFFE_PREVIOUS], camera)) {
+        step->rests = 0;
+    } else if (step->rests < GFFE_MOST_RESTS) {
+        ++step->rests;
+    }
     status = gffe_convert(g, given, g->has_previous);
     if (!status) status = gffe_take_overlays(g);
     if (!status) status = look_for_cut(g);
@@ -409,9 +416,11 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     step->cameras[GFFE_TARGET_CAMERA] = *camera;
     step->time = time;
     step->alpha = alpha;
+    step->stays = gffe_stays(step);
     occasion = g->has_previous ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     corrected = g->has_previous && g->options.network ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     status = gffe_run(g, occasion, 0);
+    step->coded |= !step->stays;
     if (!status) status = gffe_run(g, corrected, GFFE_OF_CORRECTION);
     if (!status) status = gffe_run(g, occasion, GFFE_AFTER_CORRECTION);
     if (status) return status;

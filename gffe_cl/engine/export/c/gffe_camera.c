@@ -173,6 +173,15 @@ int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display) {
     return 1;
 }
 
+int gffe_see_alike(const gffe_camera *a, const gffe_camera *b) {
+    int i, j;
+    if (!a || !b || a->fx != b->fx || a->fy != b->fy || a->cx != b->cx || a->cy != b->cy) return 0;
+    for (i = 0; i < 4; ++i)
+        for (j = 0; j < 4; ++j)
+            if (a->world_to_view[i][j] != b->world_to_view[i][j]) return 0;
+    return 1;
+}
+
 void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]) {
     double matrix[3][4];
     int i, j;

@@ -72,6 +72,9 @@ void gffe_view_transform(const gffe_camera *source, const gffe_camera *target, d
    source's inverse. */
 void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]);
 
+/* Returns whether both cameras show everything at the same pixels, to the bit. */
+int gffe_see_alike(const gffe_camera *a, const gffe_camera *b);
+
 /* Computes the target pixels per source pixel of points equally far from both cameras. */
 void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]);
 

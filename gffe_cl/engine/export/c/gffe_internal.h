@@ -171,6 +171,10 @@ typedef struct gffe_step {
     int source[2], target[2];       /* width, height */
     double times[GFFE_MOST_TIMES];  /* of rendered frames since the last reset, newest first */
     int time_count;
+    int number;                     /* of the rendered frame */
+    int rests;                      /* intervals for which its camera has been the same */
+    int coded;                      /* whether all of its colors are encoded */
+    int stays;                      /* whether blocks at rest stay where they are in the new frame */
     double time, alpha, exposure;
     int has[4];                     /* overlays */
     gffe_format format;             /* of the engine's buffers, for a frame that `converts` */
@@ -218,6 +222,8 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
 size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
+/* Returns whether blocks at rest stay where they are for the new camera (`Pipeline._rest_of`). */
+int gffe_stays(const gffe_step *step);
 /* Fills the block of the rendered frame or, if `is_new`, of the new one. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block);
 

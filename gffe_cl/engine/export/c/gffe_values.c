@@ -121,6 +121,14 @@ static void grid_sides(const gffe_step *step, int grid, cl_int *width, cl_int *h
     *height = (cl_int)size[1];
 }
 
+int gffe_stays(const gffe_step *step) {
+    gffe_frame_block facts;
+    memcpy(&facts, gffe_facts, sizeof facts);
+    return facts.copies && step->time_count > 1 && step->source[0] == step->target[0]
+           && step->source[1] == step->target[1]
+           && gffe_see_alike(&step->cameras[GFFE_FRAME], &step->cameras[GFFE_TARGET_CAMERA]);
+}
+
 /* Fills the frame block as gffe_cl/engine/stages/frame_block.py does. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
     const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
@@ -140,6 +148,10 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     for (k = 0; k < 2; ++k) block->pixel_size.s[k] = 1 / block->to_render.s[k];
     block->camera_step = camera_step(step);
     block->has_previous = step->time_count > 1;
+    block->number = step->number;
+    block->rests = block->motion ? step->rests : 0;
+    block->coded = step->coded;
+    block->stays = is_new && step->stays;
     block->interval_ratio = 1;
     if (step->time_count > 2)
         block->interval_ratio = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
