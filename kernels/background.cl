@@ -228,10 +228,11 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
 WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int level, const int pass,
                                  __global const float *depth, __global const uchar *dynamic_mask,
                                  __global const uchar *links, __global const int *last_stir,
-                                 __global const float *frame_depth, __global const float *old_depth, __global const int *old_px,
-                                 __global const uchar *old_state, __global const uchar *taken,
-                                 __global const float *level_depth, __global Key *fill_keys,
-                                 __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
+                                 __global const float *frame_depth, __global const float *old_depth,
+                                 __global const int *old_px, __global const uchar *old_state,
+                                 __global const uchar *taken, __global const float *level_depth,
+                                 __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
+                                 __global uint *push_winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int last_level = frame->levels - 1;
     const Reprojection to_current = frame->from_previous;

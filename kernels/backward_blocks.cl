@@ -162,13 +162,14 @@ INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
     return strict ? STRICT : rigid ? RIGID : LOOSE;
 }
 
-/* One work-item per source block. smooth: RESTING, STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach: the
-   target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for each
-   target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y + 1;
-   of blocks that are not smooth, everything. */
+/* One work-item per source block. smooth: RESTING, STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach:
+   the target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for
+   each target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y
+   + 1; of blocks that are not smooth, everything. */
 WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const float *depth,
                               __global const uchar *links, __global const float *target_position,
-                              __global const int *last_stir, __global uchar *smooth, __global short4 *reach, __global int *reached_by) {
+                              __global const int *last_stir, __global uchar *smooth, __global short4 *reach,
+                              __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments fragments = {.depth = depth,
@@ -285,7 +286,8 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
     for (int y = extent.y; backward && y <= extent.w; ++y)
         for (int x = extent.x; x <= extent.z; ++x) {
             const uchar of_source = smooth[y * source_blocks + x];
-            backward = backward && of_source && (of_source != RESTING || lies_within(x, y, source_width, source_height));
+            backward =
+                backward && of_source && (of_source != RESTING || lies_within(x, y, source_width, source_height));
             loose = loose || of_source == LOOSE;
             rigid = rigid || of_source == RIGID || of_source == RESTING;
         }

@@ -248,8 +248,8 @@ INLINE bool is_known(const int block, __constant Frame *frame, __global const in
 
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
-           __global const int *last_stir, __global uchar *links, __global uchar *state, __global Key *fill_keys, __global uint *fill_winners,
-           __global Key *push_keys, __global uint *push_winners) {
+           __global const int *last_stir, __global uchar *links, __global uchar *state, __global Key *fill_keys,
+           __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int collect = frame->collects && frame->has_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);

@@ -225,7 +225,7 @@ def test_every_layer_equals_a_plain_run(device):
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
-            *("scene_cuts", "history", "connectivity", "color_code", "prediction", "backward_blocks", "warp"),
+            *("scene_cuts", "history", "connectivity", "prediction", "backward_blocks", "color_code", "warp"),
             *("hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0

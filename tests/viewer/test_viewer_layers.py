@@ -108,7 +108,7 @@ def test_stage_buffers_become_layers():
 
 def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
-    stages = ["frame", "history", "acceleration", "connectivity", "color_code", "prediction", "backward_blocks", "warp"]
+    stages = ["frame", "history", "acceleration", "connectivity", "prediction", "backward_blocks", "color_code", "warp"]
     stages += ["hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"]
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
     own = [name for name, spec in layers.items() if spec.group == "frame"]

@@ -389,9 +389,7 @@ class Pipeline:
         """Enqueue the stages' work on the current frame."""
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
         assert self._current is not None
-        step = Step(
-            self._current, self._previous, self._recent_times, exposure=self.exposure, given=self._rest.copy()
-        )
+        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure, given=self._rest.copy())
         for stage in self.stages.values():
             stage.rendered(step)
 

@@ -28,7 +28,7 @@ class ColorCode(Stage):
             "source",
             {"color": "rendered.color", "block_class": "backward_blocks.block_class"},
             {"codes": "color_code.codes"},
-            step=("LANES", 1),
+            step=("LANES", "BLOCK_HEIGHT"),
         ),
     )  # fmt: skip
 

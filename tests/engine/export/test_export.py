@@ -173,6 +173,22 @@ def test_ten_frames_of_a_scene_have_the_same_bits(device, library):
     assert len(compared) > 25
 
 
+def test_a_camera_that_rests_has_the_same_bits(device, library):
+    """Blocks at rest are skipped and copied: two new frames after each, seen by the resting camera and by another."""
+    scene = load_scene("plaza", 1)
+    seen = scene.camera(1.0, W, H)
+    renderer = SceneRenderer(device, scene, W, H)
+    frames = []
+    for k in range(6):
+        image = renderer.render(1 + k / 15, seen, 1 + max(k - 1, 0) / 15, seen)
+        arrays = (image.read(name) for name in ("color", "depth", "motion"))
+        frames.append(on_device(device, RenderedFrame(*arrays, camera=seen, time=k / 15, reset=k == 0), (W, H)))
+    pushed = replace(seen, cx=seen.cx + 0.4)
+    cameras = iter([seen, pushed, seen] * len(frames))
+    compared, _ = run_both(device, library, DEFAULT, frames, alphas=(0.2, 0.5, 0.8), cameras=lambda _: next(cameras))
+    assert {"backward_blocks.block_class", "color_code.codes", "history.dynamic_mask"} <= compared
+
+
 def in_format(device, frame, format, rng):
     """The frame in the types of a description, with values of every kind that these have."""
 

@@ -13,7 +13,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.backward_blocks import COPIED
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, BlockWriter
 
-W, H, FRAMES = 131, 75, 7
+W, H, FRAMES = 131, 75, 6
 ROOM = Rects(
     [
         Rect((0, 0, 12), (9, 5), frequency=0.3),
