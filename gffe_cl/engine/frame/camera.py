@@ -228,10 +228,6 @@ class Camera:
         """Focal lengths fx, fy and principal point cx, cy in pixels."""
         return (self.fx, self.fy, self.cx, self.cy)
 
-    def sees_as(self, other: Camera) -> bool:
-        """Return whether the other camera shows everything at the same pixels, to the bit."""
-        return self is other or (self.intrinsics == other.intrinsics and self.rows == other.rows)
-
     @cached_property
     def rows(self) -> list[list[float]]:
         """The rows of `world_to_view`."""

@@ -50,7 +50,7 @@ from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.dilated_warp import DilatedWarp
-from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS
+from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
 from gffe_cl.engine.stages.hidden_parts import HiddenParts
 from gffe_cl.engine.stages.history import HistoryTracking
 from gffe_cl.engine.stages.holes import FILLINGS, HoleFilling
@@ -372,7 +372,7 @@ class Pipeline:
         """Number the current frame, and count the intervals for which the rendered camera has been the same."""
         frame, previous, rests = self._current, self._previous, 0
         assert frame is not None
-        if previous and self.options.motion and previous.camera.sees_as(frame.camera):
+        if previous and self.options.motion and see_alike(previous.camera, frame.camera):
             rests = min(self._rest["rests"] + 1, MOST_RESTS)
         self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": 0}
 
@@ -380,7 +380,7 @@ class Pipeline:
         """Return `_rest`, and whether points at rest stay where they are for a new `camera`. Where they do, not all
         colors are encoded; elsewhere they are from then on. `is_replaced`: predicted positions are the caller's."""
         copies = self.board.facts.get("copies") and self.sizes.source == self.sizes.target and not is_replaced
-        stays = bool(copies and self._previous and self._need_frame().camera.sees_as(camera))
+        stays = bool(copies and self._previous and see_alike(self._need_frame().camera, camera))
         found = self._rest | {"stays": stays}
         self._rest["coded"] = self._rest["coded"] or int(not stays)
         return found

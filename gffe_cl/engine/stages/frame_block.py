@@ -132,6 +132,11 @@ def _reprojection(source: Camera, target: Camera) -> list[float]:
     return [*row0, *row1, *row2, *source.intrinsics, *inverse, *target.intrinsics]
 
 
+def see_alike(a: Camera, b: Camera) -> bool:
+    """Return whether two cameras show everything at the same pixels, to the bit."""
+    return a is b or (a.intrinsics == b.intrinsics and a.rows == b.rows)
+
+
 def mapping(a: Camera, b: Camera) -> np.ndarray:
     """Return (4,) float32: scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one
     pose."""
