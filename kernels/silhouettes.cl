@@ -1,4 +1,4 @@
-/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame-> A rendered frame is
+/* Silhouettes: edges of objects that move over others, as soft as in the rendered frame. A rendered frame is
    antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and of the surface behind.
    Where both move apart, that share is estimated and carried along with the nearer surface, over the new frame
    behind it. Colors are mixed by their codes (color_code.h). Only pixels at steps of depth whose two sides move
