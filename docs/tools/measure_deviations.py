@@ -124,7 +124,7 @@ GAE: dict[str, Change] = {
     ),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
-        edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown)": "return false"}}
+        edits={"holes.cl": {"return inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "return (Ints)(0)"}}
     ),
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && is_out": "false && is_out"}}

@@ -13,11 +13,7 @@ from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
 from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
-<<<<<<< HEAD
 from twins.holes import asked_texels, border_lines, continued_surfaces, downsample, fill_holes, mix_far_side
-=======
-from twins.holes import asked_texels, continued_surfaces, downsample, fill_holes, mix_far_side
->>>>>>> still
 from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import entering_depth, predict_positions
 from twins.presentation import present
