@@ -124,10 +124,12 @@ GAE: dict[str, Change] = {
     ),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
-        edits={"holes.cl": {"return inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "return (Ints)(0)"}}
+        edits={
+            "holes.cl": {"return inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "return (Ints)(0)"}
+        }
     ),
     "what lies beyond the image has no far side": Change(
-        edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && is_out": "false && is_out"}}
+        edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && ANY(is_out": "false && ANY(is_out"}}
     ),
     "… beyond it, lines go on at their angle": Change(
         edits={
