@@ -124,14 +124,12 @@ GAE: dict[str, Change] = {
     ),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
-        edits={
-            "holes.cl": {"return inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "return (Ints)(0)"}
-        }
+        edits={"holes.cl": {"inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "(Ints)(0)"}}
     ),
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && ANY(is_out": "false && ANY(is_out"}}
     ),
-    "… beyond it, lines go on at their angle": Change(
+    "… lines go on at their angle": Change(
         edits={
             "holes.cl": {
                 "= color_beyond(px_source.xy, frame, f);": "= continued(mean->xyz, px_source, frame, f.codes);"
