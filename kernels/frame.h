@@ -38,7 +38,7 @@ typedef struct {
     int network_width, network_height;
     int cells_width, cells_height; /* of the grid on which shading trends are measured */
     int has_previous;
-    int number; /* of the rendered frame, since the start */
+    int number; /* of the rendered frame, since the stages were made; after 2^30 it starts again */
     int rests; /* intervals, up to MOST_RESTS, for which the rendered camera has been the same, to the bit */
     int stays; /* whether the new camera is the rendered one, and blocks at rest are copied */
     int coded; /* whether all colors of the rendered frame are encoded */

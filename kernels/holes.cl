@@ -539,9 +539,10 @@ SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
     if (first_x >= target_width || first_y >= target_height) return;
+    const int rows = LANES == 1 ? 1 : min(LANES, target_height - first_y); /* GPUs' compilers unroll that */
     Column columns[RUN];
     for (int k = 0; k < RUN; ++k) columns[k].y = NO_ROW;
-    for (int row = 0; row < LANES && (LANES == 1 || first_y + row < target_height); ++row) {
+    for (int row = 0; row < rows; ++row) {
         const int dst_y = first_y + row, first = dst_y * target_width + first_x;
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) continue;

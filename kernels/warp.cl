@@ -407,9 +407,12 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     samples_at(src, dx, dy, from.width, samples);
 }
 
-/* Whether fragment `src` lies in a block where nothing moves apart. */
-INLINE bool is_smooth(const uint src, const int width, __global const uchar *source_smooth) {
-    return src != NOBODY && source_smooth[block_of((int)src % width, (int)src / width, width)];
+/* Whether fragment `src` lies in a block where nothing moves apart, and all taps around it in the image: at its border
+   blocks may only be RESTING. */
+INLINE bool is_smooth(const uint src, const int width, const int height, __global const uchar *source_smooth) {
+    if (src == NOBODY) return false;
+    const int x = (int)src % width, y = (int)src / width, smooth = source_smooth[block_of(x, y, width)];
+    return smooth && (smooth != RESTING || (x >= 2 && y >= 2 && x < width - 2 && y < height - 2));
 }
 
 /* LANES pixels of a COPIED block, as they are in the rendered frame. */
@@ -478,7 +481,7 @@ WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_
         } else {
             src = winner_of(keys, winners, dst_y * target_width + dst_x);
         }
-        const bool smooth = backward || is_smooth(src, width, source_smooth);
+        const bool smooth = backward || is_smooth(src, width, height, source_smooth);
         if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
     }
     store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
@@ -515,7 +518,7 @@ WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_
         const int dst = dst_y * target_width + dst_x + k;
         Sample sample;
         const uint src = winner_of(keys, winners, dst);
-        const bool smooth = is_smooth(src, width, source_smooth);
+        const bool smooth = is_smooth(src, width, height, source_smooth);
         if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, src, smooth, unfilled_label, &sample))
             store_color(resample(sample, width, shown), out_color, dst);
     }

@@ -32,7 +32,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     assert moved["prediction"]["predict_positions"] == pytest.approx(
         4 + 1 + (8 + 4 + 2) * shares["dynamic"] + 12, rel=1e-2
     )
-    assert moved["connectivity"]["find_links"] == pytest.approx(4 + 1 + 1)
+    assert moved["connectivity"]["find_links"] == pytest.approx(4 + 1 + 1 + 4 / 32)
     key = 8  # one of 64 bits, or key and winner
     splats = 1 if device.int64_atomics else 2
     block = -(-W // 8) * -(-H // 4) / (W * H)  # blocks per pixel
@@ -52,7 +52,8 @@ def test_levels_and_shares_count(device):
     fill = one["holes"]["fill_far_side"]
     block = -(-W // 8) * -(-H // 4) / (W * H)
     shown = shares["splatted"] + block
-    assert fill == pytest.approx(shown + shares["unfilled"] * ((8 + 4) * 3 + 1 + 8), rel=0.02)
+    lines = 3 * 4 * shares["border"] * -(-W // 8) * -(-H // 8) / (W * H)
+    assert fill == pytest.approx(shown + shares["unfilled"] * ((8 + 4) * 3 + 1 + 8) + lines, rel=0.02)
 
 
 def test_memory_is_what_was_allocated(device):
@@ -112,7 +113,7 @@ _WRITTEN = dict.fromkeys(
         ({"depth": "rendered.depth"}, _WRITTEN, "declared"),
         ({"depth": "rendered.depth", "mask": "history.dynamic_mask"}, _WRITTEN, "declared"),
         (
-            {"depth": "rendered.depth"},
+            {"depth": "rendered.depth", "last_stir": "history.last_stir"},
             _WRITTEN | {"dynamic_mask": Access("history.dynamic_mask")},
             "declared as written",
         ),

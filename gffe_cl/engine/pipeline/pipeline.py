@@ -377,13 +377,11 @@ class Pipeline:
         self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": 0}
 
     def _rest_of(self, camera: Camera, is_replaced: bool) -> dict[str, int]:
-        """Return `_rest`, and whether points at rest stay where they are for a new `camera`. Where they do, not all
-        colors are encoded; elsewhere they are from then on. `is_replaced`: predicted positions are the caller's."""
+        """Return `_rest`, and whether points at rest stay where they are for a new `camera`: then not all colors are
+        encoded. `is_replaced`: predicted positions are the caller's."""
         copies = self.board.facts.get("copies") and self.sizes.source == self.sizes.target and not is_replaced
         stays = bool(copies and self._previous and see_alike(self._need_frame().camera, camera))
-        found = self._rest | {"stays": stays}
-        self._rest["coded"] = self._rest["coded"] or int(not stays)
-        return found
+        return self._rest | {"stays": stays}
 
     def _take_rendered(self) -> None:
         """Enqueue the stages' work on the current frame."""
@@ -622,6 +620,7 @@ class Pipeline:
             stage.extrapolated(step)
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
+        self._rest["coded"] |= not step.given["stays"]
         if beside and correction:
             correction.begin(step)
         made = self.board.frame.buffer

@@ -19,7 +19,7 @@ class ColorCode(Stage):
     buffers = (
         BufferSpec(
             "codes", np.float16, RGBA, "source",
-            "colors in the code for interpolation; NaN is 0, infinities are clamped", "color",
+            "colors in the code for interpolation, as far as they are mixed; NaN is 0, infinities are clamped", "color",
         ),
     )  # fmt: skip
     kernels = (

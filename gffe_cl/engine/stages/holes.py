@@ -99,7 +99,8 @@ class FarSide(Downsampled):
             np.float32,
             (),
             "cells",
-            "structure tensor of the color code, xx, xy and yy, in cells at the image's border; 0 elsewhere",
+            "structure tensor of the color code, xx, xy and yy, in cells at the image's border; 0 elsewhere; while the "
+            "camera stays, an older one",
             planes=3,
         ),
     )

@@ -125,3 +125,18 @@ def test_the_number_of_frames_begins_again(device):
     assert pipeline._rest["coded"] == 0 and (pipeline.stages["backward_blocks"].read("block_class") == COPIED).any()
     pipeline.extrapolate(camera(W, H))
     assert pipeline._rest["coded"] == 1
+
+
+def test_colors_are_encoded_after_a_new_frame_that_failed(device, monkeypatch):
+    """A stage fails before colors are encoded: the next new frame has the bits of one that nothing went before."""
+    colors = []
+    for fails in (False, True):
+        pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+        for frame in rendered([camera(W, H, (0.1 * k, 0, 0.1)) for k in range(3)]):
+            pipeline.submit(frame)
+        if fails:
+            with monkeypatch.context() as patch, pytest.raises(ZeroDivisionError):
+                patch.setattr(pipeline.stages["prediction"], "extrapolated", lambda step: 1 / 0)
+                pipeline.extrapolate()
+        colors.append(pipeline.extrapolate().numpy("color"))
+    assert colors[0].tobytes() == colors[1].tobytes()

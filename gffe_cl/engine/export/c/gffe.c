@@ -420,7 +420,7 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     occasion = g->has_previous ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     corrected = g->has_previous && g->options.network ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     status = gffe_run(g, occasion, 0);
-    step->coded |= !step->stays;
+    if (!status) step->coded |= !step->stays;
     if (!status) status = gffe_run(g, corrected, GFFE_OF_CORRECTION);
     if (!status) status = gffe_run(g, occasion, GFFE_AFTER_CORRECTION);
     if (status) return status;
