@@ -132,14 +132,14 @@ INLINE bool keeps_depth(const Fragments f, const int x0, const int y0) {
     return ALL(keeps);
 }
 
-/* Whether a block and MARGIN around it lie in the image. */
-INLINE bool lies_within(const int bx, const int by, const int width, const int height) {
-    return bx > 0 && by > 0 && (bx + 1) * BLOCK_WIDTH + MARGIN <= width && (by + 1) * BLOCK_HEIGHT + MARGIN <= height;
+/* Whether the block that begins at pixel (x0, y0), with MARGIN around it, leaves the image. */
+INLINE bool leaves(const int x0, const int y0, const int width, const int height) {
+    return x0 < MARGIN || y0 < MARGIN || x0 + BLOCK_WIDTH + MARGIN > width || y0 + BLOCK_HEIGHT + MARGIN > height;
 }
 
 /* Whether positions are linear over the block: STRICT, LOOSE, RIGID or 0; if so, *box is its reach. */
 INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
-    if (!lies_within(x0 / BLOCK_WIDTH, y0 / BLOCK_HEIGHT, f.width, f.height)) return 0;
+    if (leaves(x0, y0, f.width, f.height)) return 0;
     __global const float *p = f.target_position + y0 * f.width + x0;
     float x, y, xx, xy, yx, yy;
     const Floats off_x = deviation_from_linear(p, f.width, &x, &xx, &yx);
@@ -269,10 +269,10 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
     if (bx >= target_blocks || by >= block_rows(target_height)) return;
     const int block = by * target_blocks + bx;
     if (softens) marked[block] = 0;
-    const int4 reached = vload4(block, reached_by);
-    int4 extent = (int4)(FAR_OFF - reached.xy, reached.zw - 1);
+    __global int *reached = reached_by + 4 * block;
+    int4 extent = (int4)(FAR_OFF - reached[0], FAR_OFF - reached[1], reached[2] - 1, reached[3] - 1);
     if (frame->stays && smooth[block] == RESTING) { /* source and target have the same blocks */
-        if (reached.z == 0 && (bx + 1) * BLOCK_WIDTH <= target_width) {
+        if (reached[2] == 0 && (bx + 1) * BLOCK_WIDTH <= target_width) {
             block_class[block] = COPIED;
             return;
         }
@@ -287,7 +287,8 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
         for (int x = extent.x; x <= extent.z; ++x) {
             const uchar of_source = smooth[y * source_blocks + x];
             backward =
-                backward && of_source && (of_source != RESTING || lies_within(x, y, source_width, source_height));
+                backward && of_source
+                && !(of_source == RESTING && leaves(x * BLOCK_WIDTH, y * BLOCK_HEIGHT, source_width, source_height));
             loose = loose || of_source == LOOSE;
             rigid = rigid || of_source == RIGID || of_source == RESTING;
         }
