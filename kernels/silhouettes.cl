@@ -227,7 +227,7 @@ typedef struct {
     __global const half *color;
     __global const float *depth;
     __global const float2 *motion;
-    __global const uchar *filled_by, *mixed;
+    __global const uchar *filled_by;
 } Shown;
 
 /* The rendered frame's layers. */
@@ -258,28 +258,33 @@ INLINE bool is_mixed_with_near(const Source s, const Layers l, const int x0, con
     return false;
 }
 
-/* Color of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
-INLINE bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
-    const int dst = dst_y * f.width + dst_x;
-    *rgb = load_code(f.color, dst, f.code_offset);
-    if (!is_warped(f.filled_by[dst]) || f.mixed[dst]) return false;
-    const float2 px = pixel_center(dst_x, dst_y), px_source = px + f.motion[dst];
+/* The far layer around `px_source` of the rendered frame, of pixels that go to `px` at depth z: their colors, without
+   that of a nearer layer, times their bilinear weights, and the weights. */
+INLINE float4 far_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z) {
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
-    if (!is_mixed_with_near(s, l, x0, y0)) return false;
     const float u = px_source.x - 0.5f - (float)x0, v = px_source.y - 0.5f - (float)y0;
-    float3 sum = (float3)(0.0f);
-    float weight_sum = 0.0f;
+    float4 sum = (float4)(0.0f);
     for (int k = 0; k < 4; ++k) {
         const int x = x0 + (k & 1), y = y0 + (k >> 1), src = y * s.width + x;
         if (!inside(x, y, s.width, s.height)) continue;
         const float3 there = position_of(s.target_position, src, s.width * s.height);
-        if (!goes_along(s, x, y, there, px, px_source, f.depth[dst], ALIKE)) continue;
-        const float weight = bilinear_weight(k, u, v);
-        sum += weight * (l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.codes, src));
-        weight_sum += weight;
+        if (!goes_along(s, x, y, there, px, px_source, z, ALIKE)) continue;
+        sum += bilinear_weight(k, u, v)
+               * (float4)(l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.codes, src), 1.0f);
     }
-    if (weight_sum > 0.05f) *rgb = mean_of(sum, weight_sum);
-    return weight_sum > 0.05f;
+    return sum;
+}
+
+/* Color of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
+INLINE bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
+    const int dst = dst_y * f.width + dst_x;
+    *rgb = load_code(f.color, dst, f.code_offset);
+    if (!is_warped(f.filled_by[dst])) return false;
+    const float2 px = pixel_center(dst_x, dst_y), px_source = px + f.motion[dst];
+    if (!is_mixed_with_near(s, l, (int)floor(px_source.x - 0.5f), (int)floor(px_source.y - 0.5f))) return false;
+    const float4 sum = far_layer(s, l, px, px_source, f.depth[dst]);
+    if (sum.w > 0.05f) *rgb = mean_of(sum.xyz, sum.w);
+    return sum.w > 0.05f;
 }
 
 /* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its color times its coverage, its
@@ -383,9 +388,27 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
            & ((apart_x > MOVES_APART) | (apart_y > MOVES_APART));
 }
 
-/* Color of the far layer: the mean of the 3x3 pixels in `far`. */
+/* Color of the far layer at a pixel, which the 3x3 pixels in `far` show: the pixel's own. If it shows the near one,
+   that which the rendered frame has where their motion, continued to the pixel, points to; as far as it is hidden
+   there, the mean of theirs. */
 INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y,
                         const int far) {
+    const float count = (float)popcount(far);
+    float4 seen = (float4)(0.0f);
+    if (!(far & 1 << 4)) {
+        const float2 back = (float2)(1.0f - divide(1.0f, s.zoom.x), 1.0f - divide(1.0f, s.zoom.y));
+        float2 motion = (float2)(0.0f);
+        float z = 0.0f;
+        for (int left = far; left; left &= left - 1) {
+            const int k = 31 - clz(left & -left), dx = k % 3 - 1, dy = k / 3 - 1;
+            const int dst = (dst_y + dy) * f.width + dst_x + dx;
+            motion += f.motion[dst] + back * (float2)((float)dx, (float)dy);
+            z = fmax(z, f.depth[dst]);
+        }
+        const float2 px = pixel_center(dst_x, dst_y);
+        seen = far_layer(s, l, px, px + (float2)(divide(motion.x, count), divide(motion.y, count)), z);
+        if (seen.w > 0.99f) return mean_of(seen.xyz, seen.w);
+    }
     float3 sum = (float3)(0.0f);
     for (int left = far; left; left &= left - 1) {
         const int k = 31 - clz(left & -left);
@@ -393,7 +416,7 @@ INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int
         without_near(s, l, f, dst_x + k % 3 - 1, dst_y + k / 3 - 1, &rgb);
         sum += rgb;
     }
-    return mean_of(sum, (float)popcount(far));
+    return seen.xyz + (1.0f - seen.w) * mean_of(sum, count);
 }
 
 /* Value of `coverage` of a pixel, 0 if it is unchanged; else stores its color. `near_place`, `far`: of its pair of
@@ -439,8 +462,7 @@ WIDE __kernel void soften(__constant Frame *restrict frame, __global const uchar
                           __global const float *target_position, __global const half *codes,
                           __global const uchar *layer, __global const uint *behind, __global const uchar *share,
                           __global const half *color, __global const float *depth, __global const float2 *motion,
-                          __global const uchar *filled_by, __global const uchar *mixed, __global uchar *coverage,
-                          __global uint *softened) {
+                          __global const uchar *filled_by, __global uchar *coverage, __global uint *softened) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
@@ -459,8 +481,7 @@ WIDE __kernel void soften(__constant Frame *restrict frame, __global const uchar
                      .color = color,
                      .depth = depth,
                      .motion = motion,
-                     .filled_by = filled_by,
-                     .mixed = mixed};
+                     .filled_by = filled_by};
     Span p = {dst_x, dst_y, target_width, target_height, false};
     Ints paired, soft;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};

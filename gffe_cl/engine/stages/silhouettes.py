@@ -85,7 +85,6 @@ class Silhouettes(Stage):
                 "motion": Access("frame.motion", NEAR_SILHOUETTES),
                 "layer": Access("silhouettes.layer", NEAR_SILHOUETTES),
                 "filled_by": Access("frame.filled_by", SOFTENED),
-                "mixed": Access("warp.mixed", SOFTENED),
                 "color": Access("frame.color", SOFTENED),
                 "behind": Access("silhouettes.behind", SOFTENED),
                 "share": Access("silhouettes.share", SOFTENED),

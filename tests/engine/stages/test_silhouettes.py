@@ -18,16 +18,24 @@ SCENE = Rects(
 )
 
 
-def antialiased(k, previous):
+FASTER = Rects(
+    [
+        Rect((0, 0, 12), (12, 9), frequency=1, tint=(0.3, 0.5, 0.9)),
+        Rect((-0.6, 0.3, 6), (0.7, 1.1), velocity=(14, 4, 0), frequency=0.1, tint=(1, 0.4, 0.1)),
+    ]
+)
+
+
+def antialiased(k, previous, scene=SCENE):
     """Frame k: color is the mean over each pixel, depth and motion are those at its center."""
     before = None if previous is None else (camera(W, H), previous)
-    return SCENE.frame(camera(W, H), k / 30, W, H, before, reset=previous is None, samples=FINER)
+    return scene.frame(camera(W, H), k / 30, W, H, before, reset=previous is None, samples=FINER)
 
 
-def extrapolated(device, options):
+def extrapolated(device, options, scene=SCENE):
     pipeline = Pipeline(device, W, H, replace(options, shading_correction=False))
     for k in range(4):
-        pipeline.submit(antialiased(k, (k - 1) / 30 if k else None))
+        pipeline.submit(antialiased(k, (k - 1) / 30 if k else None, scene))
     pipeline.extrapolate(camera(W, H), 3.5 / 30)
     return pipeline
 
@@ -73,6 +81,19 @@ def test_edges_are_the_truths(device):
     assert 0.02 < (coverage > 0).mean() < 0.2 and ((coverage > 60) & (coverage < 200)).sum() > 20
     errors = [np.square(color - truth)[coverage > 0].mean() for color in colors]
     assert errors[1] < 0.5 * errors[0]
+
+
+def test_texture_behind_stays_in_place(device):
+    """Where the rendered frame shows the far layer it is taken from the exact place: at pixels that had mixed with the
+    mover, for which the warp shows a neighbor's color, and under the mover's own edge."""
+    hard, soft = (extrapolated(device, Options(soft_silhouettes=on), FASTER) for on in (False, True))
+    truth = antialiased(3.5, None, FASTER).color.astype(np.float32)[..., :3]
+    errors = [np.square(p.board.frame.read("color")[..., :3].astype(np.float32) - truth).mean(-1) for p in (hard, soft)]
+    coverage, mixed = soft.stages["silhouettes"].read("coverage"), soft.stages["warp"].read("mixed") > 0
+    covered = (soft.board.frame.read("depth") < 9) & (coverage > 1) & (coverage < 230)
+    assert mixed.sum() > 20 and covered.sum() > 20
+    assert errors[1][mixed].mean() < 0.5 * errors[0][mixed].mean()
+    assert errors[1][covered].mean() < 0.21 * errors[0][covered].mean()
 
 
 def test_what_moves_along_stays_as_it_is(device):

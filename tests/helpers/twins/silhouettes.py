@@ -138,21 +138,35 @@ class Softening:
                 along = there[2] * SAME_LAYER <= z and z * SAME_LAYER <= there[2] and e.max() < most
                 yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
 
-    def without_near(self, x, y):
-        rgb = encode_color(np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0))
-        if not self.warped[y, x] or self.shown["mixed"][y, x]:
-            return rgb, False
-        px_source = np.array([x, y], F) + F(0.5) + self.shown["motion"][y, x]
-        taps = list(self.taps(x, y, px_source, self.shown["depth"][y, x], ALIKE))
-        if not any(self.layer[j, i] == FAR for i, j, *_ in taps):
-            return rgb, False
-        total, weights = np.zeros(3, F), F(0)
-        for i, j, weight, along, _ in taps:
+    def far_layer(self, x, y, px_source, z):
+        """Colors around a place of the rendered frame, times their weights, and the weights."""
+        total = np.zeros(4, F)
+        for i, j, weight, along, _ in self.taps(x, y, px_source, z, ALIKE):
             if along:
                 own = self.behind[j, i, :3] if self.layer[j, i] == FAR else self.signed(i, j)
-                total += weight * own
-                weights += weight
-        return (total / weights, True) if weights > F(0.05) else (rgb, False)
+                total += weight * np.append(own, F(1))
+        return total
+
+    def without_near(self, x, y):
+        rgb = encode_color(np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0))
+        if not self.warped[y, x]:
+            return rgb, False
+        px_source, z = np.array([x, y], F) + F(0.5) + self.shown["motion"][y, x], self.shown["depth"][y, x]
+        if not any(self.layer[j, i] == FAR for i, j, *_ in self.taps(x, y, px_source, z, ALIKE)):
+            return rgb, False
+        total = self.far_layer(x, y, px_source, z)
+        return (total[:3] / total[3], True) if total[3] > F(0.05) else (rgb, False)
+
+    def far_color(self, x, y, far):
+        """`far`: (x, y, dx, dy) of the pixels around that show the far layer."""
+        seen = np.zeros(4, F)
+        if far[0] != (x, y, 0, 0):
+            place = np.mean([self.place(*g) for g in far], 0, dtype=F)
+            seen = self.far_layer(x, y, place, max(self.shown["depth"][v, u] for u, v, *_ in far))
+            if seen[3] > F(0.99):
+                return seen[:3] / seen[3]
+        beside = np.mean([self.without_near(u, v)[0] for u, v, *_ in far], 0, dtype=F)
+        return seen[:3] + (F(1) - seen[3]) * beside
 
     def signed(self, i, j):
         rgb = np.nan_to_num(self.source[j, i, :3].astype(F), nan=0, posinf=np.inf, neginf=-np.inf)
@@ -197,8 +211,7 @@ class Softening:
         near_px, far_px = (np.mean([self.place(*g) for g in side], 0, dtype=F) for side in (near, far))
         if not np.abs(near_px - far_px).max() > MOVES_APART:
             return None
-        behind = np.mean([self.without_near(u, v)[0] for u, v, *_ in far], 0, dtype=F)
-        return near_px, np.mean([depth[v, u] for u, v, *_ in near], dtype=F), behind
+        return near_px, np.mean([depth[v, u] for u, v, *_ in near], dtype=F), self.far_color(x, y, far)
 
     def place(self, u, v, dx, dy):
         back = (F(1) / self.zoom) * np.array([dx, dy], F)
