@@ -12,10 +12,11 @@
 #define THRESHOLD_HIGH 4.0f
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
-#define GROUP 64                 /* work-items per work-group of find_threshold */
+#define GROUP 64                 /* work-items per work-group that counts */
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 #define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
+#define ARRIVED (HISTOGRAMS * RESIDUAL_BINS) /* index of the number of work-groups that have added their counts */
 #define STEP_CLASSES 4 /* steps of motion in x where it is not negative, in x where it is, and the same for y */
 #define STEP_FIRST 0x3e8 /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
 #define STEP_NONE 0.0009765625f /* px: less is no step at all, but rounding */
@@ -165,34 +166,48 @@ INLINE Floats beyond(const Floats residual, const Floats mv, const float times, 
     return excess < 0.0f ? (Floats)(0.0f) : excess;
 }
 
-/* Adds a work-group's counts to those of all groups. The next launch takes them: no group of one launch sees what
-   others add. */
-INLINE void add_counts(__local const int *counts, const int count, __global int *pending) {
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int b = get_local_id(0); b < count; b += GROUP)
-        if (counts[b]) atomic_add(pending + b, counts[b]);
+/* The groups that count in rows of sampled pixels. */
+INLINE int counting_groups(__constant Frame *frame) {
+    const int samples_x = RESIDUAL_STRIDE * LANES * GROUP, samples_y = RESIDUAL_STRIDE * RESIDUAL_ROWS;
+    return ((frame->source_width + samples_x - 1) / samples_x) * ((frame->source_height + samples_y - 1) / samples_y);
 }
 
-/* Takes the counts of all groups into local memory, and leaves zeros for the next launch that counts. */
-INLINE void take_counts(__local int *counts, const int count, __global int *pending) {
-    for (int b = get_local_id(0); b < count; b += GROUP) {
-        counts[b] = pending[b];
-        pending[b] = 0;
-    }
+/* Adds a work-group's counts to those of all groups; then, in the last of the `groups` that does so, puts their sums
+   into `counts`, leaves zeros for the next launch that counts, and gives true. A group counts itself only by the values
+   that its additions return, which are never negative: so the last one misses none. */
+INLINE bool add_counts(__local int *counts, const int count, const int groups, __local int *is_last,
+                       __global int *pending) {
+    const int item = get_local_id(0);
+    int before = 0;
+    if (item == 0) *is_last = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll 1
+    for (int b = item; b < count; b += GROUP)
+        if (counts[b]) before |= atomic_add(pending + b, counts[b]);
+    if (before < 0) *is_last = 1;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (item == 0) *is_last = atomic_add(pending + ARRIVED, 1 + *is_last) == groups - 1;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (!*is_last) return false;
+#pragma unroll 1
+    for (int b = item; b < count; b += GROUP) counts[b] = atomic_xchg(pending + b, 0);
+    if (item == 0) atomic_xchg(pending + ARRIVED, 0);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return true;
 }
 
 /* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a
-   short distance, and, of every fourth of these pixels, of the steps of motion over that distance. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void count_histograms(__constant Frame *restrict frame,
-                                                                                       __global const float *depth,
-                                                                                       __global const float2 *motion,
-                                                                                       __global int *pending) {
+   short distance, and, of every fourth of these pixels, of the steps of motion over that distance. From them the last
+   work-group finds the threshold, and the steps of quantized motion. */
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+find_threshold(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
+               __global int *pending, __global int *histogram, __global float *threshold_squared,
+               __global float *motion_steps) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
-    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
+    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
-    __local int counts[HISTOGRAMS * RESIDUAL_BINS];
-    for (int b = get_local_id(0); b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    __local int counts[HISTOGRAMS * RESIDUAL_BINS], is_last;
+    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, near_x, near_y, mv_x, mv_y, near_mv_x, near_mv_y;
@@ -205,16 +220,8 @@ WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void count_hist
         count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, mv_x + x, near_mv_x, near_mv_x + near_x);
         count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, mv_y + y, near_mv_y, near_mv_y + near_y);
     }
-    add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, pending);
-}
-
-/* The threshold from these histograms, and the steps of quantized motion. A single work-group. */
-SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-find_threshold(__global int *pending, __global int *histogram, __global float *threshold_squared,
-               __global float *motion_steps) {
-    __local int counts[HISTOGRAMS * RESIDUAL_BINS];
-    take_counts(counts, HISTOGRAMS * RESIDUAL_BINS, pending);
-    const int item = get_local_id(0);
+    if (!add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, counting_groups(frame), &is_last, pending)) return;
+#pragma unroll 1
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
     if (item) return;
     const float found = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
@@ -238,16 +245,22 @@ INLINE float excess_threshold_squared(__local const int *histogram) {
     return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
 }
 
-/* Histograms of the squared excess of residuals over errors of quantization, of one and of two vectors. */
+/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that
+   brings more than a fortieth of the pixels within the errors. From histograms of the squared excess of residuals over
+   errors of quantization, of one and of two vectors, by the last work-group. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-count_excess(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
-             __global const float *motion_steps, __global int *pending) {
+refine_threshold(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
+                 __global const float *motion_steps, __global int *pending, __global float *threshold_squared,
+                 __global float *quantization_error) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
-    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE;
+    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
-    __local int counts[LOOKUPS * RESIDUAL_BINS];
-    if (!is_quantized(motion_steps)) return;
-    for (int b = get_local_id(0); b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    __local int counts[LOOKUPS * RESIDUAL_BINS], is_last;
+    if (!is_quantized(motion_steps)) {
+        if (first == 0 && get_global_id(0) < STEP_CLASSES) quantization_error[get_global_id(0)] = 0.0f;
+        return;
+    }
+    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, mv_x, mv_y;
@@ -256,29 +269,14 @@ count_excess(__constant Frame *restrict frame, __global const float *depth, __gl
             count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, 0.5f * (float)k, motion_steps),
                             beyond(y, mv_y, 0.5f * (float)k, motion_steps + 2));
     }
-    add_counts(counts, LOOKUPS * RESIDUAL_BINS, pending);
-}
-
-/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that
-   brings more than a fortieth of the pixels within the errors. A single work-group. */
-SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-refine_threshold(__global int *pending, __global const float *motion_steps, __global float *threshold_squared,
-                 __global float *quantization_error) {
-    __local int counts[LOOKUPS * RESIDUAL_BINS];
-    const bool quantized = is_quantized(motion_steps);
-    if (quantized) take_counts(counts, LOOKUPS * RESIDUAL_BINS, pending);
-    if (get_local_id(0)) return;
-    int low = 0, lookups = quantized ? 1 : 0;
-    if (quantized) {
-        while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
-        while (lookups < LOOKUPS
-               && 40
-                          * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low)
-                             - sum_of(counts + lookups * RESIDUAL_BINS, low))
-                      > sum_of(counts, 0))
-            ++lookups;
-        *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
-    }
+    if (!add_counts(counts, LOOKUPS * RESIDUAL_BINS, counting_groups(frame), &is_last, pending) || item) return;
+    int low = 0, lookups = 1;
+    while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
+    while (lookups < LOOKUPS
+           && 40 * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low) - sum_of(counts + lookups * RESIDUAL_BINS, low))
+                  > sum_of(counts, 0))
+        ++lookups;
+    *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
     for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * motion_steps[c];
 }
 

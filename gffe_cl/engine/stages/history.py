@@ -92,38 +92,31 @@ class HistoryTracking(Stage):
             np.int32,
             (),
             "once",
-            "the histograms while they are counted",
-            planes=_CONSTANTS["HISTOGRAMS"] * _CONSTANTS["RESIDUAL_BINS"],
+            "the histograms while they are counted, and how many work-groups have added to them",
+            planes=_CONSTANTS["HISTOGRAMS"] * _CONSTANTS["RESIDUAL_BINS"] + 1,
             scratch=True,
         ),
     )
     kernels = (
         Kernel(
-            "count_histograms",
+            "find_threshold",
             "residuals",
             {
                 "depth": Access("rendered.depth", _SAMPLED),
                 "motion": Access("rendered.motion", _SAMPLED),
                 "pending": "history.pending",
             },
-            {"pending": "history.pending"},
-            step=("LANES", "RESIDUAL_ROWS"),
-            group="GROUP",
-        ),
-        Kernel(
-            "find_threshold",
-            "once",
-            {"pending": "history.pending"},
             {
                 "pending": "history.pending",
                 "histogram": "history.residual_histogram",
                 "threshold_squared": "history.static_threshold_squared",
                 "motion_steps": "history.motion_steps",
             },
+            step=("LANES", "RESIDUAL_ROWS"),
             group="GROUP",
         ),
         Kernel(
-            "count_excess",
+            "refine_threshold",
             "residuals",
             {
                 "depth": Access("rendered.depth", QUANTIZED_SAMPLES),
@@ -131,19 +124,12 @@ class HistoryTracking(Stage):
                 "pending": "history.pending",
                 "motion_steps": "history.motion_steps",
             },
-            {"pending": "history.pending"},
-            step=("LANES", "RESIDUAL_ROWS"),
-            group="GROUP",
-        ),
-        Kernel(
-            "refine_threshold",
-            "once",
-            {"pending": "history.pending", "motion_steps": "history.motion_steps"},
             {
                 "pending": "history.pending",
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
             },
+            step=("LANES", "RESIDUAL_ROWS"),
             group="GROUP",
         ),
         Kernel(
@@ -194,10 +180,8 @@ class HistoryTracking(Stage):
         previous = step.previous if self.board.options.motion else None
         before = previous or step.frame
         if self.automatic and previous is not None:
-            self.launch("count_histograms", step)
-            self.launch("find_threshold")
-            self.launch("count_excess", step)
-            self.launch("refine_threshold")
+            self.launch("find_threshold", step)
+            self.launch("refine_threshold", step)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",

@@ -16,8 +16,8 @@ OPTIONS = Options(shading_correction=False)
 # Kernels in which several work-groups change one place, by atomics.
 SHARING = (
     "compare_samples",
-    "count_histograms",
-    "count_excess",
+    "find_threshold",
+    "refine_threshold",
     "find_reach",
     "splat",
     "scatter_level",
