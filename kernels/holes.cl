@@ -219,20 +219,14 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 #define APPROACHES 2 /* of the place where a line leaves the image */
 #define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
 
-/* Sums over samples of the cells at the image's border: products of the changes of color codes in x and y (the
-   structure tensor). Other cells are 0. Once for all new frames that are made of a rendered one; not under a camera
-   that stays, which has nothing out of screen. */
-SPARSE __kernel void find_border_lines(__constant Frame *restrict frame, __global const half *codes,
-                                       __global float *border_lines) {
+/* Sums over samples of a cell: products of the changes of color codes in x and y (the structure tensor). */
+INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *frame, __global const half *codes,
+                       __global float *border_lines) {
     const int width = frame->source_width, height = frame->source_height;
-    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
-    if (cell_x >= cells_width || cell_y >= cells_height || frame->coded || frame->stays) return;
-    const bool at_border = cell_x == 0 || cell_y == 0 || cell_x == cells_width - 1 || cell_y == cells_height - 1;
     const int first_x = max(min(cell_x * CELL, width - CELL), 0) + 1,
               first_y = max(min(cell_y * CELL, height - CELL), 0) + 1;
     float xx = 0.0f, xy = 0.0f, yy = 0.0f;
-    for (int y = first_y; at_border && y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
+    for (int y = first_y; y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
         for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += SAMPLE_STRIDE) {
             const int src = y * width + x;
             const float3 dx = 0.5f * (load_color(codes, src + 1) - load_color(codes, src - 1));
@@ -241,10 +235,24 @@ SPARSE __kernel void find_border_lines(__constant Frame *restrict frame, __globa
             xy += dx.x * dy.x + dx.y * dy.y + dx.z * dy.z;
             yy += dy.x * dy.x + dy.y * dy.y + dy.z * dy.z;
         }
-    const int cell = cell_y * cells_width + cell_x, plane = cells_width * cells_height;
+    const int cell = cell_y * frame->cells_width + cell_x, plane = frame->cells_width * frame->cells_height;
     border_lines[cell] = xx;
     border_lines[plane + cell] = xy;
     border_lines[2 * plane + cell] = yy;
+}
+
+/* The cells at the image's border that are those of work-item `item` of `items`: of the first and last row, then of the
+   first and last column. */
+INLINE void find_border_lines(const int item, const int items, __constant Frame *frame, __global const half *codes,
+                              __global float *border_lines) {
+    const int width = frame->cells_width, height = frame->cells_height;
+    for (int k = item; k < 2 * (width + max(height - 2, 0)); k += items) {
+        const int along = k >> 1, is_last = k & 1;
+        const bool in_row = along < width;
+        const int cell_x = in_row ? along : is_last * (width - 1);
+        const int cell_y = in_row ? is_last * (height - 1) : along - width + 1;
+        find_lines(cell_x, cell_y, frame, codes, border_lines);
+    }
 }
 
 DEFINE_ROOT(float, root)
@@ -399,27 +407,40 @@ INLINE float weight_of_far_side(const Border *a, const int far, const float3 mea
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
 }
 
-/* Mixes the background's fills with the far side. A surface's remembered color may be out of date, so the weighted
-   mean with the present color beside it is shown. RUN pixels per work-item. */
-SCAN __kernel void mix_far_side(__constant Frame *restrict frame, __global const uchar *disoccluded,
-                                __global const uchar *filled_by, __global const float *depth, __global half *color) {
+/* Mixes a fill of the background with the far side. A surface's remembered color may be out of date, so the weighted
+   mean with the present color beside it is shown. */
+INLINE void mix_far_side(const int dst_x, const int dst_y, __constant Frame *frame, __global const uchar *disoccluded,
+                         __global const float *depth, __global half *color) {
+    const int width = frame->target_width, dst = dst_y * width + dst_x;
+    Border a;
+    Column column = {.y = NO_ROW};
+    find_border(dst_x, dst_y, width, frame->target_height, MIXED_REACH, disoccluded, 1, depth, &column, &a);
+    if (!a.met) return;
+    const int far = far_side(&a);
+    const float3 mean = weighted_mean(&a, far, false, frame->code_offset, color).xyz;
+    const float counts = weight_of_far_side(&a, far, mean, color);
+    const float3 sum = load_code(color, dst, frame->code_offset) + counts * encode_color(mean, frame->code_offset);
+    store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
+}
+
+/* Two preparations for fill_far_side, which do not touch each other's buffers. Lines at the image's border, once for
+   all new frames that are made of a rendered one; not under a camera that stays, which has nothing out of screen. And
+   the background's fills are mixed with the far side, RUN pixels per work-item. */
+SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global const half *codes,
+                                    __global const uchar *disoccluded, __global const uchar *filled_by,
+                                    __global const float *depth, __global half *color, __global float *border_lines) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
+    const int columns = (target_width + RUN - 1) / RUN;
+    if (!frame->coded && !frame->stays)
+        find_border_lines(dst_y * columns + first_x / RUN, columns * target_height, frame, codes, border_lines);
     const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) return;
+    if (!frame->collects || (first_x + RUN <= target_width && run_is_zero(disoccluded + first))) return;
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
-        if (!disoccluded[dst] || filled_by[dst] == BY_HOLE_FILLING || filled_by[dst] == BY_HIDDEN_PART) continue;
-        Border a;
-        Column column = {.y = NO_ROW};
-        find_border(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth, &column, &a);
-        if (!a.met) continue;
-        const int far = far_side(&a);
-        const float3 mean = weighted_mean(&a, far, false, frame->code_offset, color).xyz;
-        const float counts = weight_of_far_side(&a, far, mean, color);
-        const float3 sum = load_code(color, dst, frame->code_offset) + counts * encode_color(mean, frame->code_offset);
-        store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
+        if (disoccluded[dst] && filled_by[dst] != BY_HOLE_FILLING && filled_by[dst] != BY_HIDDEN_PART)
+            mix_far_side(dst_x, dst_y, frame, disoccluded, depth, color);
     }
 }
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.background import Background
 from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Share, Stage, Step, share_of
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
@@ -106,17 +105,15 @@ class FarSide(Downsampled):
     )
     kernels = (
         Kernel(
-            "find_border_lines",
-            "cells",
-            {"codes": Access("color_code.codes", BORDER)},
-            {"border_lines": "holes.border_lines"},
-        ),
-        Kernel(
-            "mix_far_side",
+            "prepare_far_side",
             "target",
-            {"disoccluded": "frame.disoccluded", "filled_by": Access("frame.filled_by", DISOCCLUDED)}
+            {
+                "codes": Access("color_code.codes", BORDER),
+                "disoccluded": "frame.disoccluded",
+                "filled_by": Access("frame.filled_by", DISOCCLUDED),
+            }
             | _image(DISOCCLUDED),
-            {"color": Access("frame.color", DISOCCLUDED)},
+            {"border_lines": Access("holes.border_lines", BORDER), "color": Access("frame.color", DISOCCLUDED)},
             step=("RUN", 1),
         ),
         Kernel(
@@ -139,13 +136,10 @@ class FarSide(Downsampled):
 
     def __init__(self, board: Board):
         self.reach = max(_CONSTANTS["LEAST_REACH"], board.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
-        self.mixes = Background.is_wanted(board.options)
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("find_border_lines", step)
-        if self.mixes:
-            self.launch("mix_far_side", step)
+        self.launch("prepare_far_side", step)
         self.launch("fill_far_side", step)
         super().extrapolated(step)
 
