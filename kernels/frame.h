@@ -41,7 +41,8 @@ typedef struct {
     int number; /* of the rendered frame, since the stages were made; after 2^30 it starts again */
     int rests; /* intervals, up to MOST_RESTS, for which the rendered camera has been the same, to the bit */
     int stays; /* whether the new camera is the rendered one, and blocks at rest are copied */
-    int coded; /* whether all colors of the rendered frame are encoded */
+    int coded; /* whether all colors of the rendered frame are encoded: by history tracking, or for a new frame before
+                */
     int order; /* of prediction: the option, or less if there are too few frames */
     float alpha;
     float interval_ratio; /* the last interval between rendered frames, in that before it */

@@ -3,8 +3,8 @@
    depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
 #include "frame.h"
-#include "simd.h"
 #include "blocks.h"
+#include "encode.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
@@ -432,13 +432,13 @@ INLINE void note_stir(const int first_x, const int last_x, const int src_y, __co
 /* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
    0) where P_i is unknown. Static fragments only take the test. last_stir: for each block the number of the last frame
    in which a pixel within STIR_REACH of it was not static, had no valid depth or, while the camera rests, another depth
-   than before. */
+   than before. Colors are encoded, too, unless the camera rests: then ColorCode encodes those that are mixed. */
 WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
                                  __global const float2 *motion, __global const float *depth_prev,
                                  __global const uchar *dynamic_prev, __global const float4 *history_prev,
                                  __global const float *threshold_squared, __global const float *quantization_error,
-                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history,
-                                 __global int *last_stir) {
+                                 __global const half *color, __global uchar *dynamic_mask, __global float *met_depth,
+                                 __global float4 *history, __global int *last_stir, __global half *codes) {
     const Frames frames = {.depth = depth,
                            .motion = motion,
                            .depth_prev = depth_prev,
@@ -454,6 +454,7 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
     Ints moves = 0, may_stay = 0, stirs = 0;
+    if (frame->coded) encode_run(count, src, frame->code_offset, color, codes);
     if (has_previous) {
         const Floats px_x = row_centers(src_x);
         const float px_y = (float)src_y + 0.5f;

@@ -423,9 +423,9 @@ INLINE void mix_far_side(const int dst_x, const int dst_y, __constant Frame *fra
     store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
 }
 
-/* Two preparations for fill_far_side, which do not touch each other's buffers. Lines at the image's border, once for
-   all new frames that are made of a rendered one; not under a camera that stays, which has nothing out of screen. And
-   the background's fills are mixed with the far side, RUN pixels per work-item. */
+/* Two preparations for fill_far_side, which do not touch each other's buffers. Lines at the image's border, but not
+   under a camera that stays, which has nothing out of screen. And the background's fills are mixed with the far side,
+   RUN pixels per work-item. */
 SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global const half *codes,
                                     __global const uchar *disoccluded, __global const uchar *filled_by,
                                     __global const float *depth, __global half *color, __global float *border_lines) {
@@ -433,7 +433,7 @@ SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int columns = (target_width + RUN - 1) / RUN;
-    if (!frame->coded && !frame->stays)
+    if (!frame->stays)
         find_border_lines(dst_y * columns + first_x / RUN, columns * target_height, frame, codes, border_lines);
     const int first = dst_y * target_width + first_x;
     if (!frame->collects || (first_x + RUN <= target_width && run_is_zero(disoccluded + first))) return;

@@ -369,12 +369,13 @@ class Pipeline:
         return done
 
     def _count_rest(self) -> None:
-        """Number the current frame, and count the intervals for which the rendered camera has been the same."""
+        """Number the current frame, and count the intervals for which the rendered camera has been the same. While it
+        moves, history tracking encodes all colors."""
         frame, previous, rests = self._current, self._previous, 0
         assert frame is not None
         if previous and self.options.motion and see_alike(previous.camera, frame.camera):
             rests = min(self._rest["rests"] + 1, MOST_RESTS)
-        self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": 0}
+        self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": not rests}
 
     def _rest_of(self, camera: Camera, is_replaced: bool) -> dict[str, int]:
         """Return `_rest`, and whether points at rest stay where they are for a new `camera`: then not all colors are

@@ -6,14 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Access, Board, Kernel, Share, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
+from gffe_cl.engine.stages.frame_block import FRAME
 
 _OFFSET = 0.5  # of color_code.h, at exposure 1
+CODED_AT_ONCE = Share(  # whether history tracking encodes all colors
+    "coded at once", lambda board: float(np.frombuffer(board.blocks.read("rendered").tobytes(), FRAME)["coded"][0])
+)
 
 
 class ColorCode(Stage):
-    """Encodes the rendered frame's colors: like a square root where it is dark, linear where it is bright."""
+    """Encodes the rendered frame's colors: like a square root where it is dark, linear where it is bright. History
+    tracking does so while the camera moves; while it rests, this stage encodes those that a new frame mixes."""
 
     name = "color_code"
     buffers = (
@@ -41,4 +46,5 @@ class ColorCode(Stage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("encode_colors", step)
+        if self.recorder or not step.given.get("coded"):  # what is exported asks the frame block
+            self.launch("encode_colors", step)

@@ -10,6 +10,7 @@ import numpy as np
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step, share_of
 from gffe_cl.engine.stages.buffers import RESIDUAL_STRIDE, BufferSpec
+from gffe_cl.engine.stages.color_code import CODED_AT_ONCE
 
 _CONSTANTS = constants("history.cl")
 _SAMPLED = RESIDUAL_STRIDE**-2
@@ -143,12 +144,14 @@ class HistoryTracking(Stage):
                 "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=0),
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
+                "color": Access("rendered.color", CODED_AT_ONCE),
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
                 "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
                 "history": Access("history.history", DYNAMIC_PIXELS),
                 "last_stir": Access("history.last_stir", DYNAMIC_PIXELS),
+                "codes": Access("color_code.codes", CODED_AT_ONCE),
             },
             step=("LANES", 1),
         ),

@@ -17,6 +17,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.history import HistoryTracking
 
@@ -51,6 +52,7 @@ def test_tracking(device, lanes, size, positions):
     width, height = size
     board = Board(device, Sizes(size, size), Options(history=positions, order=1))
     stage = HistoryTracking(board)
+    ColorCode(board)  # whose colors it encodes, if the step asks for it
     past = dynamic = history = None
     for frame in frames(width, height, 5):
         host = host_arrays(frame).in_device_layout()
@@ -90,6 +92,7 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
     world = Rects([Rect((0, 0, 14), (40, 30)), Rect((0, 0, 6), (1.2, 1.2), velocity=(4, 0, 0))])
     board = Board(device, Sizes((width, height), (width, height)), Options())
     stage, past = HistoryTracking(board), None
+    ColorCode(board)
     for k in range(2):
         view = camera(width, height, (0.02 * k, 0.02 * k, 0.6 * k))
         frame = world.frame(view, k / 30, width, height, past and (past.camera, past.time), reset=k == 0)

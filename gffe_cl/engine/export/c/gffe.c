@@ -325,12 +325,12 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     g->has_previous = g->has_frame && !reset;
     g->has_frame = 1;
     step->number = step->number % GFFE_MOST_NUMBER + 1;
-    step->coded = 0;
     if (!gffe_see_alike(&step->cameras[GFFE_PREVIOUS], camera)) {
         step->rests = 0;
     } else if (step->rests < GFFE_MOST_RESTS) {
         ++step->rests;
     }
+    step->coded = !step->rests;
     status = gffe_convert(g, given, g->has_previous);
     if (!status) status = gffe_take_overlays(g);
     if (!status) status = look_for_cut(g);
