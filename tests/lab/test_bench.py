@@ -51,7 +51,6 @@ def test_bench(gffe, tmp_path):
                 "hidden_parts",
                 "background, collection",
                 "connectivity",
-                "color_code",
                 "background, projection",
                 "holes",
                 "silhouettes",

@@ -224,11 +224,13 @@ def test_every_layer_equals_a_plain_run(device):
             result = ask(engine, *slots(setup, at), setup, expected[at])
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
-        assert set(result.milliseconds) == {
+        milliseconds = result.milliseconds
+        assert set(milliseconds) == {
             *("scene_cuts", "history", "connectivity", "prediction", "backward_blocks", "color_code", "warp"),
             *("hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
         }  # fmt: skip
-        assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
+        assert milliseconds.pop("color_code") == 0  # history tracking encodes while the camera moves
+        assert min(milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
 
 def test_seeking_equals_playing(device):
