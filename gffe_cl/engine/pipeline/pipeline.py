@@ -375,7 +375,7 @@ class Pipeline:
         assert frame is not None
         if previous and self.options.motion and see_alike(previous.camera, frame.camera):
             rests = min(self._rest["rests"] + 1, MOST_RESTS)
-        self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": not rests}
+        self._rest = {"number": self._rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": int(not rests)}
 
     def _rest_of(self, camera: Camera, is_replaced: bool) -> dict[str, int]:
         """Return `_rest`, and whether points at rest stay where they are for a new `camera`: then not all colors are
