@@ -155,8 +155,10 @@ WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __gl
     if (x >= width || y >= height) return;
     correction += at;
     Ints used = ALL_LANES;
-    if (asked == WITHIN_MASK)
-        used = *changed ? is_trusted_around(chosen + 3 * quarter, width / 2, height / 2, x, y) : (Ints)(0);
+    if (asked == WITHIN_MASK && *changed)
+        used = is_trusted_around(chosen + 3 * quarter, width / 2, height / 2, x, y);
+    else if (asked == WITHIN_MASK)
+        used = 0;
     if (!ANY(used)) {
         for (int c = 0; c < 5; ++c) store_floats((Floats)(c == KEPT ? 1.0f : 0.0f), 0, correction + c * plane);
         return;
