@@ -16,6 +16,8 @@
 #define HIDDEN 16 /* channels of its hidden layer */
 /* SAID: outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
 #define SAID 6
+#define KEPT 3 /* channels of the correction, after its change of color: detail that is kept, ... */
+#define MASK 4 /* ... focus mask */
 #define SLOPE 0.1f /* of leaky rectifiers */
 /* DISOCCLUDED_BELOW: mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
 #define DISOCCLUDED_BELOW 0.4f
@@ -24,6 +26,10 @@
 #define TRUSTED 3.0f
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
+
+/* Bits of `asked`: whether the image is unchanged where the mask is 0, and whether `refined` is requested. */
+#define WITHIN_MASK 1
+#define WITH_REFINED 2
 
 INLINE Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
 
@@ -71,45 +77,101 @@ WIDE __kernel void choose_flow(__constant Frame *restrict frame, __global const 
 INLINE void head_of(__global const float *head, const Floats *seen, Floats *said) {
     __global const float *bias = head + HIDDEN * SEEN, *second = bias + HIDDEN, *last = second + SAID * HIDDEN;
     for (int j = 0; j < SAID; ++j) said[j] = last[j];
-    for (int k = 0; k < HIDDEN; ++k) {
-        Floats sum = bias[k];
-        for (int i = 0; i < SEEN; ++i) sum += head[k * SEEN + i] * seen[i];
-        sum = leaky(sum);
-        for (int j = 0; j < SAID; ++j) said[j] += second[j * HIDDEN + k] * sum;
+    for (int k = 0; k < HIDDEN; k += 4) { /* four at once: what is seen is loaded once for all of them */
+        __global const float *first = head + k * SEEN;
+        Floats a = bias[k], b = bias[k + 1], c = bias[k + 2], d = bias[k + 3];
+#pragma unroll
+        for (int i = 0; i < SEEN; ++i) {
+            a += first[i] * seen[i];
+            b += first[SEEN + i] * seen[i];
+            c += first[2 * SEEN + i] * seen[i];
+            d += first[3 * SEEN + i] * seen[i];
+        }
+        a = leaky(a), b = leaky(b), c = leaky(c), d = leaky(d);
+#pragma unroll
+        for (int j = 0; j < SAID; ++j) {
+            __global const float *w = second + j * HIDDEN + k;
+            said[j] = said[j] + w[0] * a + w[1] * b + w[2] * c + w[3] * d;
+        }
     }
+}
+
+/* Four pixels of a quarter of the resolution's planes make 2x2 pixels of half of it: those of the pixels from (x, y)
+   on, of the planes of one channel. */
+INLINE Floats load_detail(__global const float *planes, const int plane, const int x, const int y, const int width) {
+    __global const float *left = planes + 2 * (y & 1) * plane + (y >> 1) * width + (x >> 1);
+#if LANES == 8
+    const float4 even = vload4(0, left), odd = vload4(0, left + plane);
+    return (float8)(even.x, odd.x, even.y, odd.y, even.z, odd.z, even.w, odd.w);
+#else
+    return left[(x & 1) * plane];
+#endif
 }
 
 /* The difference between `now`, moved from a place along the flow, and the color here, within MARGIN times the change
    from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
    stays. */
 INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
-                          const Floats before, const Sample *along) {
-    const Floats there = sampled(frame_now, along), moved = there - now;
-    const Floats changed = MARGIN * (now - before), changed_there = MARGIN * (there - sampled(frame_before, along));
+                          const Floats before, const SampleRuns *along) {
+    const Floats there = sampled_by_runs(frame_now, along), moved = there - now;
+    const Floats changed = MARGIN * (now - before),
+                 changed_there = MARGIN * (there - sampled_by_runs(frame_before, along));
     const Floats least = wide_lesser(wide_lesser(changed, changed_there), (Floats)(0.0f));
     const Floats most = wide_greater(wide_greater(changed, changed_there), (Floats)(0.0f));
     return wide_lesser(wide_greater(moved, least), most);
 }
 
+/* Whether the focus mask is trusted anywhere in the 3x3 pixels around, of width by height, of half the size: elsewhere
+   it is 0 for a pixel and its neighbors, and nobody uses the rest. */
+INLINE Ints is_trusted_around(__global const float *trusted, const int width, const int height, const int x,
+                              const int y) {
+    Floats sum = 0.0f;
+#pragma unroll
+    for (int dy = -1; dy <= 1; ++dy) {
+        __global const float *row = trusted + clamp((y >> 1) + dy, 0, height - 1) * width;
+#if LANES == 8
+        const int first = (x >> 1) - 1;
+        if (first >= 0 && first + LANES <= width) {
+            const float8 near = vload8(0, row + first);
+            sum += near.s00112233 + near.s11223344 + near.s22334455;
+            continue;
+        }
+#endif
+        for (int dx = -1; dx <= 1; ++dx)
+            sum += gather_floats(row, clamp(((x + LANE_NUMBERS) >> 1) + dx, (Ints)(0), (Ints)(width - 1)));
+    }
+    return !(sum == 0.0f);
+}
+
 /* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Texture is kept whatever the
    network says. Nothing is changed in disocclusions, where a change of light is indistinguishable from another
-   surface. */
-WIDE __kernel void judge(__constant Frame *restrict frame, __global const float *frames, __global const float *trends,
-                         __global const float *judgement, __global const float *chosen, __global const float *head,
-                         __global const float *texture, __global const int *changed, __global float *correction) {
+   surface. Where nobody uses the result, it is no change, all detail, and no mask. */
+WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __global const float *frames,
+                         __global const float *trends, __global const float *judgement, __global const float *chosen,
+                         __global const float *head, __global const float *texture, __global const int *changed,
+                         __global float *correction) {
     const int width = frame->network_width, height = frame->network_height, plane = width * height, quarter = plane / 4;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
+    correction += at;
+    Ints used = ALL_LANES;
+    if (asked == WITHIN_MASK && *changed)
+        used = is_trusted_around(chosen + 3 * quarter, width / 2, height / 2, x, y);
+    else if (asked == WITHIN_MASK)
+        used = 0;
+    if (!ANY(used)) {
+        for (int c = 0; c < 5; ++c) store_floats((Floats)(c == KEPT ? 1.0f : 0.0f), 0, correction + c * plane);
+        return;
+    }
     Taps taps;
     taps_around(x, y, width / 2, height / 2, &taps);
     const Floats flow_x = interpolate(chosen, &taps), flow_y = interpolate(chosen + quarter, &taps);
     const Floats lasts = interpolate(chosen + 2 * quarter, &taps);
-    Sample along;
-    find_sample(row_indices(x) + flow_x, (float)y + flow_y, width, height, &along);
-    const Ints column = x + LANE_NUMBERS, detail_at = (column & 1) * quarter + (y / 2) * (width / 2) + (column >> 1);
-    __global const float *detail = judgement + (JUDGED + 2 * (y & 1)) * quarter;
+    SampleRuns along;
+    find_sample_runs(row_indices(x) + flow_x, (float)y + flow_y, width, height, &along);
     Floats seen[SEEN], said[SAID];
-    for (int c = 0; c < DETAIL; ++c) seen[c] = leaky(gather_floats(detail + 4 * c * quarter, detail_at));
+    for (int c = 0; c < DETAIL; ++c)
+        seen[c] = leaky(load_detail(judgement + (JUDGED + 4 * c) * quarter, quarter, x, y, width / 2));
     for (int c = 0; c < 3; ++c) {
         const Floats now = load_floats(0, frames + c * plane + at),
                      before = load_floats(0, frames + (3 + c) * plane + at);
@@ -120,16 +182,17 @@ WIDE __kernel void judge(__constant Frame *restrict frame, __global const float 
     }
     head_of(head, seen, said);
     const Floats number = (flow_x - flow_x) + (flow_y - flow_y); /* 0; NaN for an invalid flow */
-    for (int c = 0; c < 3; ++c)
-        store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0,
-                     correction + c * plane + at);
-    const Floats keep = sigmoid(said[3]);
-    store_floats(keep + (1.0f - keep) * interpolate(texture, &taps), 0, correction + 3 * plane + at);
+    for (int c = 0; c < 3; ++c) {
+        const Floats change = said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number;
+        store_floats(used ? change : (Floats)(0.0f), 0, correction + c * plane);
+    }
+    const Floats keep = sigmoid(said[3]), kept = keep + (1.0f - keep) * interpolate(texture, &taps);
+    store_floats(used ? kept : (Floats)(1.0f), 0, correction + KEPT * plane);
     const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
     const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
     const Floats trusted = interpolate(chosen + 3 * quarter, &taps);
-    store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask, 0,
-                 correction + 4 * plane + at);
+    const Floats shown = mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask;
+    store_floats(used ? shown : (Floats)(0.0f), 0, correction + MASK * plane);
 }
 
 /* Stores the lanes of a mixture that hold, and of the others the extrapolated color's own bits. */
@@ -158,10 +221,6 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
     }
 }
 
-/* Bits of `asked`: whether the image is unchanged where the mask is 0, and whether `refined` is requested. */
-#define WITHIN_MASK 1
-#define WITH_REFINED 2
-
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that
    within the focus mask, the extrapolated color's own bits where the mask is 0. Output that is not finite counts as
    no mask. `refined` is only stored on request; otherwise a run of pixels without mask is a copy. */
@@ -177,7 +236,7 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
     Taps taps;
     taps_around(x, y, network_width, network_height, &taps);
-    const Floats m = interpolate(correction + 4 * plane, &taps);
+    const Floats m = interpolate(correction + MASK * plane, &taps);
     if (within_mask && !with_refined && !ANY(m >= LEAST_MASK)) {
         const WideRgb none = {0.0f, 0.0f, 0.0f};
         store_some_halfs((Floats)(0.0f), count, focus_mask + i);
@@ -186,7 +245,7 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
     }
     const WideRgb c = finite_rgb(count >= LANES ? load_rgb_run(color + 4 * i)
                                                 : gather_rgb(color, i + min((Ints)(LANE_NUMBERS), (Ints)(count - 1))));
-    const Floats keep = interpolate(correction + 3 * plane, &taps);
+    const Floats keep = interpolate(correction + KEPT * plane, &taps);
     const Floats low_r = interpolate(frames, &taps);
     const Floats low_g = interpolate(frames + plane, &taps);
     const Floats low_b = interpolate(frames + 2 * plane, &taps);

@@ -28,17 +28,17 @@ INLINE Floats log_of_parts(const Floats mantissa, const Ints exponent) {
     return m + y + 0.693359375f * e;
 }
 
-/* ln(x) and ln(a * b) for numbers >= 1; the product may be too large for a float. */
+/* ln(x) and ln(a * b) for numbers >= 1 and below 1e28; the product may be too large for a float. */
+#define SCALED 60 /* powers of two by which it is made smaller */
 INLINE Floats log_of(const Floats x) {
     const Ints exponent = exponent_of(x);
     return log_of_parts(mantissa_of(x, exponent), exponent);
 }
 
 INLINE Floats log_of_product(const Floats a, const Floats b) {
-    const Ints of_a = exponent_of(a), of_b = exponent_of(b);
-    const Floats product = mantissa_of(a, of_a) * mantissa_of(b, of_b);
-    const Ints more = exponent_of(product);
-    return log_of_parts(mantissa_of(product, more), of_a + of_b + more);
+    const Floats product = a * ints_as_floats((Ints)((127 - SCALED) << 23)) * b;
+    const Ints exponent = exponent_of(product);
+    return log_of_parts(mantissa_of(product, exponent), exponent + SCALED);
 }
 
 /* exp(x) - 1 for x from 0 to 88, with the same precision. */

@@ -75,8 +75,6 @@ INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
 }
 
 #if LANES == 8
-DEFINE_DIVIDE(Pairs, divide_pairs)
-
 #define CHANNEL(a, b, c) ((float8)((a).part[0].s##c, (a).part[1].s##c, (b).part[0].s##c, (b).part[1].s##c))
 #define LEFT(a, b) {CHANNEL(a, b, 08), CHANNEL(a, b, 19), CHANNEL(a, b, 2a)}
 #define RIGHT(a, b) {CHANNEL(a, b, 4c), CHANNEL(a, b, 5d), CHANNEL(a, b, 6e)}
@@ -94,6 +92,88 @@ INLINE void store_colors(const Products products, const float4 law, const int pl
     store_floats(scale * log_of_product(left.b, right.b), 0, planes + 2 * plane_size);
 }
 
+/* Indices of 2x2 pixels, LANES times, from (x, y) on: upper left and right, lower left and right; the image's border is
+   repeated. */
+INLINE void find_pixels(const int x, const int y, const int width, const int height, Ints *at) {
+    const int top = min(y, height - 1) * width, bottom = min(y + 1, height - 1) * width;
+    const Ints column = x + 2 * LANE_NUMBERS;
+    const Ints left = min(column, (Ints)(width - 1)), right = min(column + 1, (Ints)(width - 1));
+    at[0] = top + left;
+    at[1] = top + right;
+    at[2] = bottom + left;
+    at[3] = bottom + right;
+}
+
+/* Values of these pixels; `whole`: they are all in the image. */
+INLINE void load_pixels(__global const float *plane, const Ints *at, const bool whole, Floats *part) {
+#if LANES == 8
+    if (whole) {
+        const float16 a = vload16(0, plane + at[0].s0), b = vload16(0, plane + at[2].s0);
+        part[0] = a.even;
+        part[1] = a.odd;
+        part[2] = b.even;
+        part[3] = b.odd;
+        return;
+    }
+#endif
+    for (int k = 0; k < 4; ++k) part[k] = gather_floats(plane, at[k]);
+}
+
+INLINE void find_set_pixels(__global const uchar *mask, const Ints *at, const bool whole, Ints *part) {
+#if LANES == 8
+    if (whole) {
+        const uchar16 a = vload16(0, mask + at[0].s0), b = vload16(0, mask + at[2].s0);
+        part[0] = convert_int8(a.even) != 0;
+        part[1] = convert_int8(a.odd) != 0;
+        part[2] = convert_int8(b.even) != 0;
+        part[3] = convert_int8(b.odd) != 0;
+        return;
+    }
+#endif
+    for (int k = 0; k < 4; ++k) part[k] = to_ints(gather_bytes(mask, at[k])) != 0;
+}
+
+/* Product of lifted colors of t-1 of a smooth quad, from pixel `dst` on: of its left and of its right pixels; false if
+   they are not finite. */
+INLINE bool product_between(const Frames *f, const int dst, const int tap, const float u, const float v,
+                            const float nearest, const float farthest, const float4 law, float8 *product) {
+    const int width = f->source_width, second = tap + width, third = second + width;
+    const int3 same_a = of_surface(f->depth_prev, tap, nearest, farthest),
+               same_b = of_surface(f->depth_prev, second, nearest, farthest),
+               same_c = of_surface(f->depth_prev, third, nearest, farthest);
+    float8 top, bottom;
+    if (all(same_a & same_b & same_c)) {
+        const float8 a = between_texels(f->color_prev, tap, u), b = between_texels(f->color_prev, second, u),
+                     c = between_texels(f->color_prev, third, u);
+        top = a + v * (b - a);
+        bottom = b + v * (c - b);
+    } else {
+        float8 weight_a, weight_b, weight_c;
+        const float8 a = between_some(f->color_prev, tap, u, same_a, &weight_a),
+                     b = between_some(f->color_prev, second, u, same_b, &weight_b),
+                     c = between_some(f->color_prev, third, u, same_c, &weight_c);
+        top = mean_of_some(f, dst, v, a, b, weight_a, weight_b);
+        bottom = mean_of_some(f, dst + f->target_width, v, b, c, weight_b, weight_c);
+    }
+    *product = LIFTED(float8, top, law) * LIFTED(float8, bottom, law);
+    return all((fabs(top) <= COLOR_MAX) & (fabs(bottom) <= COLOR_MAX));
+}
+
+/* The same of any quad, from pixel (x, y) on. */
+INLINE float8 product_of_pixels(const Frames *f, const int x, const int y, const int height, const float4 law) {
+    float4 left = (float4)(1.0f), right = left;
+#pragma unroll 1
+    for (int k = 0; k < 4; ++k) {
+        const float4 before = previous_at(f, min(x + (k & 1), f->target_width - 1), min(y + (k >> 1), height - 1));
+        const float4 lifted = LIFTED(float4, before, law);
+        if (k & 1)
+            right *= lifted;
+        else
+            left *= lifted;
+    }
+    return (float8)(left, right);
+}
+
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
 WIDE __kernel void network_input(__constant Frame *restrict frame, __global const half *color,
                                  __global const float *depth, __global const float2 *out_motion,
@@ -102,15 +182,14 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
                                  __global const float *depth_prev, __global const float *median_depth,
                                  __global float *planes) {
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const int source_width = frame->source_width, source_height = frame->source_height;
     const int network_width = frame->network_width, network_height = frame->network_height;
     const float4 law = frame->color_law;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
     const Frames frames = {.known = 1,
                            .target_width = target_width,
-                           .source_width = source_width,
-                           .source_height = source_height,
+                           .source_width = frame->source_width,
+                           .source_height = frame->source_height,
                            .color = color,
                            .color_prev = color_prev,
                            .depth = depth,
@@ -123,68 +202,61 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
     const int plane_size = network_width * network_height;
     __global float *out = planes + net_y * network_width + net_x;
 
-    Floats inverse = 0.0f, mask = 0.0f;
     Products products;
-#if LANES == 8
-    StripOfFrame strips[4];  /* left, right; of two rows */
-    Strip colors[4], before[4];
+    Strip colors[4]; /* left, right; of two rows */
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
         const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1),
                   y = min(2 * net_y + (k >> 1), target_height - 1);
-        strips[k] = strip_of_frame(&frames, x, y);
-        colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
-        previous_of(&frames, strips + k, colors + k, before + k);
-        before[k] = as_halfs(before[k]);
-    }
-#pragma unroll
-    for (int row = 0; row < 2; ++row) {
-        const StripOfFrame *a = strips + 2 * row, *b = a + 1;
-        const Pairs near = divide_pairs((Pairs)(*median_depth), (Pairs)(a->depth, b->depth));
-        const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
-        const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
-        inverse += nearness.even + nearness.odd;
-        mask += masks.even + masks.odd;
+        colors[k] = load_strip(target_width - x, color + 4 * (y * target_width + x));
     }
     products.left = lifted_rows(colors[0], colors[2], law);
     products.right = lifted_rows(colors[1], colors[3], law);
     store_colors(products, law, plane_size, out);
-    products.left = lifted_rows(before[0], before[2], law);
-    products.right = lifted_rows(before[1], before[3], law);
-#else  /* one pixel after another, and colors first: GPUs have no registers for all of them at once */
-    float left_nearness = 0.0f, left_mask = 0.0f;
-    Strip colors[4];
+
+    const bool whole = 2 * (net_x + LANES) <= target_width && 2 * net_y + 2 <= target_height;
+    Ints at[4], moves[4], hidden[4];
+    Floats nearness[4], inverse[4], masks[4];
+    find_pixels(2 * net_x, 2 * net_y, target_width, target_height, at);
+    load_pixels(depth, at, whole, nearness);
+    find_set_pixels(is_dynamic, at, whole, moves);
+    find_set_pixels(disoccluded, at, whole, hidden);
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
-        const int x = min(2 * net_x + (k & 1), target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
-        colors[k] = load_strip(1, color + 4 * (y * target_width + x));
+        nearness[k] = 1.0f / nearness[k];
+        const Floats near = *median_depth * nearness[k];
+        inverse[k] = near < MAX_INVERSE_DEPTH ? near : (Floats)(MAX_INVERSE_DEPTH);
+        masks[k] = input_masks(moves[k], hidden[k]);
     }
-    products.left = lifted_rows(colors[0], colors[2], law);
-    products.right = lifted_rows(colors[1], colors[3], law);
-    store_colors(products, law, plane_size, out);
-    products.left.part[0] = products.right.part[0] = (Texels)(1.0f);
-    for (int k = 0; k < 4; ++k) {
-        const int x = min(2 * net_x + (k & 1), target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
-        const StripOfFrame here = strip_of_frame(&frames, x, y);
-        const Strip gae = load_strip(1, color + 4 * here.first);
-        Strip before;
-        previous_of(&frames, &here, &gae, &before);
-        before = as_halfs(before);
-        const Texels lifted = LIFTED(Texels, before.part[0], law);
-        const float near = divide(*median_depth, here.depth);
-        const float nearness = near < MAX_INVERSE_DEPTH ? near : MAX_INVERSE_DEPTH;
-        if (k & 1) {
-            products.right.part[0] *= lifted;
-            inverse += left_nearness + nearness;
-            mask += left_mask + input_mask_of(&here);
-        } else {
-            products.left.part[0] *= lifted;
-            left_nearness = nearness;
-            left_mask = input_mask_of(&here);
-        }
+    store_floats(0.25f * ((inverse[0] + inverse[1]) + (inverse[2] + inverse[3])), 0, out + 6 * plane_size);
+    store_floats(0.25f * ((masks[0] + masks[1]) + (masks[2] + masks[3])), 0, out + 7 * plane_size);
+
+    Quads quads =
+        find_quads(&frames, at[0], 2.0f * to_floats(net_x + LANE_NUMBERS) + 1.0f, 2.0f * (float)net_y + 1.0f, nearness,
+                   moves[0] & moves[1] & moves[2] & moves[3], moves[0] | moves[1] | moves[2] | moves[3]);
+    int lane_smooth[LANES], lane_tap[LANES];
+    float lane_u[LANES], lane_v[LANES], lane_nearest[LANES], lane_farthest[LANES], texels[8 * LANES];
+    const Ints inside =
+        (2 * (net_x + LANE_NUMBERS) + 2 <= target_width) & (Ints)(2 * net_y + 2 <= target_height ? -1 : 0);
+    store_ints(quads.smooth & inside, 0, lane_smooth);
+    store_ints(quads.tap, 0, lane_tap);
+    store_floats(quads.u, 0, lane_u);
+    store_floats(quads.v, 0, lane_v);
+    store_floats(quads.nearest, 0, lane_nearest);
+    store_floats(quads.farthest, 0, lane_farthest);
+    for (int k = 0; k < LANES; ++k) {
+        const int x = 2 * (net_x + k), y = 2 * net_y;
+        float8 product;
+        if (!(lane_smooth[k]
+              && product_between(&frames, y * target_width + x, lane_tap[k], lane_u[k], lane_v[k], lane_nearest[k],
+                                 lane_farthest[k], law, &product)))
+            product = product_of_pixels(&frames, x, y, target_height, law);
+        vstore8(product, k, texels);
     }
-#endif
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) {
+        products.left.part[part] = reload_texels(part, texels);
+        products.right.part[part] = reload_texels(PARTS + part, texels);
+    }
     store_colors(products, law, plane_size, out + 3 * plane_size);
-    store_floats(0.25f * inverse, 0, out + 6 * plane_size);
-    store_floats(0.25f * mask, 0, out + 7 * plane_size);
 }

@@ -10,16 +10,15 @@
 
 /* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from
    warped_previous.h. */
-WIDE __kernel void prepare_inputs(__constant Frame *restrict frame, __global const half *color,
-                                  __global const float *depth, __global const float2 *out_motion,
-                                  __global const uchar *is_dynamic, __global const uchar *disoccluded,
-                                  __global const float2 *motion, __global const half *color_prev,
-                                  __global const float *depth_prev, __global half *warped_previous,
-                                  __global half *input_mask) {
+__kernel void prepare_inputs(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
+                             __global const float2 *out_motion, __global const uchar *is_dynamic,
+                             __global const uchar *disoccluded, __global const float2 *motion,
+                             __global const half *color_prev, __global const float *depth_prev,
+                             __global half *warped_previous, __global half *input_mask) {
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous;
-    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
+    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const Frames frames = {.known = has_previous,
                            .target_width = target_width,
@@ -34,12 +33,9 @@ WIDE __kernel void prepare_inputs(__constant Frame *restrict frame, __global con
                            .is_dynamic = is_dynamic,
                            .disoccluded = disoccluded,
                            .to_previous = &frame->target_to_previous};
-    const StripOfFrame here = strip_of_frame(&frames, dst_x, dst_y);
-    const Strip gae = load_strip(here.count, color + 4 * here.first);
-    Strip previous;
-    previous_of(&frames, &here, &gae, &previous);
-    store_some_halfs(input_mask_of(&here), here.count, input_mask + here.first);
-    store_strip(previous, here.count, warped_previous + 4 * here.first);
+    const int dst = dst_y * target_width + dst_x;
+    vstore_half_rte(input_mask_at(&frames, dst), dst, input_mask);
+    vstore_half4_rte(previous_at(&frames, dst_x, dst_y), dst, warped_previous);
 }
 
 INLINE float relative_error(const float a, const float b) {

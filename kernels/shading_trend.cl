@@ -137,37 +137,48 @@ find_change(__constant Frame *restrict frame, __global const uchar *changed_samp
 
 /* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond
    the image there is nothing. */
-__kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
+WIDE __kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
+    const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, row = cell_y * cells_width;
+    const bool inner = cell_x >= reach && cell_x + reach + LANES <= cells_width;
     for (int c = 0; c < CHANGES; ++c) {
-        float sum = 0.0f;
-        for (int x = max(cell_x - reach, 0); x <= min(cell_x + reach, cells_width - 1); ++x)
-            sum += (float)(reach + 1 - abs(x - cell_x)) * changes[c * plane + row + x];
-        blurred[c * plane + row + cell_x] = sum;
+        __global const float *values = changes + c * plane + row;
+        Floats sum = 0.0f;
+        for (int dx = -reach; dx <= reach; ++dx) {
+            const float weight = (float)(reach + 1 - abs(dx));
+            if (inner) {
+                sum += weight * load_floats(0, values + cell_x + dx);
+            } else {
+                const Ints x = cell_x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(cells_width - 1));
+                sum += x == there ? weight * gather_floats(values, there) : (Floats)(0.0f);
+            }
+        }
+        store_some_floats(sum, cells_width - cell_x, blurred + c * plane + row + cell_x);
     }
 }
 
 /* Blurs along columns, and takes the mean of known values. */
-__kernel void find_trend(__constant Frame *restrict frame, __global const float *blurred, __global float *trend) {
+WIDE __kernel void find_trend(__constant Frame *restrict frame, __global const float *blurred, __global float *trend) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
+    const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), count = cells_width - cell_x;
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, cell = cell_y * cells_width + cell_x;
     const float whole = (float)((reach + 1) * (reach + 1) * (reach + 1) * (reach + 1)); /* sum of all weights */
-    float sum[CHANGES];
+    Floats sum[CHANGES];
     for (int c = 0; c < CHANGES; ++c) {
         sum[c] = 0.0f;
         for (int y = max(cell_y - reach, 0); y <= min(cell_y + reach, cells_height - 1); ++y)
-            sum[c] += (float)(reach + 1 - abs(y - cell_y)) * blurred[c * plane + y * cells_width + cell_x];
+            sum[c] += (float)(reach + 1 - abs(y - cell_y))
+                      * load_some_floats(count, blurred + c * plane + y * cells_width + cell_x);
     }
-    const float least = LEAST_SHARE * whole, share = fmax(sum[3], least);
-    for (int c = 0; c < 3; ++c) trend[c * plane + cell] = divide(sum[c], share);
-    trend[3 * plane + cell] = divide(sum[3], whole);
+    const float least = LEAST_SHARE * whole;
+    const Floats share = wide_greater(sum[3], (Floats)(least));
+    for (int c = 0; c < 3; ++c) store_some_floats(wide_divide(sum[c], share), count, trend + c * plane + cell);
+    store_some_floats(wide_divide(sum[3], (Floats)(whole)), count, trend + 3 * plane + cell);
 }
 
 /* The four cells around positions in a rendered image, and their weights; 0 behind the camera. */

@@ -54,17 +54,13 @@ INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     vstore16(vload16(0, (__global const uint *)color), 0, (__global uint *)out);
 }
 
-/* Two numbers of each lane, which follow one another. */
-typedef float16 Pairs;
-
 /* All channels of some pixels that follow one another, as they lie in memory: of a strip of LANES pixels in PARTS. */
 typedef float16 Texels;
 #define TEXELS 4
 #define PARTS 2
 #define VALID(texels) (texels).s37bf  /* the fourth channel */
 #define OF_TEXELS(v, part)                                                                                             \
-    ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number, or a condition, ... */
-#define WHERE_TEXELS(v, part) OF_TEXELS(v, part)  /* ... of each pixel for its channels */
+    ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number of each pixel for its channels */
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) vload_half16(i, p)
 #define reload_texels(i, p) vload16(i, p)
@@ -83,14 +79,11 @@ INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     *(__global uint2 *)out = *(__global const uint2 *)color;
 }
 
-typedef float2 Pairs;
-
 typedef float4 Texels;
 #define TEXELS 1
 #define PARTS 1
 #define VALID(texels) (texels).w
 #define OF_TEXELS(v, part) ((float4)(v))
-#define WHERE_TEXELS(v, part) ((int4)(-(v)))
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) vload_half4(i, p)
 #define reload_texels(i, p) vload4(i, p)
@@ -145,13 +138,4 @@ INLINE void store_strip(const Strip s, const int count, __global half *color) {
     float texels[4 * LANES];
     for (int part = 0; part < PARTS; ++part) store_texels(s.part[part], part, texels);
     for (int k = 0; k < count; ++k) vstore_half4_rte(vload4(k, texels), k, color);
-}
-
-/* A strip as it comes back from a half image. */
-INLINE Strip as_halfs(const Strip s) {
-    Strip out;
-    ushort bits[4 * LANES];
-    for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, (half *)bits);
-    for (int part = 0; part < PARTS; ++part) out.part[part] = load_texels(part, (const half *)bits);
-    return out;
 }

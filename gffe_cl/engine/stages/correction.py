@@ -67,7 +67,7 @@ class ShadingCorrection(Stage):
         ),
         BufferSpec(
             "correction", np.float32, (), "network", "change of encoded color (1–3), share of detail that stays (4),"
-            " focus mask (5); half resolution", planes=5,
+            " focus mask (5); half resolution; nothing changes where the mask is not trusted", planes=5,
         ),
         BufferSpec(
             "refined", np.float16, RGBA, "target", "the network's image, without focus mask; computed only on"
@@ -218,9 +218,9 @@ class ShadingCorrection(Stage):
             self._correct(step, changed=self._true)  # the stage that found it may have seen the next frame
 
     def _correct(self, step: Step, **given: Any) -> None:
-        self.launch("choose_flow", step)
-        self.launch("judge", step, **given)
-        self.compose(step, self.board.options.focus_mask)
+        within_mask = self.board.options.focus_mask
+        self.judge(step, within_mask, **given)
+        self.compose(step, within_mask)
 
     def use(self, network: Network) -> None:
         """Set the runner of the network from now on."""
@@ -259,10 +259,17 @@ class ShadingCorrection(Stage):
     def _close(self) -> None:
         self._transfers += [event for view in self._views for event in view.close()]
 
+    def judge(self, step: Step, within_mask: bool, **given: Any) -> None:
+        """Fill `correction`; within the mask alone, only where the mask may count."""
+        self.launch("choose_flow", step)
+        self.launch("judge", step, asked=self._asked(within_mask), **given)
+
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`. Without `within_mask` the whole image is the network's."""
-        asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
-        self.launch("correct", step, asked=asked)
+        self.launch("correct", step, asked=self._asked(within_mask))
+
+    def _asked(self, within_mask: bool) -> int:
+        return within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
 
     def _take_transfers(self) -> float:
         """Return milliseconds of the last frame's transfers, which must be complete; 0 without profiling."""

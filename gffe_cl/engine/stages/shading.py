@@ -52,7 +52,6 @@ class ShadingInputs(Stage):
             "target",
             SEEN,
             {"warped_previous": "shading.warped_previous", "input_mask": "shading.input_mask"},
-            step=("LANES", 1),
         ),
     )
     is_looked_at = True

@@ -54,8 +54,20 @@ class ShadingTrend(Stage):
             {"changed": "shading_trend.changed"},
             group="SCANNERS",
         ),
-        Kernel("blur_rows", "cells", {"changes": "shading_trend.changes"}, {"blurred": "shading_trend.blurred"}),
-        Kernel("find_trend", "cells", {"blurred": "shading_trend.blurred"}, {"trend": "shading_trend.trend"}),
+        Kernel(
+            "blur_rows",
+            "cells",
+            {"changes": "shading_trend.changes"},
+            {"blurred": "shading_trend.blurred"},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "find_trend",
+            "cells",
+            {"blurred": "shading_trend.blurred"},
+            {"trend": "shading_trend.trend"},
+            step=("LANES", 1),
+        ),
         Kernel(
             "carry_trends",
             "network1",

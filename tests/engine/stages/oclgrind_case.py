@@ -68,8 +68,8 @@ def shading(device):
         for name in ("shading", "network_input", "shading_flow"):
             board.stages[name].extrapolated(step)
         correction.upload("judgement", judgement)
-        correction.launch("choose_flow", step)
-        correction.launch("judge", step)
+        board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
+        correction.judge(step, within_mask=True)
         for within_mask in (True, False):
             correction.with_refined = within_mask
             correction.compose(step, within_mask)

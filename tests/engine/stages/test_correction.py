@@ -7,7 +7,8 @@ from network_stages import SIZES, made_stages, moving_frames, put
 
 
 @pytest.mark.parametrize("size", [*SIZES, (130, 70)])
-def test_judgement_makes_the_correction_of_its_twin(device, size):
+@pytest.mark.parametrize("refined", [False, True])
+def test_judgement_makes_the_correction_of_its_twin(device, size, refined):
     board, correction, step = made_stages(device, size)
     rng = np.random.default_rng(3)
     frames = moving_frames(board.sizes.of("network"), rng)
@@ -19,20 +20,22 @@ def test_judgement_makes_the_correction_of_its_twin(device, size):
     board.stages["shading_flow"].extrapolated(step)
     board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
     correction.upload("judgement", judgement)
-    correction.launch("choose_flow", step)
-    correction.launch("judge", step)
+    correction.with_refined = refined
+    correction.judge(step, within_mask=True)
     candidates, differences = (board.stages["shading_flow"].read(name) for name in ("candidates", "differences"))
     trends = board.stages["shading_trend"].read("trends")
     with np.errstate(all="ignore"):
         chosen = twins.choose_flow(judgement, candidates, differences, step.alpha)
         assert np.array_equal(correction.read("chosen"), chosen, equal_nan=True)
         expected = twins.judge(
-            frames, trends, judgement, chosen, correction.read("head").ravel(), twins.find_texture(frames)
+            frames, trends, judgement, chosen, correction.read("head").ravel(), twins.find_texture(frames), refined
         )
     got = correction.read("correction")
     sound = np.isfinite(expected).all(0)
     assert np.array_equal(sound, np.isfinite(got).all(0)) and np.array_equal(got[:, sound], expected[:, sound])
-    assert sound.mean() > 0.3 or min(size) < 30
+    unused = (got == np.array([0, 0, 0, 1, 0])[:, None, None]).all(0)
+    assert (sound.mean() > 0.3 and unused.mean() < 0.9) or min(size) < 30
+    assert unused.any() != refined
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -1,6 +1,7 @@
 """Twin of correction.cl."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from twins.common import F, kernel_constants
 from twins.network_input import decode, encode, exp_less_one
@@ -31,8 +32,8 @@ def choose_flow(judgement, candidates, differences, alpha):
     return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None], trusted[None]])
 
 
-def judge(frames, trends, judgement, chosen, head, texture):
-    """(5, h, w): the correction at half resolution."""
+def judge(frames, trends, judgement, chosen, head, texture, refined=False):
+    """(5, h, w): the correction at half resolution; unless the `refined` image is made, too, only where it is used."""
     seen_count, hidden, said_count = CORRECTION.SEEN, CORRECTION.HIDDEN, CORRECTION.SAID
     parts = np.split(head, np.cumsum([hidden * seen_count, hidden, said_count * hidden]))
     first, bias, second, last = parts[0].reshape(hidden, -1), parts[1], parts[2].reshape(said_count, -1), parts[3]
@@ -60,7 +61,10 @@ def judge(frames, trends, judgement, chosen, head, texture):
     )
     keep = sigmoid(said[3])
     keep = keep + (F(1) - keep) * doubled(texture)
-    return np.concatenate([delta, keep[None], (mask * trusted)[None]])
+    made = np.concatenate([delta, keep[None], (mask * trusted)[None]])
+    sums = sliding_window_view(np.pad(chosen[3], 1, mode="edge"), (3, 3)).sum((-1, -2))
+    unused = (sums == 0).repeat(2, 0).repeat(2, 1) & (not refined)
+    return np.where(unused, np.array([0, 0, 0, 1, 0], F)[:, None, None], made)
 
 
 def correct(color, frames, correction, exposure, within_mask=True):
