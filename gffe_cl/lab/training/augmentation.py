@@ -28,9 +28,9 @@ class Augmentation:
     frame, at x − v in the warped previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which
     only the trend is known. Trends follow as the stage `ShadingTrend` would find them.
 
-    Batches are on the device of `generator`. `shading`: how often a crop gets any; two fifths of these have lights that switch. `changing`: the share of patterns
-    that do not move steadily: they jump, are somewhere else in every frame, flicker or fade. Of these only fading
-    continues.
+    Batches are on the device of `generator`. `shading`: how often a crop gets any; two fifths of these have lights that
+    switch. `changing`: the share of patterns that do not move steadily: they jump, are somewhere else in every frame,
+    flicker or fade. Of these only fading continues.
     """
 
     def __init__(self, generator: torch.Generator, shading: float = 0.6, noise: float = 0.25, changing: float = 1 / 3):
