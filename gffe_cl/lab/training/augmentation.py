@@ -28,15 +28,19 @@ class Augmentation:
     frame, at x − v in the warped previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which
     only the trend is known. Trends follow as the stage `ShadingTrend` would find them.
 
-    `shading`: how often a crop gets any; two fifths of these have lights that switch. `changing`: the share of patterns
-    that do not move steadily: they jump, are somewhere else in every frame, flicker or fade. Of these only fading
-    continues.
+    Batches are on the device of `generator`. `shading`: how often a crop gets any; two fifths of these have lights that
+    switch. `changing`: the share of patterns that do not move steadily: they jump, are somewhere else in every frame,
+    flicker or fade. Of these only fading continues.
     """
 
     def __init__(self, generator: torch.Generator, shading: float = 0.6, noise: float = 0.25, changing: float = 1 / 3):
         self.generator, self.shading, self.noise, self.changing = generator, shading, noise, changing
 
     def __call__(self, batch: Batch) -> Batch:
+        with self.generator.device:
+            return self._varied(batch)
+
+    def _varied(self, batch: Batch) -> Batch:
         alpha = batch.alpha
         earlier = _earlier(batch)
         colors = torch.stack((batch.gae, batch.previous, batch.truth, earlier))  # (4, N, 3, H, W)
@@ -216,7 +220,7 @@ def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> T
     size = [-(-side // 2) for side in changes.shape[-2:]]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
     if heights is not None:
-        reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights]).view(-1, 1, 1, 1)
+        reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights.tolist()]).view(-1, 1, 1, 1)
         across, along = (torch.arange(side, dtype=changes.dtype) for side in cells.shape[-2:])
         weights = [(1 - (x[:, None] - x[None]).abs() / reach).clamp(min=0) / reach for x in (across, along)]
         cells = weights[0] @ cells @ weights[1]

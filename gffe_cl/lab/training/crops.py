@@ -59,10 +59,6 @@ class Batch:
     def images(self) -> list[Tensor]:
         return [self.gae, self.previous, self.truth, self.side]
 
-    def to(self, device) -> Batch:
-        images = (image.to(device) for image in (*self.images(), self.trends, self.alpha, self.heights))
-        return Batch(*images, halved=self.halved)
-
     def frames(self) -> Tensor:
         """Return the network's input without trends."""
         planes = torch.cat((encode(self.gae), encode(self.previous), self.side), 1)
@@ -128,25 +124,38 @@ def keep_crops(crops: list[Crop], seed: int) -> list[Crop]:
     return ranked[:top] + [rest[i] for i in chosen]
 
 
-def load_batch(crops: list[Crop], halved: bool = False) -> Batch:
-    """Read crops from disk and return them as a batch. Raises GffeError for a file that is missing, truncated or of
-    another shape."""
-    half = np.stack([_read(crop, halved_path(crop.path), HALVED_CHANNELS, 2) for crop in crops])
-    planes = half if halved else np.stack([_read(crop, crop.path, CHANNELS, 1) for crop in crops])
-    planes, trends = (torch.from_numpy(x).float() for x in (planes, half[:, CHANNELS:, ::2, ::2]))
-    alpha = torch.tensor([crop.alpha for crop in crops])
-    heights = torch.tensor([float(crop.height) for crop in crops])
-    images = (planes[:, part] for part in PLANES.values())
-    return Batch(*images, trends=trends, alpha=alpha, heights=heights, halved=halved)
+class CropReader:
+    """Reader of crops from disk into the memory of `device`. A GPU keeps those that fit into half of its free memory;
+    for a CPU the system caches files."""
 
+    def __init__(self, device: torch.device):
+        self.device = device
+        self._kept: dict[tuple[Crop, bool], Tensor] = {}
+        self._left = torch.cuda.mem_get_info(device)[0] // 2 if device.type == "cuda" else 0
 
-def _read(crop: Crop, path: Path, channels: int, scale: int) -> np.ndarray:
-    """Return the part of `path`, at 1/`scale` of the resolution, that belongs to a crop."""
-    shape, y, x = (channels, CROP // scale, CROP // scale), crop.y // scale, crop.x // scale
-    try:
-        part = np.load(path, mmap_mode="r")[crop.sample, :, y : y + shape[1], x : x + shape[2]]
-    except (OSError, EOFError, ValueError, IndexError) as error:
-        raise GffeError(f"{path}: not a training clip ({error})") from None
-    if part.shape != shape:
-        raise GffeError(f"{path}: expected crops of {shape}, got {part.shape}")
-    return np.array(part)
+    def batch(self, crops: list[Crop], halved: bool = False) -> Batch:
+        """Return a batch of crops. Raises GffeError for a file that is missing, truncated or of another shape."""
+        half = torch.stack([self._read(crop, True) for crop in crops]).float()
+        planes = half if halved else torch.stack([self._read(crop, False) for crop in crops]).float()
+        alpha = torch.tensor([crop.alpha for crop in crops], device=self.device)
+        heights = torch.tensor([float(crop.height) for crop in crops], device=self.device)
+        images = (planes[:, part] for part in PLANES.values())
+        return Batch(*images, trends=half[:, CHANNELS:, ::2, ::2], alpha=alpha, heights=heights, halved=halved)
+
+    def _read(self, crop: Crop, halved: bool) -> Tensor:
+        """Return the planes of a crop, of `Crop.path` or of its half resolution."""
+        if (kept := self._kept.get((crop, halved))) is not None:
+            return kept
+        path, channels, scale = (halved_path(crop.path), HALVED_CHANNELS, 2) if halved else (crop.path, CHANNELS, 1)
+        shape, y, x = (channels, CROP // scale, CROP // scale), crop.y // scale, crop.x // scale
+        try:
+            part = np.load(path, mmap_mode="r")[crop.sample, :, y : y + shape[1], x : x + shape[2]]
+        except (OSError, EOFError, ValueError, IndexError) as error:
+            raise GffeError(f"{path}: not a training clip ({error})") from None
+        if part.shape != shape:
+            raise GffeError(f"{path}: expected crops of {shape}, got {part.shape}")
+        read = torch.from_numpy(np.array(part)).to(self.device)
+        if read.nbytes <= self._left:
+            self._left -= read.nbytes
+            self._kept[crop, halved] = read
+        return read

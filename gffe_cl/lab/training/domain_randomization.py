@@ -27,21 +27,28 @@ _UP = np.array((0.0, 1.0, 0.0))
 def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
     """Return `scene` with random lights, contrast, exposure and finishes, and with moving lights and casters near
     the camera's view at `time`: shadows of visible and invisible objects, sweeping lamps, a turning sun, glass. Some
-    scenes also get posts, a flag or screens, where a correction easily does damage."""
+    are at night or wet. Some also get posts, a flag, screens or a fan, where a correction easily does damage, or a
+    vehicle with headlights."""
     eye, target = np.asarray(scene.eye(time)), np.asarray(scene.target(time))
     ahead = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(ahead, _UP)
     right /= max(np.linalg.norm(right), 1e-6)
     view = _View(eye, ahead, right, np.cross(right, ahead))
     indoors = not any(light.kind == "sun" for light in scene.lights)
-    lights = [_relit(light, rng) for light in scene.lights]
-    groups = _refinished(scene.groups, rng)
-    air, contrast = scene.air, 2.0 ** rng.uniform(-3.3, 0.2)
+    night = 2.0 ** rng.uniform(-5.0, -2.0) if rng.random() < 0.2 else 1.0
+    lights = [_relit(light, rng, night) for light in scene.lights]
+    groups = _refinished(scene.groups, rng, 0.7 if rng.random() < 0.2 else 0.2)
+    air, contrast = scene.air, night * 2.0 ** rng.uniform(-3.3, 0.2)
     air = dataclasses.replace(
-        air, ambient_up=tint(air.ambient_up, contrast), ambient_down=tint(air.ambient_down, contrast)
+        air,
+        ambient_up=tint(air.ambient_up, contrast),
+        ambient_down=tint(air.ambient_down, contrast),
+        zenith=tint(air.zenith, night),
+        horizon=tint(air.horizon, night),
+        haze_color=tint(air.haze_color, night),
     )
-    level = _level(scene)
-    for _ in range(int(rng.integers(0, 4))):
+    level = _level(scene) * night**0.5
+    for _ in range(int(rng.integers(night < 1, 4))):
         light, near = _moving_lamp(view, rng, level, time)
         lights.append(light)
         groups += near
@@ -49,10 +56,14 @@ def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
         groups.append(_caster(view, rng, lights, time))
     if rng.random() < 0.2:
         groups.append(_pane(view, rng))
-    for add in (_posts, _flag, _screens):
+    for add in (_posts, _flag, _screens, _fan):
         if rng.random() < 0.3:
             groups += add(view, rng)
-    exposure = scene.exposure * 2.0 ** rng.uniform(-1.2, 1.0) * (1.3 if indoors else 1.0)
+    if rng.random() < (0.7 if night < 1 else 0.2):
+        headlights, vehicle = _vehicle(view, rng, level)
+        lights += headlights
+        groups.append(vehicle)
+    exposure = scene.exposure * night**-0.4 * 2.0 ** rng.uniform(-1.2, 1.0) * (1.3 if indoors else 1.0)
     return dataclasses.replace(scene, groups=groups, lights=lights, air=air, exposure=exposure)
 
 
@@ -81,8 +92,9 @@ def _level(scene: Scene) -> float:
     return float(np.clip(np.median(strongest), 0.5, 8.0)) if strongest else 2.0
 
 
-def _relit(light: Light, rng) -> Light:
-    strength = 2.0 ** rng.uniform(-0.8, 0.8)
+def _relit(light: Light, rng, night: float) -> Light:
+    """Return the light with another strength, size and, for a sun, course; `night`: factor of sun and sky."""
+    strength = 2.0 ** rng.uniform(-0.8, 0.8) * (night if light.kind in ("sun", "fill") else 1.0)
     light = dataclasses.replace(light, color=tint(light.color, strength), size=light.size * rng.uniform(0.3, 2.0))
     if light.kind == "sun" and rng.random() < 0.6:
         axis = rng.normal(size=3)
@@ -92,14 +104,14 @@ def _relit(light: Light, rng) -> Light:
     return light
 
 
-def _refinished(groups: list[Group], rng) -> list[Group]:
-    """Return the groups with another finish on some materials: glossy, mirrors, or dull."""
+def _refinished(groups: list[Group], rng, share: float) -> list[Group]:
+    """Return the groups with another finish on that share of the materials: glossy, wet, mirrors, or dull."""
     known: dict[Material, Material] = {}
 
     def finish(material: Material) -> Material:
         if material not in known:
             changed = material
-            if material.transparency == 0 and rng.random() < 0.2:
+            if material.transparency == 0 and rng.random() < share:
                 changed = dataclasses.replace(
                     material,
                     mirror=rng.uniform(0.4, 1.0),
@@ -128,7 +140,7 @@ def _motion(rng, size: float) -> Motion:
 
 
 def _moving_lamp(view: _View, rng, level: float, time: float) -> tuple[Light, list[Group]]:
-    """Return A lamp or spot that moves or, as a beacon, turns; sometimes with blades round it that throw turning
+    """Return a lamp or spot that moves or, as a beacon, turns; sometimes with blades round it that throw turning
     shadows."""
     where = view.point(rng, 1.5, 7.0, 1.0) + (0, rng.uniform(0.2, 1.2), 0)
     at = Place(*where) @ _motion(rng, rng.uniform(0.3, 2.0))
@@ -189,7 +201,7 @@ def _caster(view: _View, rng, lights: list[Light], time: float) -> Group:
 
 
 def _pane(view: _View, rng) -> Group:
-    """Return A standing sheet of glass or tinted plastic ahead."""
+    """Return a standing sheet of glass or tinted plastic ahead."""
     glass = Material(
         tuple(rng.uniform(0.6, 1.0, 3)), transparency=rng.uniform(0.4, 0.9), mirror=0.05, specular=0.04, roughness=0.05
     )
@@ -238,6 +250,37 @@ def _screens(view: _View, rng) -> list[Group]:
         box = Box((x * side, y * side, 0), (0.9 * side, 0.9 * side, 0.02), material)
         groups.append(Group([box], at, casts_shadow=False, name="screen"))
     return groups
+
+
+def _fan(view: _View, rng) -> list[Group]:
+    """Return a fan of three to five blades, of which light falls through onto surfaces behind."""
+    length, count = rng.uniform(0.2, 1.0), int(rng.integers(3, 6))
+    material = Material(tuple(rng.uniform(0.05, 0.7, 3)), roughness=0.5)
+    rate = rng.choice((-1, 1)) * 2.0 ** rng.uniform(5.0, 9.5)
+    at = Place(*view.point(rng, 1.5, 6.0, 0.5), yaw=rng.uniform(0, 360), pitch=rng.uniform(-90, 90))
+    blade = Box((0.55 * length, 0, 0), (0.9 * length, 0.3 * length, 0.02), material)
+    turn = at @ Spin("z", rate, rng.uniform(0, 360))
+    return [Group([blade], turn @ Place(roll=360 * k / count), name="fan") for k in range(count)]
+
+
+def _vehicle(view: _View, rng, level: float) -> tuple[list[Light], Group]:
+    """Return headlights and the vehicle that carries them to and fro, into the view and out of it."""
+    size = rng.uniform(0.3, 1.0)
+    paint = Material(tuple(rng.uniform(0.05, 0.8, 3)), mirror=rng.uniform(0, 0.6), roughness=0.1)
+    lit = Material((0.02,) * 3, emission=tuple(level * rng.uniform(1, 6) * np.array((1.0, 0.9, 0.7))))
+    heading = rng.uniform(0, 360)
+    along = (np.sin(np.radians(heading)), 0.0, np.cos(np.radians(heading)))
+    path = Slide(tuple(rng.uniform(2.0, 8.0) * np.array(along)), rng.uniform(1.5, 6.0), rng.random())
+    at = Place(*view.point(rng, 2.5, 9.0)) @ path @ Place(yaw=heading)
+    parts = [Box((0, 0.5 * size, 0), (1.6 * size, size, 3 * size), paint)]
+    lights = []
+    for side in (-0.55, 0.55):
+        front = np.array((side * size, 0.4 * size, 1.5 * size))
+        parts.append(Sphere(tuple(front), 0.12 * size, lit))
+        color, spread = tint((1.0, 0.92, 0.75), level * 2.0 ** rng.uniform(1, 4)), rng.uniform(12, 35)
+        ahead = Place(*(front + (0, 0, 0.15 * size)))
+        lights.append(Light("spot", (0, 0, 0), color, 0.03, (0.0, -0.12, 0.99), spread, motion=at @ ahead))
+    return lights, Group(parts, at, name="vehicle")
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ from gffe_cl.lab.metrics import FOCUS
 from gffe_cl.lab.training import losses
 from gffe_cl.lab.training.augmentation import Augmentation
 from gffe_cl.lab.training.clips import VERSION
-from gffe_cl.lab.training.crops import Batch, Crop, keep_crops, load_batch
+from gffe_cl.lab.training.crops import Batch, Crop, CropReader, keep_crops
 from gffe_cl.lab.training.export import commit, weights_of
 from gffe_cl.lab.training.images import double
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork, compose, encode
@@ -200,6 +200,7 @@ class Training:
         validation, train = split_crops(crops, recipe.seed)
         self.crops, self.validation = keep_crops(train, recipe.seed), validation
         self.device = processes.device
+        self.reader = CropReader(self.device)
         torch.manual_seed(recipe.seed)
         self.network = ShadingCorrectionNetwork()
         if start:
@@ -207,7 +208,7 @@ class Training:
         self.teacher: ShadingCorrectionNetwork | None = None
         if recipe.integers:
             self.teacher = copy.deepcopy(self.network).eval().requires_grad_(False).to(self.device)
-            quantize(self.network.convolutions, self._seen_by_convolutions())
+            quantize(self.network.convolutions, self._seen_by_convolutions(self.teacher))
         convert: Any = self.network.to  # the stub lacks this form of it
         self.network = convert(self.device, memory_format=torch.channels_last)
         self.parallel = processes.wrap(self.network)
@@ -276,7 +277,7 @@ class Training:
         """Train one step, and return whether it was at half resolution, and the terms of its loss."""
         recipe, processes = self.recipe, self.processes
         halved = (self.step + 1) % recipe.full_every != 0
-        batch = self._batch(self.step, halved).to(self.device)
+        batch = self._batch(self.step, halved)
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.parallel.train()
@@ -299,8 +300,8 @@ class Training:
 
     def _batch(self, step: int, halved: bool) -> Batch:
         """Return the augmented crops of a step."""
-        generator = torch.Generator().manual_seed(_mixed(self.recipe.seed, step, self.processes.rank))
-        return Augmentation(generator, self.recipe.shading)(load_batch(self._chosen(step), halved))
+        generator = torch.Generator(self.device).manual_seed(_mixed(self.recipe.seed, step, self.processes.rank))
+        return Augmentation(generator, self.recipe.shading)(self.reader.batch(self._chosen(step), halved))
 
     def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the network's arguments."""
@@ -333,7 +334,7 @@ class Training:
 
         with torch.no_grad():
             for k in range(0, len(self.validation), self.recipe.batch):
-                batch = load_batch(self.validation[k : k + self.recipe.batch]).to(self.device)
+                batch = self.reader.batch(self.validation[k : k + self.recipe.batch])
                 correction = self.network(*self._inputs(batch))
                 _, final, mask = compose(batch.gae, correction)
                 regions = batch.regions()
@@ -358,12 +359,15 @@ class Training:
         }
 
     @torch.no_grad()
-    def _seen_by_convolutions(self) -> list[tuple[Tensor, Tensor]]:
-        """Return the inputs of the convolutions in some steps, for their ranges."""
+    def _seen_by_convolutions(self, network: ShadingCorrectionNetwork) -> list[tuple[Tensor, Tensor]]:
+        """Return the inputs of the convolutions of `network`, on the training's device, in some steps, for their
+        ranges."""
         seen: list[tuple[Tensor, Tensor]] = []
-        hook = self.network.convolutions.register_forward_pre_hook(lambda _, inputs: seen.append(inputs))
+        hook = network.convolutions.register_forward_pre_hook(
+            lambda _, inputs: seen.append(tuple(x.cpu() for x in inputs))
+        )
         for step in range(_CALIBRATION_STEPS):
-            self.network(*self._inputs(self._batch(step, halved=True)))
+            network(*self._inputs(self._batch(step, halved=True)))
         hook.remove()
         return seen
 

@@ -22,10 +22,12 @@ from gffe_cl.lab.metrics import focus_mask, shading_regions, to_display  # noqa:
 from gffe_cl.lab.training import clips, images, losses, network  # noqa: E402
 from gffe_cl.lab.training import training as training_module  # noqa: E402
 from gffe_cl.lab.training.augmentation import Augmentation, low_pass  # noqa: E402
-from gffe_cl.lab.training.crops import Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
+from gffe_cl.lab.training.crops import Batch, Crop, CropReader, focus_truth, keep_crops, list_crops  # noqa: E402
 from gffe_cl.lab.training.export import count_operations, differences, export_onnx  # noqa: E402
 from gffe_cl.lab.training.flow import find_flow  # noqa: E402
 from gffe_cl.lab.training.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
+
+read_batch = CropReader(torch.device("cpu")).batch
 
 
 def random(*shape, seed=0, scale=1.0):
@@ -335,7 +337,7 @@ def batch_of(count=3, size=64, alpha=0.5):
 
 
 def halved(batch):
-    """As `load_batch` reads it at half resolution."""
+    """As `CropReader` reads it at half resolution."""
     samples = clips.halve(torch.cat(batch.images(), 1).numpy().astype(np.float16))
     planes = torch.from_numpy(samples.astype(np.float32))
     images = (planes[:, part] for part in clips.PLANES.values())
@@ -509,7 +511,7 @@ def test_clips_are_made_without_the_network(data, opened, tmp_path, monkeypatch)
 @pytest.mark.slow
 def test_crops_at_half_resolution_are_what_the_network_sees(data):
     crops = [crop for crop in list_crops(data, 3, CLIPS) if crop.x % 2 == crop.y % 2 == 0][:2]
-    whole, half = load_batch(crops), load_batch(crops, halved=True)
+    whole, half = read_batch(crops), read_batch(crops, halved=True)
     assert half.halved and half.gae.shape == (2, 3, clips.CROP // 2, clips.CROP // 2)
     assert torch.allclose(half.frames(), whole.frames(), atol=2e-3)
     assert torch.equal(half.trends, whole.trends)
@@ -544,7 +546,7 @@ def test_in_integers_a_network_is_taught_by_that_in_floats(data, tmp_path):
     """By what it was begun with, which stays; and only then."""
     assert started(tmp_path / "floats", data, Recipe(seed=3, steps=1, batch=2)).teacher is None
     training = started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2, integers=True))
-    teacher, batch = training.teacher, load_batch(training.crops[:2], halved=True)
+    teacher, batch = training.teacher, read_batch(training.crops[:2], halved=True)
     said = [p.clone() for p in teacher.parameters()]
     inputs = batch.frames(), batch.alpha, batch.trends
     terms = []
@@ -562,7 +564,7 @@ def test_in_integers_a_network_is_taught_by_that_in_floats(data, tmp_path):
 def fixed_loss(training, crops):
     from gffe_cl.lab.training.training import loss_terms
 
-    batch = load_batch(crops)
+    batch = read_batch(crops)
     with torch.no_grad():
         out = training.network.train()(batch.frames(), batch.alpha, batch.trends)
         terms = loss_terms(*out, batch, batch.focus().float(), training.perceptual)
@@ -626,7 +628,7 @@ def test_broken_data_is_named(data, tmp_path):
         for file, whole in ((path, source), (clips.halved_path(path), clips.halved_path(source))):
             file.write_bytes(whole.read_bytes()[: 1000 if file == cut else None])
         with pytest.raises(GffeError, match=rf"{cut.name}: not a training clip"):
-            load_batch(list_crops(tmp_path, 3, 1)[:1])
+            read_batch(list_crops(tmp_path, 3, 1)[:1])
     path.with_suffix(".json").write_text("{")
     with pytest.raises(GffeError, match=r"clip_3_000000\.json: not a description"):
         list_crops(tmp_path, 3, 1)
