@@ -208,7 +208,11 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
                            is_smooth ? by + 1 : FAR_OFF};
     for (int y = reached.y; y <= reached.w; ++y)
         for (int x = reached.x; x <= reached.z; ++x)
-            for (int k = 0; k < 4; ++k) atomic_max(reached_by + 4 * (y * target_blocks + x) + k, extent[k]);
+            for (int k = 0; k < 4; ++k) {
+                __global int *most = reached_by + 4 * (y * target_blocks + x) + k;
+                /* On CPUs a plain look costs less than an atomic, which most blocks then need not make. */
+                if (LANES == 1 || !LOOKS || *most < extent[k]) atomic_max(most, extent[k]);
+            }
 }
 
 /* Finds where the center of a target block comes from, by Newton's method from the middle of the source blocks that

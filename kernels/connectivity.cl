@@ -155,19 +155,14 @@ INLINE Ints continues(const Floats a2, const Floats a, const Floats b, const Flo
     return (a >= 0.0f) & (b >= 0.0f) & ((sky & (a == b)) | ((!sky) & near));
 }
 
-/* Links by inverse depth. */
-INLINE Ints links_by_inverse_depth(const Place p) {
+/* Links along one axis, by inverse depth. */
+INLINE Ints links_by_inverse_depth(const Place p, const int axis) {
+    const int dx = axis == 0, dy = axis == 1;
     const Floats a = inverse_depth_beside(p, 0, 0);
-    Ints links = 0;
-    for (int axis = 0; axis < 2; ++axis) {
-        const int dx = axis == 0, dy = axis == 1;
-        const Floats ahead = inverse_depth_beside(p, dx, dy), behind = inverse_depth_beside(p, -dx, -dy);
-        const Ints to_ahead = continues(behind, a, ahead, inverse_depth_beside(p, 2 * dx, 2 * dy));
-        const Ints to_behind = continues(ahead, a, behind, inverse_depth_beside(p, -2 * dx, -2 * dy));
-        links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
-        links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
-    }
-    return links;
+    const Floats ahead = inverse_depth_beside(p, dx, dy), behind = inverse_depth_beside(p, -dx, -dy);
+    const Ints to_ahead = continues(behind, a, ahead, inverse_depth_beside(p, 2 * dx, 2 * dy));
+    const Ints to_behind = continues(ahead, a, behind, inverse_depth_beside(p, -2 * dx, -2 * dy));
+    return (to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0)) | (to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0));
 }
 
 INLINE Ints small_step(const Floats a, const Floats b) {
@@ -176,20 +171,28 @@ INLINE Ints small_step(const Floats a, const Floats b) {
 
 INLINE Ints large_step(const Floats a, const Floats b) { return fabs(a - b) > LARGE_STEP * (a < b ? a : b); }
 
-/* Narrows that by depth; *clear is unchanged where that decides. */
-INLINE Ints links_by_depth(const Place p, Ints *clear) {
+/* Links by depth; along an axis where that does not decide for all, by inverse depth. */
+INLINE Ints links_by_depth(const Place p) {
     const Floats z = depth_beside(p, 0, 0);
-    *clear = z > 0.0f;
     Ints links = 0;
+    if (LANES > 1) { /* most rows change by little */
+        const Ints flat = (z > 0.0f) & small_step(z, depth_beside(p, 1, 0)) & small_step(z, depth_beside(p, 0, 1))
+                          & small_step(z, depth_beside(p, -1, 0)) & small_step(z, depth_beside(p, 0, -1));
+        if (ALL(flat)) return (Ints)(LINK_RIGHT | LINK_DOWN | LINK_LEFT | LINK_UP);
+    }
     for (int axis = 0; axis < 2; ++axis) {
         const int dx = axis == 0, dy = axis == 1;
         const Floats ahead = depth_beside(p, dx, dy), behind = depth_beside(p, -dx, -dy);
         const Ints to_ahead = small_step(z, ahead), to_behind = small_step(z, behind);
-        *clear &= to_ahead | (large_step(z, ahead) & to_behind & small_step(ahead, depth_beside(p, 2 * dx, 2 * dy)));
-        *clear &=
-            to_behind | (large_step(z, behind) & to_ahead & small_step(behind, depth_beside(p, -2 * dx, -2 * dy)));
-        links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
-        links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
+        Ints clear = z > 0.0f;
+        clear &= to_ahead | (large_step(z, ahead) & to_behind & small_step(ahead, depth_beside(p, 2 * dx, 2 * dy)));
+        clear &= to_behind | (large_step(z, behind) & to_ahead & small_step(behind, depth_beside(p, -2 * dx, -2 * dy)));
+        if (ALL(clear)) {
+            links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
+            links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
+        } else {
+            links |= links_by_inverse_depth(p, axis);
+        }
     }
     return links;
 }
@@ -223,9 +226,7 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     const bool still = look_around(p, &nearest);
     const Ints settled = (z > 0.0f) & (still ? ALL_LANES : nothing_moves(p));
     const Ints clean = settled & !(nearest < z * NEARER);
-    Ints clear;
-    Ints linked = links_by_depth(p, &clear);
-    if (!ALL(clear)) linked = links_by_inverse_depth(p);
+    Ints linked = links_by_depth(p);
     if (!still) linked &= links_by_motion(p);
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
     store_some_bytes(to_bytes(linked), count, links + i);

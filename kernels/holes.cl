@@ -188,7 +188,7 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
-        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_color(codes, src);
+        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * stored_code(codes, src);
     }
     return sum;
 }
@@ -229,8 +229,8 @@ INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *fra
     for (int y = first_y; y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
         for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += SAMPLE_STRIDE) {
             const int src = y * width + x;
-            const float3 dx = 0.5f * (load_color(codes, src + 1) - load_color(codes, src - 1));
-            const float3 dy = 0.5f * (load_color(codes, src + width) - load_color(codes, src - width));
+            const float3 dx = 0.5f * (stored_code(codes, src + 1) - stored_code(codes, src - 1));
+            const float3 dy = 0.5f * (stored_code(codes, src + width) - stored_code(codes, src - width));
             xx += dx.x * dx.x + dx.y * dx.y + dx.z * dx.z;
             xy += dx.x * dy.x + dx.y * dy.y + dx.z * dy.z;
             yy += dy.x * dy.x + dy.y * dy.y + dy.z * dy.z;

@@ -22,7 +22,7 @@ INLINE float3 of_those_alike(const int alike, const int tap, const float u, cons
     for (int k = 0; k < 4; ++k) {
         if (!((alike >> k) & 1)) continue;
         const float weight = bilinear_weight(k, u, v);
-        sum += weight * load_color(shown.codes, tap + (k >> 1) * source_width + (k & 1));
+        sum += weight * stored_code(shown.codes, tap + (k >> 1) * source_width + (k & 1));
         weight_sum += weight;
     }
     return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset)

@@ -270,7 +270,7 @@ INLINE float4 far_layer(const Source s, const Layers l, const float2 px, const f
         const float3 there = position_of(s.target_position, src, s.width * s.height);
         if (!goes_along(s, x, y, there, px, px_source, z, ALIKE)) continue;
         sum += bilinear_weight(k, u, v)
-               * (float4)(l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.codes, src), 1.0f);
+               * (float4)(l.layer[src] == FAR ? unpack_color(l.behind[src]) : stored_code(s.codes, src), 1.0f);
     }
     return sum;
 }
@@ -307,10 +307,10 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
         if (along && layer != NEAR) {
             sum +=
                 weight
-                * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.codes, src)), 1.0f);
+                * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(stored_code(s.codes, src)), 1.0f);
         } else if (along || layer == FAR) {
             const float share = (float)l.share[src] * (1.0f / SHARES);
-            const float3 own = not_negative(load_color(s.codes, src));
+            const float3 own = not_negative(stored_code(s.codes, src));
             sum += weight * (float4)(not_negative(own - (1.0f - share) * unpack_color(l.behind[src])), share);
         }
     }
