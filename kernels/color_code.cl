@@ -15,8 +15,8 @@ INLINE bool is_unmixed(const int bx, const int by, const int columns, const int 
     return true;
 }
 
-/* Once for all new frames that are made of a rendered one; but under a camera that stays only colors that may be mixed.
- * BLOCK_HEIGHT rows of LANES pixels per work-item. */
+/* Once for all new frames of a rendered one; but under a camera that stays only colors that may be mixed. BLOCK_HEIGHT
+   rows of LANES pixels per work-item. */
 WIDE __kernel void encode_colors(__constant Frame *restrict frame, __global const half *color,
                                  __global const uchar *block_class, __global half *codes) {
     const int width = frame->source_width, height = frame->source_height;

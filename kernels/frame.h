@@ -41,8 +41,7 @@ typedef struct {
     int number; /* of the rendered frame, since the stages were made; after 2^30 it starts again */
     int rests; /* intervals, up to MOST_RESTS, for which the rendered camera has been the same, to the bit */
     int stays; /* whether the new camera is the rendered one, and blocks at rest are copied */
-    int coded; /* whether all colors of the rendered frame are encoded: by history tracking, or for a new frame before
-                */
+    int coded; /* whether the rendered frame's colors are all encoded: by history tracking, or for another new frame */
     int order; /* of prediction: the option, or less if there are too few frames */
     float alpha;
     float interval_ratio; /* the last interval between rendered frames, in that before it */
