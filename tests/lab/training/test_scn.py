@@ -836,6 +836,7 @@ def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):
     export_onnx(net, model)
     frames = SceneFrames(SceneRenderer(opened, load_scene("corridor", 0), 96, 64))
     pipeline = Pipeline(opened, 96, 64, Options(scn_model=str(model)))
+    pipeline.keep()  # what the focus mask leaves out, too
     for frame in frames.sequence(3, 30, 0):
         pipeline.submit(frame)
     made = pipeline.extrapolate()
