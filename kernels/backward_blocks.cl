@@ -210,8 +210,10 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
         for (int x = reached.x; x <= reached.z; ++x)
             for (int k = 0; k < 4; ++k) {
                 __global int *most = reached_by + 4 * (y * target_blocks + x) + k;
-                /* On CPUs a plain look costs less than an atomic, which most blocks then need not make. */
-                if (LANES == 1 || !LOOKS || *most < extent[k]) atomic_max(most, extent[k]);
+#if LANES == 8 && LOOKS /* on CPUs a plain look costs less than an atomic, which most blocks then need not make */
+                if (*most >= extent[k]) continue;
+#endif
+                atomic_max(most, extent[k]);
             }
 }
 

@@ -115,6 +115,8 @@ INLINE void load_pixels(__global const float *plane, const Ints *at, const bool 
         part[3] = b.odd;
         return;
     }
+#else
+    (void)whole;
 #endif
     for (int k = 0; k < 4; ++k) part[k] = gather_floats(plane, at[k]);
 }
@@ -129,6 +131,8 @@ INLINE void find_set_pixels(__global const uchar *mask, const Ints *at, const bo
         part[3] = convert_int8(b.odd) != 0;
         return;
     }
+#else
+    (void)whole;
 #endif
     for (int k = 0; k < 4; ++k) part[k] = to_ints(gather_bytes(mask, at[k])) != 0;
 }

@@ -67,8 +67,9 @@ def test_memory_is_what_was_allocated(device):
 )
 def test_all_declared_kernels_are_launched_and_counted(device, options):
     pipeline, _, moved = counted(device, **options)
+    at_rest = {"encode_colors"}  # history tracking encodes colors while the camera moves
     for name, stage in pipeline.stages.items():
-        assert {kernel.name for kernel in stage.kernels} == set(moved[name]) - {"fill"}
+        assert {kernel.name for kernel in stage.kernels} - at_rest == set(moved[name]) - {"fill"}
         assert all(moved[name].values())
     assert all(stage.launches is None for stage in pipeline.stages.values())
     if "upscale" in options:
