@@ -2,6 +2,7 @@
    of the extrapolated frame and of the warped previous one, inverse depth and the input mask. */
 
 #include "frame.h"
+#include "doubling.h"
 #include "warped_previous.h"
 #include "mu_law.h"
 
@@ -108,11 +109,7 @@ INLINE void find_pixels(const int x, const int y, const int width, const int hei
 INLINE void load_pixels(__global const float *plane, const Ints *at, const bool whole, Floats *part) {
 #if LANES == 8
     if (whole) {
-        const float16 a = vload16(0, plane + at[0].s0), b = vload16(0, plane + at[2].s0);
-        part[0] = a.even;
-        part[1] = a.odd;
-        part[2] = b.even;
-        part[3] = b.odd;
+        load_whole_quads(plane + at[0].s0, plane + at[2].s0, part);
         return;
     }
 #else
