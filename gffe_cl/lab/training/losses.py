@@ -15,7 +15,7 @@ from gffe_cl.lab.training.network import encode
 VERSION = 5  # of the terms' definition: a run continues only with its own
 FOCUS_WEIGHT = 0.05  # λ_focus; the paper's is 1, and its mask covers large errors only
 PERCEPTUAL_WEIGHT = 0.01  # λ_vgg of the paper
-TEACHER_WEIGHT = 4.0  # of the frame of the network in floats, for one in integers
+TEACHER_WEIGHT = 16.0  # of the frame of the network in floats, for one in integers
 TAUGHT = 0.2  # how much the refined image is taught where the focus mask is 0
 _CHARBONNIER = 1e-3
 _DISPLAY_WEIGHT = 10.0

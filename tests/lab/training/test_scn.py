@@ -244,7 +244,7 @@ def test_weights_are_the_papers_but_for_the_mask_s():
         "focus": 0.05,
         "perceptual": 0.01,
         "blend": 0.5,
-        "teacher": 4.0,
+        "teacher": 16.0,
     }
 
 
