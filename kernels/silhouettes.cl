@@ -275,10 +275,9 @@ INLINE float4 far_layer(const Source s, const Layers l, const float2 px, const f
     return sum;
 }
 
-/* Color of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
+/* Color of a pixel without that of a nearer layer that was mixed into it; false if there is none in it. */
 INLINE bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
     const int dst = dst_y * f.width + dst_x;
-    *rgb = load_code(f.color, dst, f.code_offset);
     if (!is_warped(f.filled_by[dst])) return false;
     const float2 px = pixel_center(dst_x, dst_y), px_source = px + f.motion[dst];
     if (!is_mixed_with_near(s, l, (int)floor(px_source.x - 0.5f), (int)floor(px_source.y - 0.5f))) return false;
@@ -412,8 +411,9 @@ INLINE float3 far_color(const Source s, const Layers l, const Shown f, const int
     float3 sum = (float3)(0.0f);
     for (int left = far; left; left &= left - 1) {
         const int k = 31 - clz(left & -left);
+        const int x = dst_x + k % 3 - 1, y = dst_y + k / 3 - 1;
         float3 rgb;
-        without_near(s, l, f, dst_x + k % 3 - 1, dst_y + k / 3 - 1, &rgb);
+        if (!without_near(s, l, f, x, y, &rgb)) rgb = load_code(f.color, y * f.width + x, f.code_offset);
         sum += rgb;
     }
     return seen.xyz + (1.0f - seen.w) * mean_of(sum, count);
