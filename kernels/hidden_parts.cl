@@ -4,10 +4,15 @@
    there that is not nearer, the mover has no part there, and the hole is left to the background; so it is where the
    frame before showed something farther where that part was then. A mover that enters through the border of the image
    has parts that no frame has shown: it is continued to that border. RUN pixels without a hole are skipped at once, and
-   so are RUN x LANES without a dynamic pixel within reach. */
+   so are RUN x LANES without a dynamic pixel within reach.
+
+   A part that the frame before showed, and that something nearer hides in the rendered frame, reappears: it comes out
+   before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the color that it
+   had. */
 
 #include "frame.h"
 #include "simd.h"
+#include "nearest.h"
 #include "color_code.h"
 #include "directional_search.h"
 #include "blocks.h"
@@ -224,5 +229,164 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
             const int dst = dst_y * target_width + dst_x;
             if (disoccluded[dst] && filled_by[dst] != BY_HIDDEN_PART) fill_hidden_part(dst_x, dst_y, frame, images);
         }
+    }
+}
+
+/* ---- parts that reappear ----------------------------------------------------------------------------------------- */
+
+#define SIDES 4         /* in which movers have parts behind what is nearer: right, left, down, up */
+#define COVERS 0.75f    /* source px: a part covers target pixels up to so far from it */
+#define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
+#define EMPTY_KEYS 2    /* a pass, before those of nearest.h: marks the pixels that parts are offered to, and sets their keys free */
+
+/* The rendered frame, the frame before it, and the new one. */
+typedef struct {
+    __global const float *depth, *depth_prev, *met_depth, *target_position;
+    __global const float2 *motion;
+    __global const uchar *dynamic_mask, *links;
+    __global const half *color_prev;
+    __global const float *shown_depth;
+    __global Key *keys;
+    __global uint *winners;
+    __global uchar *filled_by;
+} Parts;
+
+INLINE int2 side(const int k) { return k < 2 ? (int2)(1 - 2 * k, 0) : (int2)(0, 5 - 2 * k); }
+
+INLINE float3 target_of(const int src, __constant Frame *frame, const Parts f) {
+    const int plane = frame->source_width * frame->source_height;
+    return (float3)(f.target_position[src], f.target_position[plane + src], f.target_position[2 * plane + src]);
+}
+
+/* Where a part that covers target pixel (dst_x, dst_y) is in the rendered image, if it moves like its mover at (x, y)
+   there, which goes to `there`. */
+INLINE float2 place_of_part(const int x, const int y, const int dst_x, const int dst_y, const float3 there,
+                            __constant Frame *frame) {
+    const float2 off = pixel_center(dst_x, dst_y) - there.xy;
+    return pixel_center(x, y) + (float2)(divide(off.x, frame->zoom.x), divide(off.y, frame->zoom.y));
+}
+
+/* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth that does not stay. */
+INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
+    const int width = frame->source_width, height = frame->source_height;
+    if (!(px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)width && px_prev.y < (float)height))
+        return false;
+    const int prev_x = (int)px_prev.x, prev_y = (int)px_prev.y;
+    const float z = f.depth_prev[prev_y * width + prev_x];
+    if (!(fabs(z - met) <= ONE_OBJECT * met)) return false;
+    const float3 now = reproject(pixel_center(prev_x, prev_y), z, frame->from_previous);
+    if (!(now.z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height)) return true;
+    const int src = (int)now.y * width + (int)now.x;
+    return f.dynamic_mask[src] != STATIC || !(fabs(f.depth[src] - now.z) <= STAYS * now.z);
+}
+
+/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is nearer there. */
+INLINE void offer_side(const int src_x, const int src_y, const int k, const int pass, __constant Frame *frame,
+                       const Parts f) {
+    const int width = frame->source_width, target_width = frame->target_width, src = src_y * width + src_x;
+    const int2 d = side(k);
+    const float2 zoom = frame->zoom, mv = f.motion[src];
+    const float z = f.depth[src], met = f.met_depth[src];
+    const float3 there = target_of(src, frame, f);
+    const float half_x = fmax(COVERS * zoom.x, 0.5f), half_y = fmax(COVERS * zoom.y, 0.5f);
+    const int steps = steps_within(reach_of(frame), d, src_x, src_y, width, frame->source_height);
+    for (int t = 1; t <= steps; ++t) {
+        const float z_shown = f.depth[src + t * (d.y * width + d.x)];
+        if (INVALID_DEPTH(z_shown) || !(z_shown < HIDES * z)) return;
+        const float x = there.x + (float)(t * d.x) * zoom.x, y = there.y + (float)(t * d.y) * zoom.y;
+        const int x1 = min((int)floor(x + half_x - 0.5f), target_width - 1);
+        const int y1 = min((int)floor(y + half_y - 0.5f), frame->target_height - 1);
+        for (int dst_y = max((int)ceil(y - half_y - 0.5f), 0); dst_y <= y1; ++dst_y)
+            for (int dst_x = max((int)ceil(x - half_x - 0.5f), 0); dst_x <= x1; ++dst_x) {
+                const int dst = dst_y * target_width + dst_x;
+                if (!(there.z < HIDES * f.shown_depth[dst])) continue;
+                const float2 px_prev = place_of_part(src_x, src_y, dst_x, dst_y, there, frame) + mv;
+                if (!mover_was_shown(px_prev, met, frame, f)) continue;
+                if (pass != EMPTY_KEYS) {
+                    offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
+                } else {
+                    f.filled_by[dst] = BY_REAPPEARING;
+                    forget(f.keys, f.winners, dst);
+                }
+            }
+    }
+}
+
+/* Offers the parts of movers that reappear, RUN pixels of the rendered frame per work-item. Nothing changes but keys and
+   labels. */
+SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                                     __global const float2 *motion, __global const uchar *dynamic_mask,
+                                     __global const uchar *links, __global const float *met_depth,
+                                     __global const float *target_position, __global const float *depth_prev,
+                                     __global const float *shown_depth, __global Key *keys, __global uint *winners,
+                                     __global uchar *filled_by) {
+    const int width = frame->source_width;
+    const int first_x = get_global_id(0) * RUN, src_y = get_global_id(1);
+    if (first_x >= width || src_y >= frame->source_height || !frame->has_previous) return;
+    const int first = src_y * width + first_x;
+    if (first_x + RUN <= width && run_is_zero(dynamic_mask + first)) return;
+    const Parts parts = {.depth = depth,
+                         .depth_prev = depth_prev,
+                         .met_depth = met_depth,
+                         .target_position = target_position,
+                         .motion = motion,
+                         .dynamic_mask = dynamic_mask,
+                         .links = links,
+                         .shown_depth = shown_depth,
+                         .keys = keys,
+                         .winners = winners,
+                         .filled_by = filled_by};
+    for (int src_x = first_x; src_x < min(first_x + RUN, width); ++src_x) {
+        const int src = src_y * width + src_x;
+        if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS || !(met_depth[src] > 0.0f)) continue;
+        const float3 there = target_of(src, frame, parts);
+        if (!(there.z > 0.0f && fabs(there.x) < 2.0f * (float)frame->target_width)
+            || !(fabs(there.y) < 2.0f * (float)frame->target_height))
+            continue;
+        for (int k = 0; k < SIDES; ++k) offer_side(src_x, src_y, k, pass, frame, parts);
+    }
+}
+
+/* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */
+INLINE float3 code_before(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
+    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * width + x;
+        if (!inside(x, y, width, height) || !(fabs(f.depth_prev[i] - met) <= ONE_OBJECT * met)) continue;
+        const float weight = bilinear_weight(tap, u, v);
+        sum += weight * load_code(f.color_prev, i, frame->code_offset);
+        weight_sum += weight;
+    }
+    return mean_of(sum, weight_sum);
+}
+
+/* Fills the pixels that parts were offered to, RUN per work-item. */
+SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global const float2 *source_motion,
+                                    __global const float *met_depth, __global const float *target_position,
+                                    __global const float *depth_prev, __global const half *color_prev,
+                                    __global const Key *keys, __global const uint *winners, __global half *color,
+                                    __global float *depth, __global float2 *motion, __global uchar *is_dynamic,
+                                    __global const uchar *filled_by) {
+    const int source_width = frame->source_width, target_width = frame->target_width;
+    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
+    if (first_x >= target_width || dst_y >= frame->target_height) return;
+    const int first = dst_y * target_width + first_x;
+    if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_REAPPEARING)) return;
+    const Parts parts = {.depth_prev = depth_prev, .target_position = target_position, .color_prev = color_prev};
+    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+        const int dst = dst_y * target_width + dst_x;
+        if (filled_by[dst] != BY_REAPPEARING) continue;
+        const int src = (int)winner_of(keys, winners, dst);
+        const float3 there = target_of(src, frame, parts);
+        const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
+        const float3 code = code_before(place + source_motion[src], met_depth[src], frame, parts);
+        store_code(code, color, dst, frame->code_offset);
+        depth[dst] = there.z;
+        motion[dst] = place - pixel_center(dst_x, dst_y);
+        is_dynamic[dst] = DYNAMIC;
     }
 }
