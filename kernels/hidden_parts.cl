@@ -6,9 +6,9 @@
    has parts that no frame has shown: it is continued to that border. RUN pixels without a hole are skipped at once, and
    so are RUN x LANES without a dynamic pixel within reach.
 
-   A part that the frame before showed, and that something nearer hides in the rendered frame, reappears: it comes out
-   before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the color that it
-   had. */
+   A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it comes
+   out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the color that
+   it had. */
 
 #include "frame.h"
 #include "simd.h"
@@ -40,6 +40,10 @@ typedef struct {
 
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
+INLINE bool is_in(const float2 px, const int width, const int height) {
+    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
+}
+
 /* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
 INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
@@ -67,9 +71,7 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
     const float2 px_mover = moves_along(x, y, (int2)(0, 0), frame, f);
     const int src_x = clamp((int)px_mover.x, 0, width - 1), src_y = clamp((int)px_mover.y, 0, height - 1);
     const float2 px_prev = px_source + f.source_motion[src_y * width + src_x];
-    if (!frame->has_previous || !(px_prev.x >= 0.0f && px_prev.y >= 0.0f)
-        || !(px_prev.x < (float)width && px_prev.y < (float)height))
-        return false;
+    if (!frame->has_previous || !is_in(px_prev, width, height)) return false;
     const float z_prev = f.depth_prev[(int)px_prev.y * width + (int)px_prev.x];
     return HIDES * z_prev > reproject(px_source, z_source, frame->to_previous).z;
 }
@@ -89,9 +91,7 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, -t * d, frame, f);
-    if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
-          && px_source.y < (float)frame->source_height))
-        return 0;
+    if (!is_in(px_source, frame->source_width, frame->source_height)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     const float z_source = reproject(pixel_center(x, y), z, frame->to_source).z;
     if (!INVALID_DEPTH(z_shown) && !(z_shown < HIDES * z_source)) return 0;
@@ -236,6 +236,7 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
 
 #define SIDES 4         /* in which movers have parts behind what is nearer: right, left, down, up */
 #define COVERS 0.75f    /* source px: a part covers target pixels up to so far from it */
+#define SAME_PART 0.025f /* relative depth in the frame before within which a surface is the mover's */
 #define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
 #define EMPTY_KEYS 2    /* a pass, before those of nearest.h: marks the pixels that parts are offered to, and sets their keys free */
 
@@ -266,33 +267,37 @@ INLINE float2 place_of_part(const int x, const int y, const int dst_x, const int
     return pixel_center(x, y) + (float2)(divide(off.x, frame->zoom.x), divide(off.y, frame->zoom.y));
 }
 
+/* Whether something static and nearer than `z` is shown at pixel `src` of the rendered frame. */
+INLINE bool is_hidden(const int src, const float z, const Parts f) {
+    return f.dynamic_mask[src] == STATIC && f.depth[src] > 0.0f && f.depth[src] < HIDES * z;
+}
+
 /* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth that does not stay. */
 INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
     const int width = frame->source_width, height = frame->source_height;
-    if (!(px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)width && px_prev.y < (float)height))
-        return false;
+    if (!is_in(px_prev, width, height)) return false;
     const int prev_x = (int)px_prev.x, prev_y = (int)px_prev.y;
     const float z = f.depth_prev[prev_y * width + prev_x];
-    if (!(fabs(z - met) <= ONE_OBJECT * met)) return false;
+    if (!(fabs(z - met) <= SAME_PART * met)) return false;
     const float3 now = reproject(pixel_center(prev_x, prev_y), z, frame->from_previous);
-    if (!(now.z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height)) return true;
+    if (!(now.z > 0.0f && is_in(now.xy, width, height))) return true;
     const int src = (int)now.y * width + (int)now.x;
     return f.dynamic_mask[src] != STATIC || !(fabs(f.depth[src] - now.z) <= STAYS * now.z);
 }
 
-/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is nearer there. */
+/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is static and nearer there. */
 INLINE void offer_side(const int src_x, const int src_y, const int k, const int pass, __constant Frame *frame,
                        const Parts f) {
-    const int width = frame->source_width, target_width = frame->target_width, src = src_y * width + src_x;
+    const int width = frame->source_width, height = frame->source_height, target_width = frame->target_width;
+    const int src = src_y * width + src_x;
     const int2 d = side(k);
     const float2 zoom = frame->zoom, mv = f.motion[src];
     const float z = f.depth[src], met = f.met_depth[src];
     const float3 there = target_of(src, frame, f);
     const float half_x = fmax(COVERS * zoom.x, 0.5f), half_y = fmax(COVERS * zoom.y, 0.5f);
-    const int steps = steps_within(reach_of(frame), d, src_x, src_y, width, frame->source_height);
+    const int steps = steps_within(reach_of(frame), d, src_x, src_y, width, height);
     for (int t = 1; t <= steps; ++t) {
-        const float z_shown = f.depth[src + t * (d.y * width + d.x)];
-        if (INVALID_DEPTH(z_shown) || !(z_shown < HIDES * z)) return;
+        if (!is_hidden(src + t * (d.y * width + d.x), z, f)) return;
         const float x = there.x + (float)(t * d.x) * zoom.x, y = there.y + (float)(t * d.y) * zoom.y;
         const int x1 = min((int)floor(x + half_x - 0.5f), target_width - 1);
         const int y1 = min((int)floor(y + half_y - 0.5f), frame->target_height - 1);
@@ -300,8 +305,10 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
             for (int dst_x = max((int)ceil(x - half_x - 0.5f), 0); dst_x <= x1; ++dst_x) {
                 const int dst = dst_y * target_width + dst_x;
                 if (!(there.z < HIDES * f.shown_depth[dst])) continue;
-                const float2 px_prev = place_of_part(src_x, src_y, dst_x, dst_y, there, frame) + mv;
-                if (!mover_was_shown(px_prev, met, frame, f)) continue;
+                const float2 place = place_of_part(src_x, src_y, dst_x, dst_y, there, frame);
+                if (!is_in(place, width, height) || !is_hidden((int)place.y * width + (int)place.x, z, f)
+                    || !mover_was_shown(place + mv, met, frame, f))
+                    continue;
                 if (pass != EMPTY_KEYS) {
                     offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
                 } else {
@@ -356,7 +363,7 @@ INLINE float3 code_before(const float2 px_prev, const float met, __constant Fram
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * width + x;
-        if (!inside(x, y, width, height) || !(fabs(f.depth_prev[i] - met) <= ONE_OBJECT * met)) continue;
+        if (!inside(x, y, width, height) || !(fabs(f.depth_prev[i] - met) <= SAME_PART * met)) continue;
         const float weight = bilinear_weight(tap, u, v);
         sum += weight * load_code(f.color_prev, i, frame->code_offset);
         weight_sum += weight;
