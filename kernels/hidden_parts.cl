@@ -235,7 +235,8 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
 /* ---- parts that reappear ----------------------------------------------------------------------------------------- */
 
 #define SIDES 4         /* in which movers have parts behind what is nearer: right, left, down, up */
-#define COVERS 0.75f    /* source px: a part covers target pixels up to so far from it */
+#define COVERS 0.5f     /* source px: a part covers target pixels up to so far from it */
+#define LEAST_APART 0.25f /* source px: what moves less against what hides it does not come out */
 #define SAME_PART 0.025f /* relative depth in the frame before within which a surface is the mover's */
 #define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
 #define EMPTY_KEYS 2    /* a pass, before those of nearest.h: marks the pixels that parts are offered to, and sets their keys free */
@@ -295,9 +296,17 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
     const float z = f.depth[src], met = f.met_depth[src];
     const float3 there = target_of(src, frame, f);
     const float half_x = fmax(COVERS * zoom.x, 0.5f), half_y = fmax(COVERS * zoom.y, 0.5f);
-    const int steps = steps_within(reach_of(frame), d, src_x, src_y, width, height);
-    for (int t = 1; t <= steps; ++t) {
-        if (!is_hidden(src + t * (d.y * width + d.x), z, f)) return;
+    const int offset = d.y * width + d.x, steps = steps_within(reach_of(frame), d, src_x, src_y, width, height);
+    if (steps == 0 || !is_hidden(src + offset, z, f)) return;
+    const float3 beside = target_of(src + offset, frame, f);
+    const float apart = d.x ? divide((there.x - beside.x) * (float)d.x, zoom.x) + 1.0f
+                            : divide((there.y - beside.y) * (float)d.y, zoom.y) + 1.0f;
+    if (!(fabs(apart) > LEAST_APART && fabs(apart) < (float)width)) return;
+    int end = 2;
+    while (end <= steps && is_hidden(src + end * offset, z, f)) ++end;
+    const int some = (int)fabs(apart) + 2; /* parts at that end which can come out */
+    const int last = apart > 0.0f ? end - 1 : min(end - 1, some);
+    for (int t = apart > 0.0f ? max(end - some, 1) : 1; t <= last; ++t) {
         const float x = there.x + (float)(t * d.x) * zoom.x, y = there.y + (float)(t * d.y) * zoom.y;
         const int x1 = min((int)floor(x + half_x - 0.5f), target_width - 1);
         const int y1 = min((int)floor(y + half_y - 0.5f), frame->target_height - 1);
@@ -319,6 +328,15 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
     }
 }
 
+/* Whether RUN pixels hold a mover's edge. */
+INLINE bool run_has_edge(__global const uchar *dynamic_mask, __global const uchar *links) {
+#if RUN == 16
+    return any((vload16(0, dynamic_mask) != (uchar16)(0)) & (vload16(0, links) != (uchar16)(ALL_LINKS)));
+#else
+    return *dynamic_mask != 0 && *links != ALL_LINKS;
+#endif
+}
+
 /* Offers the parts of movers that reappear, RUN pixels of the rendered frame per work-item. Nothing changes but keys and
    labels. */
 SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
@@ -331,7 +349,8 @@ SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int
     const int first_x = get_global_id(0) * RUN, src_y = get_global_id(1);
     if (first_x >= width || src_y >= frame->source_height || !frame->has_previous) return;
     const int first = src_y * width + first_x;
-    if (first_x + RUN <= width && run_is_zero(dynamic_mask + first)) return;
+    if (first_x + RUN <= width && (run_is_zero(dynamic_mask + first) || !run_has_edge(dynamic_mask + first, links + first)))
+        return;
     const Parts parts = {.depth = depth,
                          .depth_prev = depth_prev,
                          .met_depth = met_depth,

@@ -138,10 +138,19 @@ def show_reappearing(shown, now, past, tracked, target_position, zoom, from_prev
         if not (there[2] > 0 and abs(there[0]) < 2 * columns and abs(there[1]) < 2 * columns):
             continue
         for dx, dy in _STEPS:
-            for t in range(1, reach + 1):
-                q = y + t * dy, x + t * dx
-                if not is_inside(q[::-1]) or not is_hidden(q, now.depth[y, x]):
+            end = 1
+            while end <= reach and is_inside((x + end * dx, y + end * dy)):
+                if not is_hidden((y + end * dy, x + end * dx), now.depth[y, x]):
                     break
+                end += 1
+            if end == 1:
+                continue
+            axis, sign = (0, F(dx)) if dx else (1, F(dy))
+            apart = (there[axis] - target_position[y + dy, x + dx, axis]) * sign / zoom[axis] + F(1)
+            if not HIDDEN.LEAST_APART < abs(apart) < width:
+                continue
+            some = int(abs(apart)) + 2
+            for t in range(max(end - some, 1), end) if apart > 0 else range(1, min(end - 1, some) + 1):
                 to = there[:2] + np.array([t * dx, t * dy], F) * zoom
                 first = np.maximum(np.ceil(to - half - F(0.5)).astype(int), 0)
                 last = np.minimum(np.floor(to + half - F(0.5)).astype(int), (columns - 1, rows - 1))
