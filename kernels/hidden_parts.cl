@@ -234,7 +234,7 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
 
 /* ---- parts that reappear ----------------------------------------------------------------------------------------- */
 
-#define SIDES 4         /* in which movers have parts behind what is nearer: right, left, down, up */
+#define SIDES 4         /* in which movers have parts behind what is nearer: those of the bits of `links` */
 #define COVERS 0.5f     /* source px: a part covers target pixels up to so far from it */
 #define LEAST_APART 0.25f /* source px: what moves less against what hides it does not come out */
 #define SAME_PART 0.025f /* relative depth in the frame before within which a surface is the mover's */
@@ -253,7 +253,7 @@ typedef struct {
     __global uchar *filled_by;
 } Parts;
 
-INLINE int2 side(const int k) { return k < 2 ? (int2)(1 - 2 * k, 0) : (int2)(0, 5 - 2 * k); }
+INLINE int2 side(const int k) { return k & 1 ? (int2)(0, 2 - k) : (int2)(1 - k, 0); }
 
 INLINE float3 target_of(const int src, __constant Frame *frame, const Parts f) {
     const int plane = frame->source_width * frame->source_height;
@@ -286,7 +286,8 @@ INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Fr
     return f.dynamic_mask[src] != STATIC || !(fabs(f.depth[src] - now.z) <= STAYS * now.z);
 }
 
-/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is static and nearer there. */
+/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is static and nearer there, one pixel of
+   which is known to be. */
 INLINE void offer_side(const int src_x, const int src_y, const int k, const int pass, __constant Frame *frame,
                        const Parts f) {
     const int width = frame->source_width, height = frame->source_height, target_width = frame->target_width;
@@ -295,9 +296,11 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
     const float2 zoom = frame->zoom, mv = f.motion[src];
     const float z = f.depth[src], met = f.met_depth[src];
     const float3 there = target_of(src, frame, f);
+    if (!(met > 0.0f && there.z > 0.0f && fabs(there.x) < 2.0f * (float)target_width)
+        || !(fabs(there.y) < 2.0f * (float)frame->target_height))
+        return;
     const float half_x = fmax(COVERS * zoom.x, 0.5f), half_y = fmax(COVERS * zoom.y, 0.5f);
     const int offset = d.y * width + d.x, steps = steps_within(reach_of(frame), d, src_x, src_y, width, height);
-    if (steps == 0 || !is_hidden(src + offset, z, f)) return;
     const float3 beside = target_of(src + offset, frame, f);
     const float apart = d.x ? divide((there.x - beside.x) * (float)d.x, zoom.x) + 1.0f
                             : divide((there.y - beside.y) * (float)d.y, zoom.y) + 1.0f;
@@ -364,12 +367,12 @@ SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int
                          .filled_by = filled_by};
     for (int src_x = first_x; src_x < min(first_x + RUN, width); ++src_x) {
         const int src = src_y * width + src_x;
-        if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS || !(met_depth[src] > 0.0f)) continue;
-        const float3 there = target_of(src, frame, parts);
-        if (!(there.z > 0.0f && fabs(there.x) < 2.0f * (float)frame->target_width)
-            || !(fabs(there.y) < 2.0f * (float)frame->target_height))
-            continue;
-        for (int k = 0; k < SIDES; ++k) offer_side(src_x, src_y, k, pass, frame, parts);
+        if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS) continue;
+        for (int k = 0; k < SIDES; ++k) {
+            const int2 d = side(k);
+            if ((links[src] >> k & 1) || !inside(src_x + d.x, src_y + d.y, width, frame->source_height)) continue;
+            if (is_hidden(src + d.y * width + d.x, depth[src], parts)) offer_side(src_x, src_y, k, pass, frame, parts);
+        }
     }
 }
 

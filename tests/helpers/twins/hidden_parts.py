@@ -135,7 +135,7 @@ def show_reappearing(shown, now, past, tracked, target_position, zoom, from_prev
     best = {}
     for y, x in np.argwhere((dynamic == FRAME.DYNAMIC) & (links != COMMON.ALL_LINKS) & (met > 0)):
         there = target_position[y, x]
-        if not (there[2] > 0 and abs(there[0]) < 2 * columns and abs(there[1]) < 2 * columns):
+        if not (there[2] > 0 and abs(there[0]) < 2 * columns and abs(there[1]) < 2 * rows):
             continue
         for dx, dy in _STEPS:
             end = 1
