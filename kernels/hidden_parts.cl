@@ -6,9 +6,9 @@
    has parts that no frame has shown: it is continued to that border. RUN pixels without a hole are skipped at once, and
    so are RUN x LANES without a dynamic pixel within reach.
 
-   A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it comes
-   out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the color that
-   it had. */
+   A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it
+   comes out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the
+   color that it had. */
 
 #include "frame.h"
 #include "simd.h"
@@ -239,7 +239,7 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
 #define LEAST_APART 0.25f /* source px: what moves less against what hides it does not come out */
 #define SAME_PART 0.025f /* relative depth in the frame before within which a surface is the mover's */
 #define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
-#define EMPTY_KEYS 2    /* a pass, before those of nearest.h: marks the pixels that parts are offered to, and sets their keys free */
+#define EMPTY_KEYS 2    /* a pass, before those of nearest.h: sets keys free that parts may be offered to */
 
 /* The rendered frame, the frame before it, and the new one. */
 typedef struct {
@@ -317,18 +317,28 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
             for (int dst_x = max((int)ceil(x - half_x - 0.5f), 0); dst_x <= x1; ++dst_x) {
                 const int dst = dst_y * target_width + dst_x;
                 if (!(there.z < HIDES * f.shown_depth[dst])) continue;
+                if (pass == EMPTY_KEYS) {
+                    forget(f.keys, f.winners, dst);
+                    continue;
+                }
                 const float2 place = place_of_part(src_x, src_y, dst_x, dst_y, there, frame);
                 if (!is_in(place, width, height) || !is_hidden((int)place.y * width + (int)place.x, z, f)
                     || !mover_was_shown(place + mv, met, frame, f))
                     continue;
-                if (pass != EMPTY_KEYS) {
-                    offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
-                } else {
-                    f.filled_by[dst] = BY_REAPPEARING;
-                    forget(f.keys, f.winners, dst);
-                }
+                offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
+                f.filled_by[dst] = BY_REAPPEARING;
             }
     }
+}
+
+/* Whether nothing moves in RUN x LANES pixels from (x, y) on, which are multiples of these. */
+INLINE bool tile_is_static(const int x, const int y, __constant Frame *frame, __global const int *last_stir) {
+    const int width = frame->source_width, last_x = min(x + RUN, width) - 1;
+    if (RUN == 1) return false; /* a pixel's mask says so */
+    for (int dy = 0; dy < min(LANES, frame->source_height - y); dy += BLOCK_HEIGHT)
+        for (int block = block_of(x, y + dy, width); block <= block_of(last_x, y + dy, width); ++block)
+            if (last_stir[block] == frame->number) return false;
+    return true;
 }
 
 /* Whether RUN pixels hold a mover's edge. */
@@ -340,20 +350,18 @@ INLINE bool run_has_edge(__global const uchar *dynamic_mask, __global const ucha
 #endif
 }
 
-/* Offers the parts of movers that reappear, RUN pixels of the rendered frame per work-item. Nothing changes but keys and
-   labels. */
+/* Offers the parts of movers that reappear, RUN x LANES pixels of the rendered frame per work-item. Nothing changes but
+   keys and labels. */
 SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
-                                     __global const uchar *links, __global const float *met_depth,
-                                     __global const float *target_position, __global const float *depth_prev,
-                                     __global const float *shown_depth, __global Key *keys, __global uint *winners,
-                                     __global uchar *filled_by) {
-    const int width = frame->source_width;
-    const int first_x = get_global_id(0) * RUN, src_y = get_global_id(1);
-    if (first_x >= width || src_y >= frame->source_height || !frame->has_previous) return;
-    const int first = src_y * width + first_x;
-    if (first_x + RUN <= width && (run_is_zero(dynamic_mask + first) || !run_has_edge(dynamic_mask + first, links + first)))
-        return;
+                                     __global const uchar *links, __global const int *last_stir,
+                                     __global const float *met_depth, __global const float *target_position,
+                                     __global const float *depth_prev, __global const float *shown_depth,
+                                     __global Key *keys, __global uint *winners, __global uchar *filled_by) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
+    if (first_x >= width || first_y >= height || !frame->has_previous) return;
+    if (tile_is_static(first_x, first_y, frame, last_stir)) return;
     const Parts parts = {.depth = depth,
                          .depth_prev = depth_prev,
                          .met_depth = met_depth,
@@ -365,13 +373,21 @@ SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int
                          .keys = keys,
                          .winners = winners,
                          .filled_by = filled_by};
-    for (int src_x = first_x; src_x < min(first_x + RUN, width); ++src_x) {
-        const int src = src_y * width + src_x;
-        if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS) continue;
-        for (int k = 0; k < SIDES; ++k) {
-            const int2 d = side(k);
-            if ((links[src] >> k & 1) || !inside(src_x + d.x, src_y + d.y, width, frame->source_height)) continue;
-            if (is_hidden(src + d.y * width + d.x, depth[src], parts)) offer_side(src_x, src_y, k, pass, frame, parts);
+    const int rows = LANES == 1 ? 1 : min(LANES, height - first_y); /* GPUs' compilers unroll that */
+    for (int row = 0; row < rows; ++row) {
+        const int src_y = first_y + row, first = src_y * width + first_x;
+        if (first_x + RUN <= width
+            && (run_is_zero(dynamic_mask + first) || !run_has_edge(dynamic_mask + first, links + first)))
+            continue;
+        for (int src_x = first_x; src_x < min(first_x + RUN, width); ++src_x) {
+            const int src = src_y * width + src_x;
+            if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS) continue;
+            for (int k = 0; k < SIDES; ++k) {
+                const int2 d = side(k);
+                if ((links[src] >> k & 1) || !inside(src_x + d.x, src_y + d.y, width, height)) continue;
+                if (is_hidden(src + d.y * width + d.x, depth[src], parts))
+                    offer_side(src_x, src_y, k, pass, frame, parts);
+            }
         }
     }
 }
@@ -393,7 +409,7 @@ INLINE float3 code_before(const float2 px_prev, const float met, __constant Fram
     return mean_of(sum, weight_sum);
 }
 
-/* Fills the pixels that parts were offered to, RUN per work-item. */
+/* Fills the pixels that parts were offered to, RUN x LANES per work-item. */
 SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global const float2 *source_motion,
                                     __global const float *met_depth, __global const float *target_position,
                                     __global const float *depth_prev, __global const half *color_prev,
@@ -401,21 +417,24 @@ SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global c
                                     __global float *depth, __global float2 *motion, __global uchar *is_dynamic,
                                     __global const uchar *filled_by) {
     const int source_width = frame->source_width, target_width = frame->target_width;
-    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
-    if (first_x >= target_width || dst_y >= frame->target_height) return;
-    const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_REAPPEARING)) return;
+    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
+    if (first_x >= target_width || first_y >= frame->target_height) return;
     const Parts parts = {.depth_prev = depth_prev, .target_position = target_position, .color_prev = color_prev};
-    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
-        const int dst = dst_y * target_width + dst_x;
-        if (filled_by[dst] != BY_REAPPEARING) continue;
-        const int src = (int)winner_of(keys, winners, dst);
-        const float3 there = target_of(src, frame, parts);
-        const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
-        const float3 code = code_before(place + source_motion[src], met_depth[src], frame, parts);
-        store_code(code, color, dst, frame->code_offset);
-        depth[dst] = there.z;
-        motion[dst] = place - pixel_center(dst_x, dst_y);
-        is_dynamic[dst] = DYNAMIC;
+    const int rows = LANES == 1 ? 1 : min(LANES, frame->target_height - first_y);
+    for (int row = 0; row < rows; ++row) {
+        const int dst_y = first_y + row, first = dst_y * target_width + first_x;
+        if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_REAPPEARING)) continue;
+        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (filled_by[dst] != BY_REAPPEARING) continue;
+            const int src = (int)winner_of(keys, winners, dst);
+            const float3 there = target_of(src, frame, parts);
+            const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
+            const float3 code = code_before(place + source_motion[src], met_depth[src], frame, parts);
+            store_code(code, color, dst, frame->code_offset);
+            depth[dst] = there.z;
+            motion[dst] = place - pixel_center(dst_x, dst_y);
+            is_dynamic[dst] = DYNAMIC;
+        }
     }
 }

@@ -22,8 +22,8 @@ def _keys() -> dict[str, Access]:
 
 
 class HiddenParts(NearestStage):
-    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them. Parts that
-    the frame before showed reappear."""
+    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them. Shows
+    parts that come out from behind static surfaces."""
 
     name = "hidden_parts"
     needs_footprints = True
@@ -51,7 +51,8 @@ class HiddenParts(NearestStage):
             {
                 "depth": Access("rendered.depth", DYNAMIC_PIXELS),
                 "motion": Access("rendered.motion", DYNAMIC_PIXELS),
-                "dynamic_mask": "history.dynamic_mask",
+                "last_stir": "history.last_stir",
+                "dynamic_mask": Access("history.dynamic_mask", DYNAMIC_PIXELS),
                 "links": Access("connectivity.links", DYNAMIC_PIXELS),
                 "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
                 "target_position": Access("prediction.target_position", DYNAMIC_PIXELS),
@@ -60,7 +61,7 @@ class HiddenParts(NearestStage):
             }
             | _keys(),
             {"filled_by": Access("frame.filled_by", REAPPEARING)} | _keys(),
-            step=("RUN", 1),
+            step=("RUN", "LANES"),
         ),
         Kernel(
             "fill_reappearing",
@@ -76,7 +77,7 @@ class HiddenParts(NearestStage):
             | _keys(),
             {name: Access(f"frame.{name}", REAPPEARING) for name in ("color", "depth", "motion")}
             | {"is_dynamic": Access("frame.dynamic", REAPPEARING)},
-            step=("RUN", 1),
+            step=("RUN", "LANES"),
         ),
     )
 

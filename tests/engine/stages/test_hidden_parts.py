@@ -35,7 +35,8 @@ def test_kernel_equals_its_twin(case):
     warped |= twins.fill_hidden_parts(
         warped, case.now.depth, case.zoom, case.to_source, reach, case.options.entering, before
     )
-    tracked = case.read("history", "dynamic_mask"), case.read("connectivity", "links"), case.read("history", "met_depth")
+    tracked = [case.read(*name) for name in (("history", "dynamic_mask"), ("connectivity", "links"))]
+    tracked.append(case.read("history", "met_depth"))
     target_position = case.read("prediction", "target_position")
     warped |= twins.show_reappearing(
         warped, case.now, case.past, tracked, target_position, case.zoom, case.from_previous, reach
