@@ -156,6 +156,7 @@ def test_a_network_gets_trends_and_they_last_as_it_says(device, tmp_path):
     for frame in lit_frames([1.0, 0.9, 0.81]):
         pipeline.submit(frame)
     made = pipeline.extrapolate()
+    gae, final = made.numpy("gae").astype(np.float32), made.numpy("color").astype(np.float32)  # the network is done
     trends, candidates = (
         pipeline.stages[stage].read(name)
         for stage, name in (("shading_trend", "trends"), ("shading_flow", "candidates"))
@@ -166,5 +167,4 @@ def test_a_network_gets_trends_and_they_last_as_it_says(device, tmp_path):
     trusted = correction[4] > 0
     assert trusted.mean() > 0.5
     np.testing.assert_allclose(correction[:3, trusted], shown[:, trusted], atol=1e-6)
-    gae, final = made.numpy("gae").astype(np.float32), made.numpy("color").astype(np.float32)
     assert (final[20:-20, 20:-20, 0] < gae[20:-20, 20:-20, 0]).mean() > 0.99
