@@ -682,7 +682,7 @@ SCAN __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
         if (!(disoccluded[dst] | mixed[dst])) continue;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
-        if (disoccluded[dst] && filled_by[dst] == BY_HIDDEN_PART) continue;
+        if (disoccluded[dst] && IS_OF_MOVER(filled_by[dst])) continue;
         const int4 starts = frame->level_starts;
         const int level = level_of(winner, starts), start = start_of(level, starts),
                   width = level_side(frame->source_width, level);

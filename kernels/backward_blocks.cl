@@ -22,7 +22,6 @@
 #define STRETCH_HIGH 2.0f
 /* AFFINE_MOST: 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
 #define AFFINE_MOST 0.0009765625f
-#define ALL_LINKS 15
 #define HALF_LEAST 0.5f /* px: a fragment always covers the pixel that it lands on */
 #define ROUNDING 0.01f /* px: more than the footprint's rounding in warp.cl */
 

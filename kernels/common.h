@@ -25,15 +25,17 @@
 #define LINK_DOWN 2
 #define LINK_LEFT 4
 #define LINK_UP 8
+#define ALL_LINKS 15
 
-/* Values of `filled_by`, the source of a pixel of an extrapolated frame; 1 + l is level l of the background; 252 is
-   free. */
+/* Values of `filled_by`, the source of a pixel of an extrapolated frame; 1 + l is level l of the background. */
 #define BY_WARP 0
 #define BY_HIDDEN_PART 250
 #define BY_FIXED 251
+#define BY_REAPPEARING 252
 #define BY_NOTHING 253
 #define BY_CRACK_CLOSING 254
 #define BY_HOLE_FILLING 255
+#define IS_OF_MOVER(label) ((label) == BY_HIDDEN_PART || (label) == BY_REAPPEARING)
 
 /* Pinhole intrinsics in pixels: (fx, fy, cx, cy). */
 typedef float4 Pinhole;

@@ -4,10 +4,15 @@
    there that is not nearer, the mover has no part there, and the hole is left to the background; so it is where the
    frame before showed something farther where that part was then. A mover that enters through the border of the image
    has parts that no frame has shown: it is continued to that border. RUN pixels without a hole are skipped at once, and
-   so are RUN x LANES without a dynamic pixel within reach. */
+   so are RUN x LANES without a dynamic pixel within reach.
+
+   A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it
+   comes out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the
+   color that it had. */
 
 #include "frame.h"
 #include "simd.h"
+#include "nearest.h"
 #include "color_code.h"
 #include "directional_search.h"
 #include "blocks.h"
@@ -34,6 +39,10 @@ typedef struct {
 } Images;
 
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
+
+INLINE bool is_in(const float2 px, const int width, const int height) {
+    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
+}
 
 /* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
 INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
@@ -62,9 +71,7 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
     const float2 px_mover = moves_along(x, y, (int2)(0, 0), frame, f);
     const int src_x = clamp((int)px_mover.x, 0, width - 1), src_y = clamp((int)px_mover.y, 0, height - 1);
     const float2 px_prev = px_source + f.source_motion[src_y * width + src_x];
-    if (!frame->has_previous || !(px_prev.x >= 0.0f && px_prev.y >= 0.0f)
-        || !(px_prev.x < (float)width && px_prev.y < (float)height))
-        return false;
+    if (!frame->has_previous || !is_in(px_prev, width, height)) return false;
     const float z_prev = f.depth_prev[(int)px_prev.y * width + (int)px_prev.x];
     return HIDES * z_prev > reproject(px_source, z_source, frame->to_previous).z;
 }
@@ -84,9 +91,7 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, -t * d, frame, f);
-    if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
-          && px_source.y < (float)frame->source_height))
-        return 0;
+    if (!is_in(px_source, frame->source_width, frame->source_height)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     const float z_source = reproject(pixel_center(x, y), z, frame->to_source).z;
     if (!INVALID_DEPTH(z_shown) && !(z_shown < HIDES * z_source)) return 0;
@@ -223,6 +228,213 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
         for (int dst_x = first_x; moves && dst_x < end_x; ++dst_x) {
             const int dst = dst_y * target_width + dst_x;
             if (disoccluded[dst] && filled_by[dst] != BY_HIDDEN_PART) fill_hidden_part(dst_x, dst_y, frame, images);
+        }
+    }
+}
+
+/* ---- parts that reappear ----------------------------------------------------------------------------------------- */
+
+#define SIDES 4         /* in which movers have parts behind what is nearer: those of the bits of `links` */
+#define COVERS 0.5f     /* source px: a part covers target pixels up to so far from it */
+#define LEAST_APART 0.25f /* source px: what moves less against what hides it does not come out */
+#define SAME_PART 0.025f /* relative depth in the frame before within which a surface is the mover's */
+#define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
+#define EMPTY_KEYS 2    /* a pass, before those of nearest.h: sets keys free that parts may be offered to */
+
+/* The rendered frame, the frame before it, and the new one. */
+typedef struct {
+    __global const float *depth, *depth_prev, *met_depth, *target_position;
+    __global const float2 *motion;
+    __global const uchar *dynamic_mask, *links;
+    __global const half *color_prev;
+    __global const float *shown_depth;
+    __global Key *keys;
+    __global uint *winners;
+    __global uchar *filled_by;
+} Parts;
+
+INLINE int2 side(const int k) { return k & 1 ? (int2)(0, 2 - k) : (int2)(1 - k, 0); }
+
+INLINE float3 target_of(const int src, __constant Frame *frame, const Parts f) {
+    const int plane = frame->source_width * frame->source_height;
+    return (float3)(f.target_position[src], f.target_position[plane + src], f.target_position[2 * plane + src]);
+}
+
+/* Where a part that covers target pixel (dst_x, dst_y) is in the rendered image, if it moves like its mover at (x, y)
+   there, which goes to `there`. */
+INLINE float2 place_of_part(const int x, const int y, const int dst_x, const int dst_y, const float3 there,
+                            __constant Frame *frame) {
+    const float2 off = pixel_center(dst_x, dst_y) - there.xy;
+    return pixel_center(x, y) + (float2)(divide(off.x, frame->zoom.x), divide(off.y, frame->zoom.y));
+}
+
+/* Whether something static and nearer than `z` is shown at pixel `src` of the rendered frame. */
+INLINE bool is_hidden(const int src, const float z, const Parts f) {
+    return f.dynamic_mask[src] == STATIC && f.depth[src] > 0.0f && f.depth[src] < HIDES * z;
+}
+
+/* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth that does not stay. */
+INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
+    const int width = frame->source_width, height = frame->source_height;
+    if (!is_in(px_prev, width, height)) return false;
+    const int prev_x = (int)px_prev.x, prev_y = (int)px_prev.y;
+    const float z = f.depth_prev[prev_y * width + prev_x];
+    if (!(fabs(z - met) <= SAME_PART * met)) return false;
+    const float3 now = reproject(pixel_center(prev_x, prev_y), z, frame->from_previous);
+    if (!(now.z > 0.0f && is_in(now.xy, width, height))) return true;
+    const int src = (int)now.y * width + (int)now.x;
+    return f.dynamic_mask[src] != STATIC || !(fabs(f.depth[src] - now.z) <= STAYS * now.z);
+}
+
+/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is static and nearer there, one pixel of
+   which is known to be. */
+INLINE void offer_side(const int src_x, const int src_y, const int k, const int pass, __constant Frame *frame,
+                       const Parts f) {
+    const int width = frame->source_width, height = frame->source_height, target_width = frame->target_width;
+    const int src = src_y * width + src_x;
+    const int2 d = side(k);
+    const float2 zoom = frame->zoom, mv = f.motion[src];
+    const float z = f.depth[src], met = f.met_depth[src];
+    const float3 there = target_of(src, frame, f);
+    if (!(met > 0.0f && there.z > 0.0f && fabs(there.x) < 2.0f * (float)target_width)
+        || !(fabs(there.y) < 2.0f * (float)frame->target_height))
+        return;
+    const float half_x = fmax(COVERS * zoom.x, 0.5f), half_y = fmax(COVERS * zoom.y, 0.5f);
+    const int offset = d.y * width + d.x, steps = steps_within(reach_of(frame), d, src_x, src_y, width, height);
+    const float3 beside = target_of(src + offset, frame, f);
+    const float apart = d.x ? divide((there.x - beside.x) * (float)d.x, zoom.x) + 1.0f
+                            : divide((there.y - beside.y) * (float)d.y, zoom.y) + 1.0f;
+    if (!(fabs(apart) > LEAST_APART && fabs(apart) < (float)width)) return;
+    int end = 2;
+    while (end <= steps && is_hidden(src + end * offset, z, f)) ++end;
+    const int some = (int)fabs(apart) + 2; /* parts at that end which can come out */
+    const int last = apart > 0.0f ? end - 1 : min(end - 1, some);
+    for (int t = apart > 0.0f ? max(end - some, 1) : 1; t <= last; ++t) {
+        const float x = there.x + (float)(t * d.x) * zoom.x, y = there.y + (float)(t * d.y) * zoom.y;
+        const int x1 = min((int)floor(x + half_x - 0.5f), target_width - 1);
+        const int y1 = min((int)floor(y + half_y - 0.5f), frame->target_height - 1);
+        for (int dst_y = max((int)ceil(y - half_y - 0.5f), 0); dst_y <= y1; ++dst_y)
+            for (int dst_x = max((int)ceil(x - half_x - 0.5f), 0); dst_x <= x1; ++dst_x) {
+                const int dst = dst_y * target_width + dst_x;
+                if (!(there.z < HIDES * f.shown_depth[dst])) continue;
+                if (pass == EMPTY_KEYS) {
+                    forget(f.keys, f.winners, dst);
+                    continue;
+                }
+                const float2 place = place_of_part(src_x, src_y, dst_x, dst_y, there, frame);
+                if (!is_in(place, width, height) || !is_hidden((int)place.y * width + (int)place.x, z, f)
+                    || !mover_was_shown(place + mv, met, frame, f))
+                    continue;
+                offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
+                f.filled_by[dst] = BY_REAPPEARING;
+            }
+    }
+}
+
+/* Whether nothing moves in RUN x LANES pixels from (x, y) on, which are multiples of these. */
+INLINE bool tile_is_static(const int x, const int y, __constant Frame *frame, __global const int *last_stir) {
+    const int width = frame->source_width, last_x = min(x + RUN, width) - 1;
+    if (RUN == 1) return false; /* a pixel's mask says so */
+    for (int dy = 0; dy < min(LANES, frame->source_height - y); dy += BLOCK_HEIGHT)
+        for (int block = block_of(x, y + dy, width); block <= block_of(last_x, y + dy, width); ++block)
+            if (last_stir[block] == frame->number) return false;
+    return true;
+}
+
+/* Whether RUN pixels hold a mover's edge. */
+INLINE bool run_has_edge(__global const uchar *dynamic_mask, __global const uchar *links) {
+#if RUN == 16
+    return any((vload16(0, dynamic_mask) != (uchar16)(0)) & (vload16(0, links) != (uchar16)(ALL_LINKS)));
+#else
+    return *dynamic_mask != 0 && *links != ALL_LINKS;
+#endif
+}
+
+/* Offers the parts of movers that reappear, RUN x LANES pixels of the rendered frame per work-item. Nothing changes but
+   keys and labels. */
+SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                                     __global const float2 *motion, __global const uchar *dynamic_mask,
+                                     __global const uchar *links, __global const int *last_stir,
+                                     __global const float *met_depth, __global const float *target_position,
+                                     __global const float *depth_prev, __global const float *shown_depth,
+                                     __global Key *keys, __global uint *winners, __global uchar *filled_by) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
+    if (first_x >= width || first_y >= height || !frame->has_previous) return;
+    if (tile_is_static(first_x, first_y, frame, last_stir)) return;
+    const Parts parts = {.depth = depth,
+                         .depth_prev = depth_prev,
+                         .met_depth = met_depth,
+                         .target_position = target_position,
+                         .motion = motion,
+                         .dynamic_mask = dynamic_mask,
+                         .links = links,
+                         .shown_depth = shown_depth,
+                         .keys = keys,
+                         .winners = winners,
+                         .filled_by = filled_by};
+    const int rows = LANES == 1 ? 1 : min(LANES, height - first_y); /* GPUs' compilers unroll that */
+    for (int row = 0; row < rows; ++row) {
+        const int src_y = first_y + row, first = src_y * width + first_x;
+        if (first_x + RUN <= width
+            && (run_is_zero(dynamic_mask + first) || !run_has_edge(dynamic_mask + first, links + first)))
+            continue;
+        for (int src_x = first_x; src_x < min(first_x + RUN, width); ++src_x) {
+            const int src = src_y * width + src_x;
+            if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS) continue;
+            for (int k = 0; k < SIDES; ++k) {
+                const int2 d = side(k);
+                if ((links[src] >> k & 1) || !inside(src_x + d.x, src_y + d.y, width, height)) continue;
+                if (is_hidden(src + d.y * width + d.x, depth[src], parts))
+                    offer_side(src_x, src_y, k, pass, frame, parts);
+            }
+        }
+    }
+}
+
+/* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */
+INLINE float3 code_before(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
+    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * width + x;
+        if (!inside(x, y, width, height) || !(fabs(f.depth_prev[i] - met) <= SAME_PART * met)) continue;
+        const float weight = bilinear_weight(tap, u, v);
+        sum += weight * load_code(f.color_prev, i, frame->code_offset);
+        weight_sum += weight;
+    }
+    return mean_of(sum, weight_sum);
+}
+
+/* Fills the pixels that parts were offered to, RUN x LANES per work-item. */
+SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global const float2 *source_motion,
+                                    __global const float *met_depth, __global const float *target_position,
+                                    __global const float *depth_prev, __global const half *color_prev,
+                                    __global const Key *keys, __global const uint *winners, __global half *color,
+                                    __global float *depth, __global float2 *motion, __global uchar *is_dynamic,
+                                    __global const uchar *filled_by) {
+    const int source_width = frame->source_width, target_width = frame->target_width;
+    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
+    if (first_x >= target_width || first_y >= frame->target_height) return;
+    const Parts parts = {.depth_prev = depth_prev, .target_position = target_position, .color_prev = color_prev};
+    const int rows = LANES == 1 ? 1 : min(LANES, frame->target_height - first_y);
+    for (int row = 0; row < rows; ++row) {
+        const int dst_y = first_y + row, first = dst_y * target_width + first_x;
+        if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_REAPPEARING)) continue;
+        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (filled_by[dst] != BY_REAPPEARING) continue;
+            const int src = (int)winner_of(keys, winners, dst);
+            const float3 there = target_of(src, frame, parts);
+            const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
+            const float3 code = code_before(place + source_motion[src], met_depth[src], frame, parts);
+            store_code(code, color, dst, frame->code_offset);
+            depth[dst] = there.z;
+            motion[dst] = place - pixel_center(dst_x, dst_y);
+            is_dynamic[dst] = DYNAMIC;
         }
     }
 }

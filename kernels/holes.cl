@@ -439,7 +439,7 @@ SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
     if (!frame->collects || (first_x + RUN <= target_width && run_is_zero(disoccluded + first))) return;
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
-        if (disoccluded[dst] && filled_by[dst] != BY_HOLE_FILLING && filled_by[dst] != BY_HIDDEN_PART)
+        if (disoccluded[dst] && filled_by[dst] != BY_HOLE_FILLING && !IS_OF_MOVER(filled_by[dst]))
             mix_far_side(dst_x, dst_y, frame, disoccluded, depth, color);
     }
 }

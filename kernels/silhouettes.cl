@@ -28,7 +28,6 @@
 #define FAR 1
 #define NEAR 2
 
-#define ALL_LINKS 15
 #define ANYWHERE 100000000.0f /* px: fragments that go nowhere have targets beyond this */
 /* MARKED: px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
 #define MARKED 3

@@ -122,6 +122,7 @@ GAE: dict[str, Change] = {
     "… the frame before must not have shown anything farther": Change(
         edits={"hidden_parts.cl": {"if (!frame->has_previous ||": "if (true ||"}}
     ),
+    "parts that the frame before showed reappear": Change({"reappearing": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
         edits={"holes.cl": {"inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "(Ints)(0)"}}

@@ -268,6 +268,14 @@ class Options:
         flag="--no-hidden-parts",
         needs="motion",
     )
+    reappearing: bool = _option(
+        True,
+        "reappearing parts",
+        "Parts of movers that come out from behind something nearer, as the frame before showed them; off: what lies"
+        " behind them stays in view.",
+        flag="--no-reappearing",
+        needs="hidden_parts",
+    )
     levels: int = _option(
         1,
         "background levels",

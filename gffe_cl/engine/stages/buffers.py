@@ -45,11 +45,13 @@ RESIDUAL_STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
+BY_REAPPEARING = _LABELS["BY_REAPPEARING"]
 FILLED_BY = (
     (BY_WARP, "its own fragment"),
     *((1 + level, f"background level {level}") for level in range(4)),
     (BY_HIDDEN_PART, "hidden part of a mover"),
     (BY_FIXED, "a pixel that stays in place"),
+    (BY_REAPPEARING, "part of a mover that reappears"),
     (BY_NOTHING, "nothing"),
     (BY_CRACK_CLOSING, "crack closing"),
     (BY_HOLE_FILLING, "hole filling"),

@@ -5,17 +5,25 @@ from __future__ import annotations
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
-from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step, share_of
-from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
+from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step, share_of
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING
+from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
 from gffe_cl.engine.stages.warp import DISOCCLUDED
 
 _CONSTANTS = constants("hidden_parts.cl")
 HIDDEN_PARTS = share_of("hidden parts", "frame.filled_by", lambda label: label == BY_HIDDEN_PART)
+REAPPEARING = share_of("reappearing", "frame.filled_by", lambda label: label == BY_REAPPEARING)
+_EMPTY_KEYS = _CONSTANTS["EMPTY_KEYS"]
 _FILLED = {name: Access(f"frame.{name}", HIDDEN_PARTS) for name in ("color", "depth", "motion", "filled_by")}
 
 
-class HiddenParts(Stage):
-    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them."""
+def _keys() -> dict[str, Access]:
+    return {name: Access(f"warp.{name}", REAPPEARING) for name in ("keys", "winners")}
+
+
+class HiddenParts(NearestStage):
+    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them. Shows
+    parts that come out from behind static surfaces."""
 
     name = "hidden_parts"
     needs_footprints = True
@@ -37,7 +45,46 @@ class HiddenParts(Stage):
             _FILLED,
             step=("RUN", "LANES"),
         ),
+        Kernel(
+            "offer_reappearing",
+            "source",
+            {
+                "depth": Access("rendered.depth", DYNAMIC_PIXELS),
+                "motion": Access("rendered.motion", DYNAMIC_PIXELS),
+                "last_stir": "history.last_stir",
+                "dynamic_mask": Access("history.dynamic_mask", DYNAMIC_PIXELS),
+                "links": Access("connectivity.links", DYNAMIC_PIXELS),
+                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
+                "target_position": Access("prediction.target_position", DYNAMIC_PIXELS),
+                "depth_prev": Access("previous.depth", REAPPEARING),
+                "shown_depth": Access("frame.depth", REAPPEARING),
+            }
+            | _keys(),
+            {"filled_by": Access("frame.filled_by", REAPPEARING)} | _keys(),
+            step=("RUN", "LANES"),
+        ),
+        Kernel(
+            "fill_reappearing",
+            "target",
+            {
+                "source_motion": Access("rendered.motion", REAPPEARING),
+                "met_depth": Access("history.met_depth", REAPPEARING),
+                "target_position": Access("prediction.target_position", REAPPEARING),
+                "depth_prev": Access("previous.depth", REAPPEARING),
+                "color_prev": Access("previous.color", REAPPEARING),
+                "filled_by": "frame.filled_by",
+            }
+            | _keys(),
+            {name: Access(f"frame.{name}", REAPPEARING) for name in ("color", "depth", "motion")}
+            | {"is_dynamic": Access("frame.dynamic", REAPPEARING)},
+            step=("RUN", "LANES"),
+        ),
     )
+
+    def __init__(self, board: Board):
+        if not board.options.reappearing:
+            self.kernels = self.kernels[:1]
+        super().__init__(board)
 
     @property
     def reach(self) -> int:
@@ -51,3 +98,8 @@ class HiddenParts(Stage):
     def extrapolated(self, step: Step) -> None:
         before = step.previous or step.frame
         self.launch("fill_hidden_parts", step, depth_prev=before.depth)
+        if not self.board.options.reappearing:
+            return
+        for offer_pass in (_EMPTY_KEYS, *self.passes):
+            self.launch("offer_reappearing", step, depth_prev=before.depth, **{"pass": offer_pass})
+        self.launch("fill_reappearing", step, depth_prev=before.depth, color_prev=before.color)

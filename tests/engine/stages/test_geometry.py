@@ -406,7 +406,8 @@ def test_outputs_of_the_stages_can_be_kept(device):
     read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
     stages = ("warp", "hidden_parts", "background", "holes")
     expected = {f"{s}.{n}" for s in stages for n in ("color", "depth", "motion", "filled_by")}
-    expected = expected - {"holes.filled_by"} | {"silhouettes.color"}  # labeled so by the warp
+    expected |= {"silhouettes.color", "warp.dynamic", "hidden_parts.dynamic"}
+    expected -= {"holes.filled_by"}  # labeled so by the warp
     assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
     assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}
     assert set(np.unique(read["background.filled_by"])) >= {1, 255}

@@ -7,7 +7,7 @@ from synthetic import Rect, Rects, camera
 from twin_cases import assert_close
 
 from gffe_cl import Options, Pipeline
-from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING
 
 W, H = 160, 80
 WALL = Rect((0, 0, 10), frequency=0.25)
@@ -35,9 +35,18 @@ def test_kernel_equals_its_twin(case):
     warped |= twins.fill_hidden_parts(
         warped, case.now.depth, case.zoom, case.to_source, reach, case.options.entering, before
     )
+    tracked = [case.read(*name) for name in (("history", "dynamic_mask"), ("connectivity", "links"))]
+    tracked.append(case.read("history", "met_depth"))
+    target_position = case.read("prediction", "target_position")
+    warped |= twins.show_reappearing(
+        warped, case.now, case.past, tracked, target_position, case.zoom, case.from_previous, reach
+    )
     left = case.after("hidden_parts")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
+    assert np.array_equal(left["dynamic"], warped["dynamic"])
     assert (warped["filled_by"] == BY_HIDDEN_PART).any()
+    if case.options.crack_closing and case.zoom.min() >= 1:  # in the other cases there are none
+        assert (warped["filled_by"] == BY_REAPPEARING).any()
     for name in ("color", "depth", "motion"):
         assert_close(left[name], warped[name])
 
@@ -66,6 +75,26 @@ def test_mover_has_no_part_where_the_frame_before_showed_the_wall(device):
     hidden = out.numpy("filled_by") == BY_HIDDEN_PART
     is_mover = (truth.depth > 5) & (truth.depth < 7)
     assert (hidden & is_mover).sum() > 50 and not (hidden & ~is_mover).any()
+
+
+def test_mover_comes_out_from_behind_bars(device):
+    """Its front is where it is, with its depth, motion and color; without that the wall stays in view there."""
+    mover = Rect((-1.3, 0, 6), (1.0, 0.6), velocity=(9, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+    wrong = {}
+    for reappearing in (True, False):
+        out, truth, frame = last_frame(device, [WALL, mover, *BARS], Options(reappearing=reappearing), count=5)
+        is_mover, depth = (truth.depth > 5) & (truth.depth < 7), out.numpy("depth")
+        wrong[reappearing] = int((is_mover & (np.abs(depth - 6) > 0.1)).sum())
+        shown = out.numpy("filled_by") == BY_REAPPEARING
+        assert shown.any() == reappearing
+        if not reappearing:
+            continue
+        assert (shown & is_mover).sum() > 0.9 * shown.sum() and (out.numpy("dynamic")[shown] == 1).all()
+        assert (out.numpy("color")[shown, 0] > 2).all()
+        y, x = np.nonzero(shown)
+        at = np.stack([x, y], -1) + 0.5 + out.numpy("motion")[shown]
+        assert np.isclose(frame.depth[tuple(np.floor(at).astype(int).T[::-1])], 4, rtol=0.01).mean() > 0.9  # a bar
+    assert wrong[True] < 0.5 * wrong[False], wrong
 
 
 def test_mover_that_enters_goes_on_to_the_border(device):

@@ -11,7 +11,7 @@ from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_sh
 from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
-from twins.hidden_parts import fill_hidden_parts
+from twins.hidden_parts import fill_hidden_parts, show_reappearing
 from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
 from twins.holes import asked_texels, border_lines, continued_surfaces, downsample, fill_holes, mix_far_side
 from twins.network_input import decode, depth_median, encode, network_input
@@ -79,6 +79,7 @@ __all__ = [
     "project_background",
     "residual_histogram",
     "resolve",
+    "show_reappearing",
     "shown_state",
     "smooth_blocks",
     "splat",

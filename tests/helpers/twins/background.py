@@ -191,7 +191,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
         return np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner
 
     for (y, x), (z, number, i) in best.items():
-        if warped["filled_by"][y, x] == COMMON.BY_HIDDEN_PART:
+        if warped["filled_by"][y, x] in (COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING):
             continue
         at = reproject(px[y, x][None], np.array([z], F), to_source)[0]
         if is_outside(at, levels[0]["depth"]):

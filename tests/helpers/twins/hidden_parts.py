@@ -2,11 +2,12 @@
 
 import numpy as np
 
-from twins.common import COMMON, F, decode_color, kernel_constants, reproject
+from twins.common import COMMON, F, centers, decode_color, kernel_constants, reproject
 from twins.holes import _DIRECTIONS, march
-from twins.warp import load_code
+from twins.warp import _STEPS, load_code
 
 HIDDEN = kernel_constants("hidden_parts.cl")
+FRAME = kernel_constants("frame.h")
 
 
 def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, before=None):
@@ -91,4 +92,90 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         px = sum(w * moves_along(q, y, x) for w, q in alike) / total
         out["motion"][y, x] = px - np.array([x + 0.5, y + 0.5], F)
         out["filled_by"][y, x] = COMMON.BY_HIDDEN_PART
+    return out
+
+
+def show_reappearing(shown, now, past, tracked, target_position, zoom, from_previous, reach):
+    """color, depth, motion, dynamic and filled_by of the frame `shown` with the parts of movers that reappear. `now`,
+    `past`: the rendered frame and the one before; `tracked`: dynamic mask, links, and depth met in the frame before."""
+    out = {name: shown[name].copy() for name in ("color", "depth", "motion", "dynamic", "filled_by")}
+    dynamic, links, met = tracked
+    height, width = now.depth.shape
+    rows, columns = shown["depth"].shape
+    at, half = centers(height, width), np.maximum(F(HIDDEN.COVERS) * zoom, F(0.5))
+
+    def alike(z, of):
+        return abs(z - of) <= HIDDEN.SAME_PART * of
+
+    def is_inside(px):
+        return 0 <= px[0] < width and 0 <= px[1] < height
+
+    def is_hidden(q, z):
+        """Whether something static and nearer than `z` is shown at pixel `q`."""
+        return dynamic[q] == FRAME.STATIC and 0 < now.depth[q] < HIDDEN.HIDES * z
+
+    def was_shown(px, of):
+        """Whether the frame before showed a mover of depth `of` at `px`."""
+        if not is_inside(px):
+            return False
+        q = int(px[1]), int(px[0])
+        z = past.depth[q]
+        if not alike(z, of):
+            return False
+        x, y, there = reproject(at[q][None], z[None], from_previous)[0]
+        if not (there > 0 and is_inside((x, y))):
+            return True
+        q = int(y), int(x)
+        return bool(dynamic[q]) or not abs(now.depth[q] - there) <= HIDDEN.STAYS * there
+
+    def place(src, dst, there):
+        off = np.array([dst[1] + 0.5, dst[0] + 0.5], F) - there[:2]
+        return at[src] + off / zoom
+
+    best = {}
+    for y, x in np.argwhere((dynamic == FRAME.DYNAMIC) & (links != COMMON.ALL_LINKS) & (met > 0)):
+        there = target_position[y, x]
+        if not (there[2] > 0 and abs(there[0]) < 2 * columns and abs(there[1]) < 2 * rows):
+            continue
+        for dx, dy in _STEPS:
+            end = 1
+            while end <= reach and is_inside((x + end * dx, y + end * dy)):
+                if not is_hidden((y + end * dy, x + end * dx), now.depth[y, x]):
+                    break
+                end += 1
+            if end == 1:
+                continue
+            axis, sign = (0, F(dx)) if dx else (1, F(dy))
+            apart = (there[axis] - target_position[y + dy, x + dx, axis]) * sign / zoom[axis] + F(1)
+            if not HIDDEN.LEAST_APART < abs(apart) < width:
+                continue
+            some = int(abs(apart)) + 2
+            for t in range(max(end - some, 1), end) if apart > 0 else range(1, min(end - 1, some) + 1):
+                to = there[:2] + np.array([t * dx, t * dy], F) * zoom
+                first = np.maximum(np.ceil(to - half - F(0.5)).astype(int), 0)
+                last = np.minimum(np.floor(to + half - F(0.5)).astype(int), (columns - 1, rows - 1))
+                for dst in np.ndindex(*np.maximum(last - first + 1, 0)[::-1]):
+                    dst = dst[0] + first[1], dst[1] + first[0]
+                    if not there[2] < HIDDEN.HIDES * shown["depth"][dst]:
+                        continue
+                    px = place((y, x), dst, there)
+                    if not is_inside(px) or not is_hidden((int(px[1]), int(px[0])), now.depth[y, x]):
+                        continue
+                    if was_shown(px + now.motion[y, x], met[y, x]):
+                        best[dst] = min(best.get(dst, (np.inf, ())), (there[2], (y, x)))
+    for dst, (z, src) in best.items():
+        source_px = place(src, dst, target_position[src])
+        px = source_px + now.motion[src]
+        corner = np.floor(px - F(0.5))
+        u, v = px - F(0.5) - corner
+        total, weights = np.zeros(3, F), F(0)
+        for tap in range(4):
+            q = int(corner[1]) + (tap >> 1), int(corner[0]) + (tap & 1)
+            if not is_inside(q[::-1]) or not alike(past.depth[q], met[src]):
+                continue
+            weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+            total, weights = total + weight * load_code(past.color[q]), weights + weight
+        out["color"][dst][:3] = decode_color(total / weights)
+        out["depth"][dst], out["dynamic"][dst], out["filled_by"][dst] = z, 1, COMMON.BY_REAPPEARING
+        out["motion"][dst] = source_px - np.array([dst[1] + 0.5, dst[0] + 0.5], F)
     return out

@@ -226,7 +226,8 @@ def mix_far_side(warped):
     """Color of the frame as the background left it, its fills mixed with the far side."""
     color, shown = warped["color"].copy(), load_color(warped["color"])
     hole = warped["disoccluded"] != 0
-    remembered = hole & ~np.isin(warped["filled_by"], (COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART))
+    others = COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING
+    remembered = hole & ~np.isin(warped["filled_by"], others)
     with np.errstate(divide="ignore"):
         inverse = F(1) / warped["depth"]
     for y, x in np.argwhere(remembered):

@@ -16,6 +16,7 @@ from gffe_cl.engine.stages.buffers import (
     BY_HIDDEN_PART,
     BY_HOLE_FILLING,
     BY_NOTHING,
+    BY_REAPPEARING,
     BY_WARP,
     FILLED_BY,
 )
@@ -124,8 +125,8 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
         return Story((x, y), label, source_px, sentences=_dilated_sentences(shot, source_px, number == BY_WARP))
     if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
-    if number == BY_HIDDEN_PART:
-        return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values))
+    if number in (BY_HIDDEN_PART, BY_REAPPEARING):
+        return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values, number))
     if level is not None and values[names.DISOCCLUDED][0]:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
@@ -171,17 +172,17 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]
     return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
-def _hidden_sentences(shot: Shot, source_px, values) -> tuple[str, ...]:
+def _hidden_sentences(shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
     depth, front = float(values[names.DEPTH][0]), None
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
+    said = "A hidden part of a mover: the mean of the mover around it, with its motion."
+    if number == BY_REAPPEARING:
+        said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."
     where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
     shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
     return (
-        Step(
-            "A hidden part of a mover: the mean of the mover around it, with its motion.",
-            Link("filled by", names.FILLED_BY),
-        ),
+        Step(said, Link("filled by", names.FILLED_BY)),
         f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
     )
 
