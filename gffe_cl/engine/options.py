@@ -271,7 +271,7 @@ class Options:
     reappearing: bool = _option(
         True,
         "reappearing parts",
-        "Parts of movers that come out from behind something nearer, as the frame before showed them; off: what lies"
+        "Parts of movers that come out from behind something nearer, as the frame before showed them; off: the surface"
         " behind them stays in view.",
         flag="--no-reappearing",
         needs="hidden_parts",

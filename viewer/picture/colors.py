@@ -16,7 +16,7 @@ SKY: Rgb = (0.62, 0.78, 0.95)
 MASK_OFF: Rgb = (0.09, 0.09, 0.10)
 WHEEL_CENTER = 0.08  # gray of a motion of no length
 _LABEL_COLORS = (
-    "29292e 3880de 29b880 f5db40 a043b8 85d1f5 9ee659 fab3c2 8c572e 006e73 7d851f 00f0f0 751442 ccb8ff fa7a10 e62442"
+    "29292e 3880de 29b880 f5db40 a043b8 85d1f5 751442 fab3c2 8c572e 006e73 7d851f 00f0f0 9ee659 ccb8ff fa7a10 e62442"
 )
 LABEL_COLORS: tuple[Rgb, ...] = tuple(  # of value & 15: 0 is the usual case; 14 and 15 are 254 and 255 of `filled_by`
     (red / 255, green / 255, blue / 255) for red, green, blue in map(bytes.fromhex, _LABEL_COLORS.split())
