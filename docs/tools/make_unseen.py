@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument("--measure", action="store_true", help="measure the sequences in OUT instead of making them")
     parser.add_argument("--json", type=Path, help="file for the figures")
     parser.add_argument("--label", default="now", help="name of the figures, such as before or after (default: now)")
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     if unknown := [name for name in given.names if name not in SEQUENCES]:
         parser.error(f"{unknown[0]}: no such sequence (expected {', '.join(SEQUENCES)})")
     if given.measure:

@@ -132,7 +132,7 @@ def test_in_and_out(values):
                 "shading_trend.",
             ),
             ("history.dynamic_mask", "prediction.target_position", "frame.dynamic", "final"),
-            ("hidden_parts.", "acceleration."),
+            ("hidden_parts.", "acceleration.", "warp.dynamic"),
         ),
         ("background collection", AFTER_SUBMIT, ("frame.filled_by", "frame.color", "final"), ("background.", "warp.")),
         ("crack closing", AFTER_SUBMIT, ("frame.filled_by", "frame.disoccluded", "frame.color", "final"), ()),
