@@ -107,7 +107,7 @@ typedef struct {
 } Collection;
 
 INLINE bool lands(const float3 now, const int width, const int height) {
-    return now.z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height;
+    return now.z > 0.0f && holds(width, height, now.xy);
 }
 
 /* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or

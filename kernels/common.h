@@ -87,6 +87,11 @@ INLINE bool inside(const int x, const int y, const int width, const int height) 
     return x >= 0 && y >= 0 && x < width && y < height;
 }
 
+/* Whether a pixel, in floats that may be too large for integers, lies in the image. */
+INLINE bool holds(const int width, const int height, const float2 px) {
+    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
+}
+
 /* Pixel position and depth -> view space. For sky (z = inf) the direction with z = 1. */
 INLINE float3 unproject(const float2 px, const float z, const Pinhole inverse) {
     const float scale = isinf(z) ? 1.0f : z;

@@ -20,11 +20,6 @@ __kernel void leave_out_fixed(__constant Frame *restrict frame, __global const f
     out_depth[i] = fixed_mask[i] ? NAN : depth[i];
 }
 
-/* Whether a pixel, in floats that may be too large for integers, lies in the image. */
-INLINE bool holds(const int width, const int height, const float2 px) {
-    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
-}
-
 /* A texel of a layer; NaN is transparent. */
 INLINE float4 load_layer(__global const half *layer, const int i) {
     const float4 c = vload_half4(i, layer);

@@ -16,6 +16,7 @@
 #include "color_code.h"
 #include "directional_search.h"
 #include "blocks.h"
+#include "flow.h"
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
@@ -39,10 +40,6 @@ typedef struct {
 } Images;
 
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
-
-INLINE bool is_in(const float2 px, const int width, const int height) {
-    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
-}
 
 /* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
 INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
@@ -71,7 +68,7 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
     const float2 px_mover = moves_along(x, y, (int2)(0, 0), frame, f);
     const int src_x = clamp((int)px_mover.x, 0, width - 1), src_y = clamp((int)px_mover.y, 0, height - 1);
     const float2 px_prev = px_source + f.source_motion[src_y * width + src_x];
-    if (!frame->has_previous || !is_in(px_prev, width, height)) return false;
+    if (!frame->has_previous || !holds(width, height, px_prev)) return false;
     const float z_prev = f.depth_prev[(int)px_prev.y * width + (int)px_prev.x];
     return HIDES * z_prev > reproject(px_source, z_source, frame->to_previous).z;
 }
@@ -91,7 +88,7 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, -t * d, frame, f);
-    if (!is_in(px_source, frame->source_width, frame->source_height)) return 0;
+    if (!holds(frame->source_width, frame->source_height, px_source)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     const float z_source = reproject(pixel_center(x, y), z, frame->to_source).z;
     if (!INVALID_DEPTH(z_shown) && !(z_shown < HIDES * z_source)) return 0;
@@ -255,11 +252,6 @@ typedef struct {
 
 INLINE int2 side(const int k) { return k & 1 ? (int2)(0, 2 - k) : (int2)(1 - k, 0); }
 
-INLINE float3 target_of(const int src, __constant Frame *frame, const Parts f) {
-    const int plane = frame->source_width * frame->source_height;
-    return (float3)(f.target_position[src], f.target_position[plane + src], f.target_position[2 * plane + src]);
-}
-
 /* Where a part that covers target pixel (dst_x, dst_y) is in the rendered image, if it moves like its mover at (x, y)
    there, which goes to `there`. */
 INLINE float2 place_of_part(const int x, const int y, const int dst_x, const int dst_y, const float3 there,
@@ -276,32 +268,32 @@ INLINE bool is_hidden(const int src, const float z, const Parts f) {
 /* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth that does not stay. */
 INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
     const int width = frame->source_width, height = frame->source_height;
-    if (!is_in(px_prev, width, height)) return false;
+    if (!holds(width, height, px_prev)) return false;
     const int prev_x = (int)px_prev.x, prev_y = (int)px_prev.y;
     const float z = f.depth_prev[prev_y * width + prev_x];
     if (!(fabs(z - met) <= SAME_PART * met)) return false;
     const float3 now = reproject(pixel_center(prev_x, prev_y), z, frame->from_previous);
-    if (!(now.z > 0.0f && is_in(now.xy, width, height))) return true;
+    if (!(now.z > 0.0f && holds(width, height, now.xy))) return true;
     const int src = (int)now.y * width + (int)now.x;
     return f.dynamic_mask[src] != STATIC || !(fabs(f.depth[src] - now.z) <= STAYS * now.z);
 }
 
-/* Offers what the mover at (src_x, src_y) has on side k of it, behind what is static and nearer there, one pixel of
-   which is known to be. */
+/* Offers the parts of the mover at (src_x, src_y) on side k of it, where something static and nearer hides them; its
+   pixel beside the mover does. */
 INLINE void offer_side(const int src_x, const int src_y, const int k, const int pass, __constant Frame *frame,
                        const Parts f) {
     const int width = frame->source_width, height = frame->source_height, target_width = frame->target_width;
-    const int src = src_y * width + src_x;
+    const int src = src_y * width + src_x, plane = width * height;
     const int2 d = side(k);
     const float2 zoom = frame->zoom, mv = f.motion[src];
     const float z = f.depth[src], met = f.met_depth[src];
-    const float3 there = target_of(src, frame, f);
+    const float3 there = position_of(f.target_position, src, plane);
     if (!(met > 0.0f && there.z > 0.0f && fabs(there.x) < 2.0f * (float)target_width)
         || !(fabs(there.y) < 2.0f * (float)frame->target_height))
         return;
     const float half_x = fmax(COVERS * zoom.x, 0.5f), half_y = fmax(COVERS * zoom.y, 0.5f);
     const int offset = d.y * width + d.x, steps = steps_within(reach_of(frame), d, src_x, src_y, width, height);
-    const float3 beside = target_of(src + offset, frame, f);
+    const float3 beside = position_of(f.target_position, src + offset, plane);
     const float apart = d.x ? divide((there.x - beside.x) * (float)d.x, zoom.x) + 1.0f
                             : divide((there.y - beside.y) * (float)d.y, zoom.y) + 1.0f;
     if (!(fabs(apart) > LEAST_APART && fabs(apart) < (float)width)) return;
@@ -322,7 +314,7 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
                     continue;
                 }
                 const float2 place = place_of_part(src_x, src_y, dst_x, dst_y, there, frame);
-                if (!is_in(place, width, height) || !is_hidden((int)place.y * width + (int)place.x, z, f)
+                if (!holds(width, height, place) || !is_hidden((int)place.y * width + (int)place.x, z, f)
                     || !mover_was_shown(place + mv, met, frame, f))
                     continue;
                 offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
@@ -419,7 +411,8 @@ SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global c
     const int source_width = frame->source_width, target_width = frame->target_width;
     const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
     if (first_x >= target_width || first_y >= frame->target_height) return;
-    const Parts parts = {.depth_prev = depth_prev, .target_position = target_position, .color_prev = color_prev};
+    const Parts parts = {.depth_prev = depth_prev, .color_prev = color_prev};
+    const int plane = source_width * frame->source_height;
     const int rows = LANES == 1 ? 1 : min(LANES, frame->target_height - first_y);
     for (int row = 0; row < rows; ++row) {
         const int dst_y = first_y + row, first = dst_y * target_width + first_x;
@@ -428,7 +421,7 @@ SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global c
             const int dst = dst_y * target_width + dst_x;
             if (filled_by[dst] != BY_REAPPEARING) continue;
             const int src = (int)winner_of(keys, winners, dst);
-            const float3 there = target_of(src, frame, parts);
+            const float3 there = position_of(target_position, src, plane);
             const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
             const float3 code = code_before(place + source_motion[src], met_depth[src], frame, parts);
             store_code(code, color, dst, frame->code_offset);

@@ -83,8 +83,7 @@ compare_samples(__constant Frame *restrict frame, __global const half *color, __
         atomic_inc(found + VALID);
         if (z < camera_step) atomic_inc(found + PASSED);
         const float2 px = pixel_center(x, y), mv_px = motion[y * source_width + x], px_prev = px + mv_px;
-        if (px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)source_width
-            && px_prev.y < (float)source_height) {
+        if (holds(source_width, source_height, px_prev)) {
             atomic_inc(found + INSIDE);
             bool compared, right;
             compare_depth(px_prev, depth_before(px, px_prev, mv_px, z, to_previous), source_width, source_height,

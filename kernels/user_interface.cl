@@ -37,8 +37,7 @@ INLINE bool is_one_surface(const float z, const float other) {
 
 /* The pixel at px; -1 beyond the image. */
 INLINE int pixel_at(const float2 px, const int width, const int height) {
-    const bool holds = px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
-    return holds ? (int)px.y * width + (int)px.x : -1;
+    return holds(width, height, px) ? (int)px.y * width + (int)px.x : -1;
 }
 
 SPARSE __kernel void count_evidence(__constant Frame *restrict frame, __global const half *color,

@@ -184,7 +184,7 @@ _ALL = (
     _gffe("no-entering", "movers that enter stay where they are", "deviation", entering=False),
     _gffe("constant-speed", "movers keep their speed", "deviation", acceleration=False),
     _gffe("background-only", "holes are never a mover's", "deviation", hidden_parts=False),
-    _gffe("no-reappearing", "what lies behind stays where movers come out", "deviation", reappearing=False),
+    _gffe("no-reappearing", "movers that come out from behind bars lose their front", "deviation", reappearing=False),
     _gffe("downsampled-holes", "holes from the image downsampled 32×", "deviation", hole_filling="downsample"),
     _gffe("hard-silhouettes", "silhouettes as the warp leaves them", "deviation", soft_silhouettes=False),
     _gffe("linear-camera", "camera predicted along a line", "deviation", camera=False, camera_order=1),
