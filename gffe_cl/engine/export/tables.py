@@ -281,7 +281,7 @@ class _Buffers:
         specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
         specs = {name: spec for name, spec in specs.items() if name not in layers}
         self.memory = {whole for name, spec in specs.items() if (whole := _whole(name, spec)) and whole not in specs}
-        self.specs = specs | {name: plan.buffers[name] for name in self.memory}
+        self.specs = specs | {name: plan.buffers[name] for name in sorted(self.memory)}
         self.names = [*GIVEN, *sorted(self.specs, key=self._depth)]
 
     def reference(self, name: str) -> str:

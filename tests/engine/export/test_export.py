@@ -2,6 +2,8 @@
 
 import ctypes as ct
 import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -694,6 +696,18 @@ def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
     complaint = r"kernels/holes.cl, fill_from_downsampled: argument 'after_far_side' depends on"
     with pytest.raises(GffeError, match=complaint):
         record(device, DEFAULT, True)
+
+
+@pytest.mark.slow
+def test_every_process_exports_the_same(device, tmp_path):
+    """Whatever the seed of Python's hashes, by which sets are ordered."""
+    made = []
+    for seed in "12":
+        folder = tmp_path / seed
+        command = [sys.executable, "-m", "gffe_cl", "export", str(folder), "--device", device.info.index, "--no-scn"]
+        subprocess.run(command, env=os.environ | {"PYTHONHASHSEED": seed}, check=True, capture_output=True)
+        made.append({path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()})
+    assert made[0] == made[1]
 
 
 @pytest.mark.slow
