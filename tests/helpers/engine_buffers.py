@@ -1,4 +1,5 @@
-"""Depth and motion as an engine stores them: the inverse of what a `FrameFormat` describes, written for its own sake."""
+"""Depth and motion as an engine stores them: the inverse of the conversion that a `FrameFormat` describes, without its
+code."""
 
 from dataclasses import replace
 
@@ -40,12 +41,14 @@ def stored(frame, before, format, size=None, jitter=(0.0, 0.0), jitter_before=(0
 
 
 def _depth(depth, format):
-    """Return stored depth (H, W) float32 of planar depth."""
-    low, high = format.depth_range
-    with np.errstate(divide="ignore"):
-        z, near, far = (1 / np.float64(v) if format.depth == "device" else v
-                        for v in (depth.astype(np.float64), format.near_z, format.far_z))  # fmt: skip
-    return (low + (z - near) / (far - near) * (high - low)).astype(np.float32)
+    """Return stored depth (H, W) float32 of planar depth; depth buffers hold nothing beyond their range."""
+    (low, high), is_device = format.depth_range, format.depth == "device"
+    z, near, far = depth.astype(np.float64), format.near_z, format.far_z
+    if is_device:
+        with np.errstate(divide="ignore"):
+            z, near, far = (1 / np.float64(value) for value in (z, near, far))
+    made = low + (z - near) / (far - near) * (high - low)
+    return (np.clip(made, min(low, high), max(low, high)) if is_device else made).astype(np.float32)
 
 
 def _motion(frame, before, format, ratio, jitter, jitter_before):
