@@ -244,6 +244,20 @@ def test_run_goes_on_from_its_output(made, name):
 
 
 @some_inputs
+def test_run_upscaled(made, name, tmp_path):
+    """Displayed frames are written, in our conventions."""
+    given, out = open_sequence(made.sequence(name)), tmp_path / "out"
+    assert call("run", given.path, out, "--no-scn", "--no-check", "--upscale", 2) == 0
+    version, format, entries = keys_of(out)
+    assert (version, format) == (1, None) and not any(entry["geometry_jitter"] for entry in entries)
+    for before, frame in zip(given, open_sequence(out), strict=True):
+        assert frame.depth.shape == (2 * H, 2 * W)
+        colors = [to_display(color, given.exposure) for color in (before.color, frame.color)]
+        means = colors[1].reshape(H, 2, W, 2, 3).mean((1, 3))
+        assert np.abs(means - colors[0]).mean() < 0.02
+
+
+@some_inputs
 def test_import(made, name, tmp_path):
     """A copy is as it was given, value for value; where something is changed, all is in our conventions."""
     given = open_sequence(made.sequence(name))
