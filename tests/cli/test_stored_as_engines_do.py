@@ -254,7 +254,7 @@ def test_run_upscaled(made, name, tmp_path):
         assert frame.depth.shape == (2 * H, 2 * W)
         colors = [to_display(color, given.exposure) for color in (before.color, frame.color)]
         means = colors[1].reshape(H, 2, W, 2, 3).mean((1, 3))
-        assert np.abs(means - colors[0]).mean() < 0.02
+        assert np.abs(means - colors[0]).mean() < 0.03
 
 
 @some_inputs
@@ -322,7 +322,7 @@ def test_calibrate(made, name, tmp_path, capsys):
     for before, entry in zip(given.rendered, found.rendered, strict=True):
         assert (out / entry.file).read_bytes() == (given.path / entry.file).read_bytes()
         off = entry.render_camera.world_to_view - before.render_camera.world_to_view @ start
-        assert np.abs(off).max() < (0.15 if INPUTS[name].encoding else 0.02)
+        assert np.abs(off).max() < (0.25 if INPUTS[name].encoding else 0.02)  # vectors may be rounded to pixels
 
 
 @some_inputs
