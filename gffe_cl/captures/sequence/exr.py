@@ -115,6 +115,12 @@ def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -
     """Raise GffeError unless parts, given by their numbers, have one place and the size `size`, as `require_size` does
     for channels."""
     indices = set(indices)
+    for part in header.parts:  # the library decodes all of them
+        if part.compression >= int(OpenEXR.NUM_COMPRESSION_METHODS):
+            raise GffeError(
+                f"{label}: compression number {part.compression} is unknown to OpenEXR {OpenEXR.OPENEXR_VERSION}"
+                " (expected zip, piz or none)"
+            )
     if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
         windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))
         if len({header.parts[index].size for index in indices}) == 1:

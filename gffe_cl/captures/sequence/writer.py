@@ -43,7 +43,7 @@ from gffe_cl.engine.core.validation import (
     require_whole,
 )
 from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
-from gffe_cl.engine.frame.rendered_frame import Overlays
+from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame
 
 _WAITING = 2  # frames, besides those that are being compressed
 _MOST_THREADS = 1024
@@ -126,8 +126,8 @@ class SequenceWriter:
         `owned` the writer takes over the dict and its arrays, copies them later, and empties the dict.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` become float32. (H, W) is the entry's
-        render size, else the display size; of these two, the entry's geometry size, else that of the `format`. Raises
-        GffeError for another shape or type, and entries that could not be read again.
+        render size, else the display size; of these two in rendered frames, the entry's geometry size, else that of the
+        `format`. Raises GffeError for another shape or type, and entries that could not be read again.
         """
         entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
         require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
@@ -136,10 +136,11 @@ class SequenceWriter:
         if entry.kind == "rendered" and entry.render_camera is None:
             raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
         width, height = self._size_of(entry)
+        geometry = (width, height)
         if entry.kind == "rendered":
             self._first = self._first or entry
             require_one_size((self._first, entry), self._size, str(self.path))
-        geometry = require_render_size(self._description.format, (width, height), entry.geometry_size)
+            geometry = require_render_size(self._description.format, geometry, entry.geometry_size)
         padded: dict[str, np.ndarray] = {}
         for name, array in channels.items():
             side, rows = geometry if name in GEOMETRY else (width, height)
@@ -161,6 +162,14 @@ class SequenceWriter:
             exr.write_channels(path, stored, attributes, self._compression)
 
         self._submit(entry, write, nbytes)
+
+    def add_frame(self, entry: FrameEntry, frame: RenderedFrame) -> None:
+        """Write the rendered frame `frame`, of arrays, with its overlays. Size and jitter of its geometry replace those
+        of `entry`. Raises GffeError as `add` does."""
+        require_kind(entry, FrameEntry, "entry")
+        require_kind(frame, RenderedFrame, "frame")
+        entry = replace(entry, geometry_size=frame.geometry_size, geometry_jitter=frame.geometry_jitter)
+        self.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
         """Add the existing EXR file `source_path` as the frame `entry`: a hard link, or else a copy."""

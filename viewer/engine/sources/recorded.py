@@ -44,7 +44,7 @@ class RecordedSource(Recorded, FrameSource):
         super()._take(sequence)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
-        self.has_truth, self.format = bool(truths), sequence.format
+        self.has_truth = bool(truths)
 
     def grow(self):
         sequence = self.growth and self.growth.look()
@@ -75,11 +75,7 @@ class RecordedSource(Recorded, FrameSource):
 
     def stored(self, k):
         entry = self.entries[k]
-        if (
-            self._cut
-            or self._upscale
-            or not (self.sequence.format or entry.geometry_size or any(entry.geometry_jitter))
-        ):
+        if self._cut or not (self.format or entry.geometry_size or any(entry.geometry_jitter)):
             return None
         return self._cache.get(("stored", k), lambda: self.sequence.read_stored(entry))
 
