@@ -80,6 +80,8 @@ _process = os.getpid()  # kept up to date: asking the system before every comman
 def _note_process() -> None:
     global _process
     _process = os.getpid()
+    for opened in (*_opened.values(), *_adopted.values()):
+        opened.lock = threading.RLock()  # another thread of the parent may have it
 
 
 if hasattr(os, "register_at_fork"):
@@ -96,7 +98,9 @@ class Opened:
     int64_atomics: bool | None = None  # None: not tried yet
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
     process: int | None = None  # that has the driver's threads, which do not live on in forked children; None: no one
-    lock: threading.Lock = field(default_factory=threading.Lock)  # for making the context
+    # For making the context, mapping a buffer (PoCL 3.1 crashes where two threads map the same one), and for reading
+    # buffers that another thread may release.
+    lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self):
         if self.context is not None:
