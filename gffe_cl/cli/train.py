@@ -17,6 +17,7 @@ from gffe_cl.cli.common import (
     SchedulerOption,
     app,
     cluster_at,
+    input_file,
     out,
     progress_bars,
     write_json,
@@ -67,10 +68,16 @@ def train(
         bool, typer.Option("--data-only", help="Training clips: make them, and do not train.")
     ] = False,
     start: Annotated[
-        Path | None, typer.Option(help="Network to begin with, an ONNX file of an earlier training.")
+        Path | None,
+        typer.Option(
+            help="Network to begin with, an ONNX file of an earlier training.", callback=input_file("--start")
+        ),
     ] = None,
     vgg: Annotated[
-        Path | None, typer.Option(help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.")
+        Path | None,
+        typer.Option(
+            help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.", callback=input_file("--vgg")
+        ),
     ] = None,
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,

@@ -188,7 +188,9 @@ def write_channels(
             contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
             with _counted():
                 OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
-        except (RuntimeError, ValueError, TypeError) as error:
+        except OSError:
+            raise
+        except Exception as error:  # whatever the library throws
             code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
             raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None
         try:  # the library does not notice when the last bytes do not reach the disk

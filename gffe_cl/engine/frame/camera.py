@@ -66,6 +66,8 @@ class Camera:
         """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy), faster than one by one. Raises GffeError if
         any is invalid, without naming it."""
         try:
+            if not (isinstance(world_to_views, list) and isinstance(intrinsics, list)):
+                raise TypeError
             types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
             types |= set(map(type, chain.from_iterable(intrinsics)))
             if not types <= {int, float}:
@@ -264,7 +266,7 @@ class Camera:
     def project(self, world_pos: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel positions (..., 2) and view depths (...) of world positions (..., 3). Raises GffeError for
         another shape."""
-        world_pos = validation.require_array(world_pos, "camera: world_pos", ..., 3).astype(np.float64)
+        world_pos = validation.as_float64(validation.require_array(world_pos, "camera: world_pos", ..., 3))
         view_pos = world_pos @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
         depth = view_pos[..., 2]
         x = self.fx * view_pos[..., 0] / depth + self.cx
@@ -275,8 +277,9 @@ class Camera:
     def unproject(self, px: ArrayLike, depth: ArrayLike) -> np.ndarray:
         """Return the world positions (..., 3) of pixel positions (..., 2) and view depths (...). Raises GffeError for
         other shapes."""
-        px = validation.require_array(px, "camera: px", ..., 2).astype(np.float64)
-        depth = validation.require_array(depth, "camera: depth", *px.shape[:-1]).astype(np.float64)
+        px = validation.require_array(px, "camera: px", ..., 2)
+        depth = validation.as_float64(validation.require_array(depth, "camera: depth", *px.shape[:-1]))
+        px = validation.as_float64(px)
         view_pos = np.stack(
             [(px[..., 0] - self.cx) / self.fx * depth, (px[..., 1] - self.cy) / self.fy * depth, depth], -1
         )

@@ -14,6 +14,7 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
     as_float32,
+    as_float64,
     require_array,
     require_bool,
     require_choice,
@@ -137,9 +138,10 @@ def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
 def square(given: Any, name: str) -> np.ndarray:
     """Return the matrix (4, 4) float64 of rows or of 16 numbers. Raises a GffeError with `name` unless it is that, and
     finite."""
-    array = require_array(given, f"camera: {name}", ...).astype(np.float64)
+    array = require_array(given, f"camera: {name}", ...)
     if array.shape not in ((4, 4), (16,)):
         raise GffeError(f"camera: {name} must have shape (4, 4), or be 16 numbers, got shape {array.shape}")
+    array = as_float64(array)
     if not np.isfinite(array).all():
         raise GffeError(f"camera: {name} must be finite")
     return array.reshape(4, 4)
@@ -217,7 +219,7 @@ def depth_from_device(
         layout, [_is_projection(p), _is_projection(p.T)], np.array_equal(p, p.T), "entries of projection"
     )
     p = _perspective(p.T if chosen == 1 else p) if chosen is not None else _refuse_projection([p, p.T])
-    device = require_array(z, "depth: z", ...).astype(np.float64)
+    device = as_float64(require_array(z, "depth: z", ...))
     opengl_buffer, sky = require_bool(opengl_buffer, "depth: opengl_buffer"), require_bool(sky, "depth: sky")
     a, b = _depth_terms(p)
     if b == 0:
@@ -278,7 +280,7 @@ def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
         raise GffeError(f"distance: camera must be a Camera, got {shown(camera)}")
     y, x = (np.arange(n) + 0.5 for n in distance.shape)
     across = 1 + ((x - camera.cx) / camera.fx) ** 2
-    return as_float32(distance / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
+    return as_float32(as_float64(distance) / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
 
 
 def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: str = "up") -> np.ndarray:
@@ -320,7 +322,7 @@ def _scaled(motion, size, factor, direction, y) -> np.ndarray:
 
 
 def _vectors(motion) -> np.ndarray:
-    return require_array(motion, "motion", ..., 2).astype(np.float64)
+    return as_float64(require_array(motion, "motion", ..., 2))
 
 
 def _is_view(m: np.ndarray) -> bool:
