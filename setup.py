@@ -1,5 +1,5 @@
-"""Packages of a wheel: all folders of gffe_cl/, kernels/ and viewer/, with all files but hidden ones and backups; links to
-folders are left out. pyproject.toml has the rest."""
+"""Packages of a wheel: all folders of gffe_cl/, kernels/ and viewer/, with all files but hidden ones and backups; links
+to folders are left out. pyproject.toml has the rest."""
 
 import os
 

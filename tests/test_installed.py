@@ -40,7 +40,7 @@ def wheel(tmp_path_factory):
 
 
 def test_wheel_holds_the_package_and_nothing_else(wheel):
-    """Stylesheets, scripts, kernels and weights included; tests, hidden files, backups and links to folders excluded."""
+    """Stylesheets, scripts, kernels and weights included; tests, hidden files, backups and links to folders out."""
     there = {
         f"{inside}/{path.relative_to(ROOT / name).as_posix()}"
         for name, inside in PARTS.items()

@@ -316,8 +316,8 @@ def _checked_attributes(given: dict[str, Any]) -> dict[str, Any]:
     for name, value in require_kind(given, dict, "writer: attributes", "a dict or None").items():
         if not isinstance(name, str) or not 0 < len(name) < _MOST_NAME or "\0" in name or name in _OF_STORAGE:
             raise GffeError(
-                f"writer: attributes: names must be texts up to {_MOST_NAME - 1} characters, and not about how pixels are"
-                f" stored, got {shown(name)}"
+                f"writer: attributes: names must be texts up to {_MOST_NAME - 1} characters, and not about how pixels"
+                f" are stored, got {shown(name)}"
             )
         value = scalar(value)
         if isinstance(value, int) and not isinstance(value, bool):

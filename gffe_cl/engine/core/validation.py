@@ -21,6 +21,7 @@ MOST_SEED = 2**32 - 1
 MOST_SIDE = 1 << 16  # pixels
 SIDES = (1e-9, 1e9)  # where they need not be whole
 LARGEST = 1e300
+QUIETLY = np.errstate(all="ignore")  # for functions whose results say where arithmetic failed: NumPy warns nobody
 NUMBERS = (int, float, np.integer, np.floating)
 TIMES = (np.timedelta64, np.datetime64)  # NumPy's timedelta64 is one of its integers
 
@@ -212,8 +213,8 @@ def as_float32(array: np.ndarray) -> np.ndarray:
 
 
 def as_float64(array: np.ndarray) -> np.ndarray:
-    """Return a copy of `array` as float64, without NumPy's warnings of values that are too large. Check its shape before:
-    an array of another size may be a view of a single number. Raises GffeError without memory for it."""
+    """Return a copy of `array` as float64. Check its shape before: an array of another size may be a view of a single
+    number. Raises GffeError without memory for it."""
     try:
         with np.errstate(all="ignore"):
             return array.astype(np.float64)

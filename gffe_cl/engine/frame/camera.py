@@ -24,7 +24,6 @@ MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
 MOST_ALPHA = 1e6  # intervals
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
-_QUIETLY = np.errstate(all="ignore")  # cameras that overflow are reported as invalid
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
 
@@ -96,7 +95,7 @@ class Camera:
     __hash__ = None  # pyright: ignore[reportAssignmentType]  # how Python says that it has none
 
     @classmethod
-    @_QUIETLY
+    @validation.QUIETLY
     def look_at(
         cls, position: ArrayLike, target: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
@@ -108,7 +107,7 @@ class Camera:
         )
 
     @classmethod
-    @_QUIETLY
+    @validation.QUIETLY
     def from_pose(
         cls, position: ArrayLike, direction: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
@@ -207,7 +206,7 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
     @classmethod
-    @_QUIETLY
+    @validation.QUIETLY
     def from_unreal_pose(
         cls, location: ArrayLike, rotation: ArrayLike, fov: float, size: tuple[float, float]
     ) -> Camera:
@@ -262,7 +261,7 @@ class Camera:
         matrix[:3, :3], matrix[:3, 3] = vectors.view_inverse(self.world_to_view.tolist())
         return matrix
 
-    @_QUIETLY
+    @validation.QUIETLY
     def project(self, world_pos: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel positions (..., 2) and view depths (...) of world positions (..., 3). Raises GffeError for
         another shape."""
@@ -273,7 +272,7 @@ class Camera:
         y = self.fy * view_pos[..., 1] / depth + self.cy
         return np.stack([x, y], -1), depth
 
-    @_QUIETLY
+    @validation.QUIETLY
     def unproject(self, px: ArrayLike, depth: ArrayLike) -> np.ndarray:
         """Return the world positions (..., 3) of pixel positions (..., 2) and view depths (...). Raises GffeError for
         other shapes."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
+    QUIETLY,
     as_float32,
     as_float64,
     require_array,
@@ -41,6 +42,7 @@ class Pinhole(NamedTuple):
     cy: float
 
 
+@QUIETLY
 def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, view_up: bool = False) -> Pinhole:
     """Return the camera of an API whose normalized device coordinates go up (`ndc_up`) or down, on an image of `size`
     pixels. Raises GffeError for matrices that are no rigid view and pinhole.
@@ -63,10 +65,9 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
         p[1] *= -1
     down = -1.0 if ndc_up else 1.0
     axes = np.diag([np.sign(p[0, 0]), down * np.sign(p[1, 1]), forward, 1.0])
-    with np.errstate(over="ignore"):  # `Camera` refuses non-finite values
-        focal = np.abs(p[[0, 1], [0, 1]]) * (width / 2, height / 2)
-        middle = (1 + p[:2, 2] * (forward, down * forward)) * (width / 2, height / 2)
-        return Pinhole(axes @ v, *focal.tolist(), *middle.tolist())
+    focal = np.abs(p[[0, 1], [0, 1]]) * (width / 2, height / 2)
+    middle = (1 + p[:2, 2] * (forward, down * forward)) * (width / 2, height / 2)
+    return Pinhole(axes @ v, *focal.tolist(), *middle.tolist())  # `Camera` refuses non-finite values
 
 
 def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarray, np.ndarray]:
@@ -184,6 +185,7 @@ def unreal_view(location: Any, pitch: float, yaw: float, roll: float) -> np.ndar
     return matrix
 
 
+@QUIETLY
 def depth_from_device(
     z: Any, projection: Any, *, layout: str = "auto", opengl_buffer: bool = False, sky: bool = True
 ) -> np.ndarray:
@@ -228,8 +230,7 @@ def depth_from_device(
     if opengl_buffer:
         device = 2 * device - 1
     far = 1.0 if b < 0 else -1.0 if opengl_buffer or a <= -1 + _SLACK else 0.0
-    with np.errstate(all="ignore"):
-        depth = b / (device - a)
+    depth = b / (device - a)
     depth = np.where(np.isnan(device), np.nan, np.where((depth > 0) & np.isfinite(depth), depth, np.inf))
     if sky:
         depth = np.where(device == far, np.inf, depth)
@@ -269,6 +270,7 @@ def _reversed_to_zero(a: float, b: float) -> bool:
     return b > 0 and -1 + _SLACK < a < _SLACK
 
 
+@QUIETLY
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
     """Return planar depth (H, W) float32 from distances along the rays, as ray tracers write them, in the same unit.
 
@@ -301,6 +303,7 @@ def motion_from_uv(motion: Any, size: Any, direction: str = "to_previous", y: st
     return _scaled(motion, size, 1.0, direction, y)
 
 
+@QUIETLY
 def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     """Return motion in pixels (H, W, 2) float32 from the red and green channels (H, W, 2) of Movie Render Queue's
     motion vectors, around ½.
@@ -314,6 +317,7 @@ def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     return as_float32((rg - 0.5) * (-scale * width, scale * height))
 
 
+@QUIETLY
 def _scaled(motion, size, factor, direction, y) -> np.ndarray:
     sign = DIRECTIONS[require_choice(direction, DIRECTIONS, "motion: direction")]
     down = require_choice(y, ("up", "down"), "motion: y") == "down"

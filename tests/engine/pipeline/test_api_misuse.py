@@ -45,9 +45,9 @@ WRONG = (
     None, "", "1", b"1", float("nan"), float("inf"), -1, 0, 1.5, 1e299, 2**70, 10**5000, 1j, True, [], [1, None],
     [[1], [1, 2]], {}, {"a": 1}, object(), np.array(None), np.array([1, "x"], object), np.zeros(3, complex),
     np.zeros((2, 0)), np.ones((3, 5, 7), np.float32), np.array("now", "datetime64[s]"), np.array(["a"]), print, CAMERA,
-    Options(), FRAME, np.timedelta64(3, "ns"), np.timedelta64("NaT"), timedelta(1), np.zeros(3, "i4, f4"), Decimal(1), 1e308,
-    np.longdouble(2), "x" * 5000, "a b " * 25000, Path("x" * 5000), "a\ud800", np.broadcast_to(np.float16(1), HUGE),
-    np.broadcast_to(np.float32(1), (*HUGE, 2)), np.broadcast_to(np.uint8(1), (*HUGE, 3)), 
+    Options(), FRAME, np.timedelta64(3, "ns"), np.timedelta64("NaT"), timedelta(1), np.zeros(3, "i4, f4"), Decimal(1),
+    1e308, np.longdouble(2), "x" * 5000, "a b " * 25000, Path("x" * 5000), "a\ud800", np.broadcast_to(np.float16(1),
+    HUGE), np.broadcast_to(np.float32(1), (*HUGE, 2)), np.broadcast_to(np.uint8(1), (*HUGE, 3)),
 )  # fmt: skip
 # What needs a device, or a fake driver (tests/engine/opencl/test_graphics_sharing.py); plain records, checked where
 # they are used; what is made by others only.
@@ -69,8 +69,8 @@ class Call:
     good: dict
 
     def wrong(self):
-        for name in self.good:
-            for value in WRONG:
+        for name, good in self.good.items():
+            for value in (*WRONG, *extremes(good)):
                 yield name, value, self.good | {name: value}
 
     def alike(self):
@@ -92,6 +92,19 @@ def alike(value):
         fixed.setflags(write=False)
         return [strided, np.asfortranarray(value), fixed, value.astype(value.dtype.newbyteorder())]
     return []
+
+
+def extremes(value):
+    """Arrays like `value` of numbers with which arithmetic fails."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
+        return []
+    return [
+        np.where(np.arange(value.size).reshape(value.shape) % step, value, number).astype(dtype)
+        for dtype in dict.fromkeys((value.dtype, np.dtype(float)))
+        for ends in [np.finfo(dtype)]
+        for number in (np.inf, -np.inf, np.nan, ends.max, ends.min, ends.smallest_normal)
+        for step in (1, 3)
+    ]
 
 
 def paced(planned=False):
@@ -134,6 +147,10 @@ def host_calls():
         "to_display": Call(gffe_cl.to_display, {"color": COLOR, "exposure": 1.0}),
         "psnr": Call(gffe_cl.psnr, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
         "ssim": Call(gffe_cl.ssim, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
+        "check, pixels": Call(
+            lambda **images: gffe_cl.check([replace(FRAME, **images), replace(FRAME, **images, time=1.0, reset=False)]),
+            {"color": COLOR, "depth": DEPTH, "motion": MOTION},
+        ),
         "check": Call(gffe_cl.check, {"frames": [FRAME, FRAME], "exposure": 1.0, "format": gffe_cl.FrameFormat()}),
         "Pacer": Call(gffe_cl.Pacer, {"display_rate": 60.0, "most_alpha": 2.0}),
         "Pacer.rendered": Call(lambda time: gffe_cl.Pacer(60).rendered(time), {"time": 0.0}),
@@ -267,7 +284,9 @@ def file_calls(folder):
             SequenceWriter, writing | {"generator": "gffe-cl", "compression": "zip", "format": None}
         ),
         "SequenceWriter, used": Call(started, writing | {"attributes": {"owner": "me"}}),
-        "SequenceWriter, an attribute": Call(lambda value: started(**writing, attributes={"own": value}), {"value": 1.5}),
+        "SequenceWriter, an attribute": Call(
+            lambda value: started(**writing, attributes={"own": value}), {"value": 1.5}
+        ),
         "SequenceWriter.add": Call(written("add"), {"entry": entry, "channels": channels, "owned": False}),
         "SequenceWriter.add, Z": Call(
             lambda z: written("add")(entry=entry, channels=channels | {"Z": z}), {"z": channels["Z"]}
