@@ -1,15 +1,10 @@
 """Commands in hostile hands: values that are none, closed streams, full disks, two at once, and long silence."""
 
-import fcntl
 import json
 import os
-import resource
 import shlex
-import shutil
 import subprocess
 import sys
-from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from fuzz_arguments import arguments, kind, parameters, wrong
@@ -17,13 +12,8 @@ from fuzz_arguments import arguments, kind, parameters, wrong
 from gffe_cl.cli import common
 from gffe_cl.engine.core import errors
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import only_process
-from gffe_cl.engine.export import writing
+from gffe_cl.engine.core.files import replacing
 from gffe_cl.engine.opencl.remote_workers import Cluster
-from gffe_cl.engine.options import Options
-from gffe_cl.lab.table import runner
-from gffe_cl.lab.table.datasets import SceneSubject
-from gffe_cl.lab.table.jobs import Cell
 
 
 def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
@@ -76,96 +66,66 @@ def test_silence_is_broken_where_standard_error_is_no_terminal(monkeypatch, caps
     """A line for each finished step, and for one that lasts, with an estimate; quick commands print none."""
     now = [0.0]
     monkeypatch.setattr(common.time, "monotonic", lambda: now[0])
-    with common.progress_bars() as bars:
-        for text, seconds in (("Quick", 0.1), ("Slow", 4.0)):
-            advance = common.steps(bars)(text, 5)
-            for _ in range(5):
-                now[0] += seconds
-                advance()
-    assert capsys.readouterr().err.splitlines() == [
-        "Slow: 3 of 5, 12 s, about 8 s left",
-        "Slow: 5 of 5, 20 s",
-    ]
 
 
-def test_one_process_per_folder(tmp_path, gffe):
-    """A lock of another process; it is gone with that one, and nothing is left of it."""
-    folder = tmp_path / "a" / "b"
-    with only_process(folder), open(folder / ".lock") as file, pytest.raises(BlockingIOError):
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    assert not list(folder.iterdir())
-    with only_process(folder), pytest.raises(GffeError, match="another process"), only_process(folder):
-        pass
-    pytest.importorskip("torch", reason="needs torch")
-    with only_process(folder):
-        code, _, told = gffe("train", folder, "--clips", 2, "--steps", 1, "--minutes", 0.01)
-        assert code == 2 and "another process is writing into it" in told
-    (tmp_path / "file").write_text("")
-    with pytest.raises(GffeError, match="cannot be written"), only_process(tmp_path / "file" / "folder"):
-        pass
-
-
-@pytest.mark.limits
-def test_an_export_that_finds_no_room_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(writing, "record", lambda *_: None)
-    monkeypatch.setattr(writing, "Tables", lambda _: SimpleNamespace(text=str, programs=("holes",)))
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
-    try:
-        with pytest.raises(GffeError, match="cannot write"):
-            writing.export(tmp_path / "a" / "b", None, Options(shading_correction=False))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert not list(tmp_path.iterdir())
-
-
-def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
-    def cell(subject, method, **_):
-        if subject.seed in broken:
-            raise GffeError("frame 3: is broken")
-        return Cell({"frames": []}, {}, {"machine": "A", "milliseconds": 1.0})
-
-    monkeypatch.setattr(runner, "compute_cell", cell)
-    monkeypatch.setattr(runner, "_machine", lambda *_: "A")
-    subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
-    broken = [1]
-    filled = runner.fill(runner.Order(subjects, ("repeat",)), tmp_path)
-    assert filled.broken == {"room:1": "frame 3: is broken"}
-    assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
-    broken = [0, 1, 2]
-    with pytest.raises(GffeError, match="room:2: frame 3"):
-        runner.fill(runner.Order(subjects, ("repeat",), recompute=True), tmp_path)
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_eval_measures_what_is_whole(gffe, tmp_path):
-    """Of three sequences one has a broken description and one a broken frame: both are named with the reason."""
-    whole, description, frame = (tmp_path / name for name in ("whole", "description", "frame"))
-    assert gffe("render", "plaza", whole, "--size", "32x32", "--frames", 4, "--ground-truth")[0] == 0
-    for copy in (description, frame):
-        shutil.copytree(whole, copy)
-    (description / "sequence.json").write_text("{")
-    truth = max(frame.glob("truth_*"))
-    truth.write_bytes(truth.read_bytes()[:-200])
-    call = ("eval", description, frame, whole, "--out", tmp_path / "report", "--methods", "repeat")
-    code, _, told = gffe(*call)
-    assert code == 2, told
-    document = json.loads((tmp_path / "report" / "results.json").read_text())
-    assert [one["name"] for one in document["sequences"]] == ["whole"] and len(document["cells"]) == 1
-    reasons = {Path(skip["what"]).name: skip["reason"] for skip in document["skipped"]}
-    assert "sequence.json" in reasons["description"] and truth.name in reasons["frame"]
-    assert told.splitlines()[-1].startswith("error: eval: 2 of the sequences")
-
-
-def test_a_file_as_home(tmp_path):
-    """Or as the cache: devices work as before."""
-    file = tmp_path / "file"
-    file.write_text("")
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "POCL_", "PYOPENCL_", "GFFE_D"))}
-    changes = {"HOME": str(file), "GFFE_DEVICE_CACHE": str(file), "TMPDIR": str(tmp_path)}
-    code = "import gffe_cl; f = gffe_cl.list_devices(True); assert f and all(i.works for i in f), f"
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("GFFE_LANES", "abc", 'GFFE_LANES must be 1 or 8, got "abc"'),
+        ("GFFE_LANES", "3", 'GFFE_LANES must be 1 or 8, got "3"'),
+        ("GFFE_SHARED_MEMORY", "2", 'GFFE_SHARED_MEMORY must be 0 or 1, got "2"'),
+        ("GFFE_DEVICE", "abacus", "GFFE_DEVICE: no working device matches 'abacus' (there is: "),
+        ("GFFE_KERNELS", "none", 'GFFE_KERNELS must be a folder of kernels with common.h, got "none"'),
+        ("GFFE_DEVICE_CACHE", __file__, "GFFE_DEVICE_CACHE must be a folder or off, got "),
+    ],
+)
+def test_environment_variables_are_checked(tmp_path, name, value, told):
+    command = [sys.executable, "-m", "gffe_cl", "render", "room", "out", "--size", "16x16", "--frames", "2"]
+    if name == "GFFE_SHARED_MEMORY":  # which the network asks for
+        sees = "from gffe_cl import *\ntry: open_device().shares_memory\nexcept GffeError as e: exit(f'error: {e}')"
+        command = [sys.executable, "-c", sees]
     child = subprocess.run(
-        [sys.executable, "-c", code], env=environment | changes, capture_output=True, text=True, cwd=tmp_path
+        command, env=os.environ | {name: value}, cwd=tmp_path, capture_output=True, text=True, timeout=100
     )
-    assert child.returncode == 0 and not child.stderr, child.stderr
+    (line,) = child.stderr.splitlines()
+    assert child.returncode and line.startswith(f"error: {told}") and not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_reports_into_pipes_and_devices(gffe, tmp_path):
+    """A pipe that nobody reads is refused instead of waited for; one that is read gets everything."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    code, _, told = gffe("formats", "--json", pipe)
+    assert code == 2 and told == f"error: {pipe}: cannot be written to (expected a program that reads it)\n"
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        while gffe("formats", "--json", pipe)[0]:  # until it has begun
+            pass
+        assert json.loads(reader.communicate(timeout=20)[0])["formats"]
+    if os.path.exists("/dev/full"):
+        code, _, told = gffe("formats", "--json", "/dev/full")
+        assert code == 2 and told == "error: /dev/full: cannot write: No space left on device\n"
+
+
+def test_standard_output_that_is_a_file(tmp_path):
+    """The report is added to what is printed, and replaces nothing."""
+    with open(tmp_path / "all", "w") as file:
+        command = [sys.executable, "-m", "gffe_cl", "formats", "--json", "/dev/stdout"]
+        assert subprocess.run(command, stdout=file, timeout=60).returncode == 0
+    text = (tmp_path / "all").read_text()
+    assert "form " in text and '"formats": [' in text
+
+
+def test_errors_of_writing_name_the_file(tmp_path):
+    path = tmp_path / "report.txt"
+    with pytest.raises(OSError) as failed, replacing(path) as part:
+        part.write_text("half")
+        raise OSError(28, os.strerror(28))
+    assert failed.value.filename == str(path) and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", ["--vgg", "--start"])
+def test_training_looks_for_its_files_first(gffe, tmp_path, option):
+    code, _, told = gffe("train", tmp_path / "out", option, tmp_path / "none.onnx")
+    assert code == 2 and told.startswith(f"error: {option} {tmp_path}/none.onnx: no such file in {tmp_path}")
+    assert not list(tmp_path.iterdir())

@@ -180,7 +180,8 @@ class OutputFolder:
 
     def _release(self) -> None:
         if self._journal is not None:
-            self._journal.close()
+            with contextlib.suppress(OSError):  # what a full disk did not take was told of before
+                self._journal.close()
             self._journal = None
 
     def _note(self, values: list) -> TextIO:

@@ -35,8 +35,8 @@ def shortened(text: str) -> str:
 
 
 def _without_middle(text: str, most: int) -> str:
-    half = (most - 1) // 2
-    return text if len(text) <= most else f"{text[:half]}…{text[-half:]}"
+    end = (most - 1) // 2
+    return text if len(text) <= most else f"{text[: most - 1 - end]}…{text[-end:]}"
 
 
 def printable(text: str) -> str:
