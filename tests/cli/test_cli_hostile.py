@@ -1,10 +1,15 @@
 """Commands in hostile hands: values that are none, closed streams, full disks, two at once, and long silence."""
 
+import fcntl
 import json
 import os
+import resource
 import shlex
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from fuzz_arguments import arguments, kind, parameters, wrong
@@ -12,8 +17,13 @@ from fuzz_arguments import arguments, kind, parameters, wrong
 from gffe_cl.cli import common
 from gffe_cl.engine.core import errors
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import replacing
+from gffe_cl.engine.core.files import only_process, replacing
+from gffe_cl.engine.export import writing
 from gffe_cl.engine.opencl.remote_workers import Cluster
+from gffe_cl.engine.options import Options
+from gffe_cl.lab.table import runner
+from gffe_cl.lab.table.datasets import SceneSubject
+from gffe_cl.lab.table.jobs import Cell
 
 
 def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
@@ -66,6 +76,107 @@ def test_silence_is_broken_where_standard_error_is_no_terminal(monkeypatch, caps
     """A line for each finished step, and for one that lasts, with an estimate; quick commands print none."""
     now = [0.0]
     monkeypatch.setattr(common.time, "monotonic", lambda: now[0])
+    with common.progress_bars() as bars:
+        for text, seconds in (("Quick", 0.1), ("Slow", 4.0)):
+            advance = common.steps(bars)(text, 5)
+            for _ in range(5):
+                now[0] += seconds
+                advance()
+    assert capsys.readouterr().err.splitlines() == [
+        "Slow: 3 of 5, 12 s, about 8 s left",
+        "Slow: 5 of 5, 20 s",
+    ]
+
+
+def test_one_process_per_folder(tmp_path, gffe):
+    """A lock of another process; it is gone with that one, and nothing is left of it."""
+    folder = tmp_path / "a" / "b"
+    with only_process(folder), open(folder / ".lock") as file, pytest.raises(BlockingIOError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    assert not list(folder.iterdir())
+    with only_process(folder), pytest.raises(GffeError, match="another process"), only_process(folder):
+        pass
+    pytest.importorskip("torch", reason="needs torch")
+    with only_process(folder):
+        code, _, told = gffe("train", folder, "--clips", 2, "--steps", 1, "--minutes", 0.01)
+        assert code == 2 and "another process is writing into it" in told
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GffeError, match="cannot be written"), only_process(tmp_path / "file" / "folder"):
+        pass
+
+
+@pytest.mark.limits
+def test_an_export_that_finds_no_room_leaves_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(writing, "record", lambda *_: None)
+    monkeypatch.setattr(writing, "Tables", lambda _: SimpleNamespace(text=str, programs=("holes",)))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        with pytest.raises(GffeError, match="cannot write"):
+            writing.export(tmp_path / "a" / "b", None, Options(shading_correction=False))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(tmp_path.iterdir())
+
+
+def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
+    def cell(subject, method, **_):
+        if subject.seed in broken:
+            raise GffeError("frame 3: is broken")
+        return Cell({"frames": []}, {}, {"machine": "A", "milliseconds": 1.0})
+
+    monkeypatch.setattr(runner, "compute_cell", cell)
+    monkeypatch.setattr(runner, "_machine", lambda *_: "A")
+    subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
+    broken = [1]
+    filled = runner.fill(runner.Order(subjects, ("repeat",)), tmp_path)
+    assert filled.broken == {"room:1": "frame 3: is broken"}
+    assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
+    broken = [0, 1, 2]
+    with pytest.raises(GffeError, match="room:2: frame 3"):
+        runner.fill(runner.Order(subjects, ("repeat",), recompute=True), tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_eval_measures_what_is_whole(gffe, tmp_path):
+    """Of three sequences one has a broken description and one a broken frame: both are named with the reason."""
+    whole, description, frame = (tmp_path / name for name in ("whole", "description", "frame"))
+    assert gffe("render", "plaza", whole, "--size", "32x32", "--frames", 4, "--ground-truth")[0] == 0
+    for copy in (description, frame):
+        shutil.copytree(whole, copy)
+    (description / "sequence.json").write_text("{")
+    truth = max(frame.glob("truth_*"))
+    truth.write_bytes(truth.read_bytes()[:-200])
+    call = ("eval", description, frame, whole, "--out", tmp_path / "report", "--methods", "repeat")
+    code, _, told = gffe(*call)
+    assert code == 2, told
+    document = json.loads((tmp_path / "report" / "results.json").read_text())
+    assert [one["name"] for one in document["sequences"]] == ["whole"] and len(document["cells"]) == 1
+    reasons = {Path(skip["what"]).name: skip["reason"] for skip in document["skipped"]}
+    assert "sequence.json" in reasons["description"] and truth.name in reasons["frame"]
+    assert told.splitlines()[-1].startswith("error: eval: 2 of the sequences")
+
+
+def test_a_file_as_home(tmp_path):
+    """Or as the cache: devices work as before."""
+    file = tmp_path / "file"
+    file.write_text("")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "POCL_", "PYOPENCL_", "GFFE_D"))}
+    changes = {"HOME": str(file), "GFFE_DEVICE_CACHE": str(file), "TMPDIR": str(tmp_path)}
+    code = "import gffe_cl; f = gffe_cl.list_devices(True); assert f and all(i.works for i in f), f"
+    child = subprocess.run(
+        [sys.executable, "-c", code], env=environment | changes, capture_output=True, text=True, cwd=tmp_path
+    )
+    assert child.returncode == 0 and not child.stderr, child.stderr
+
+
+def test_paths_are_printed_as_they_are(gffe, tmp_path, monkeypatch):
+    """Neither as emoji nor as markup."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a:x:b", ":heart:", "[bold]b[/]", "[/]"):
+        code, _, told = gffe("check", name)
+        assert code == 2 and told.startswith(f"error: {name}: no such folder")
 
 
 @pytest.mark.parametrize(

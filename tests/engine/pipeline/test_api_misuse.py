@@ -477,7 +477,7 @@ def test_numbers_out_of_range_are_called_that():
 def test_times_of_numpy_are_no_numbers():
     """Of nanoseconds they would become Python's integers."""
     for value in (np.timedelta64(3, "ns"), np.array(3, "m8[ns]"), np.datetime64(3, "ns"), np.timedelta64(3, "s")):
-        with pytest.raises(GffeError, match="camera: fx must be a finite number, got a (timedelta64|datetime64)"):
+        with pytest.raises(GffeError, match=r"camera: fx must be a finite number, got a (timedelta64|datetime64)"):
             Camera(np.eye(4), value, 1.0, 1.0, 1.0)
         with pytest.raises(GffeError, match="jitter: length must be a whole number"):
             Jitter(value)
