@@ -187,7 +187,6 @@ def test_paths_are_printed_as_they_are(gffe, tmp_path, monkeypatch):
         ("GFFE_SHARED_MEMORY", "2", 'GFFE_SHARED_MEMORY must be 0 or 1, got "2"'),
         ("GFFE_DEVICE", "abacus", "GFFE_DEVICE: no working device matches 'abacus' (there is: "),
         ("GFFE_KERNELS", "none", 'GFFE_KERNELS must be a folder of kernels with common.h, got "none"'),
-        ("GFFE_DEVICE_CACHE", __file__, "GFFE_DEVICE_CACHE must be a folder or off, got "),
     ],
 )
 def test_environment_variables_are_checked(tmp_path, name, value, told):

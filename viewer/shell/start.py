@@ -9,6 +9,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
 from ..state.model import Model
@@ -96,5 +97,6 @@ def _why_not(display: str | None, wayland: str | None, reason: str) -> str:
     return f"no window can be opened ({reason}; expected a screen)"
 
 
-def _words(reason: bytes | None) -> str:
+def _words(reason: Any) -> str:
+    """Return GLFW's reason, bytes or None, as text in one line."""
     return " ".join((reason or b"GLFW gives no reason").decode("utf-8", "replace").split())

@@ -23,8 +23,7 @@ from typing import Any
 
 import platformdirs
 
-from gffe_cl.engine.core.errors import GffeError, printable
-from gffe_cl.engine.core.validation import shown
+from gffe_cl.engine.core.errors import printable
 
 _KEPT = "GFFE_DEVICE_CACHE"
 _INTEL_ICD = "gffe-intel.icd"  # of Intel's runtime in this environment
@@ -58,11 +57,9 @@ def cache_folder() -> Path:
 
 def kept_folder() -> Path | None:
     """Return the folder for results that later processes reuse: `cache_folder`, or `GFFE_DEVICE_CACHE`. None if that
-    is "off" or if there is no such folder. Raises GffeError if `GFFE_DEVICE_CACHE` is a file."""
+    is "off" or if there is no such folder."""
     chosen = os.environ.get(_KEPT)
     if chosen:
-        if os.path.exists(chosen) and not os.path.isdir(chosen):
-            raise GffeError(f"{_KEPT} must be a folder or off, got {shown(chosen)}")
         return None if chosen == "off" else Path(chosen)
     with suppress(OSError):
         return cache_folder()
