@@ -18,6 +18,7 @@ from gffe_cl.cli.common import (
     app,
     cluster_at,
     duration,
+    input_file,
     out,
     progress_bars,
     write_json,
@@ -68,10 +69,16 @@ def train(
         bool, typer.Option("--data-only", help="Training clips: make them, and do not train.")
     ] = False,
     start: Annotated[
-        Path | None, typer.Option(help="Network to begin with, an ONNX file of an earlier training.")
+        Path | None,
+        typer.Option(
+            help="Network to begin with, an ONNX file of an earlier training.", callback=input_file("--start")
+        ),
     ] = None,
     vgg: Annotated[
-        Path | None, typer.Option(help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.")
+        Path | None,
+        typer.Option(
+            help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.", callback=input_file("--vgg")
+        ),
     ] = None,
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
