@@ -21,6 +21,7 @@ from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, ta
 from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.captures.doctor.mends import Mend, MendedClip, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
@@ -55,7 +56,7 @@ class Diagnosis:
     buffers; `given`, `best`: verdicts on the sequence as given and on `reading`; `others`: verdicts on the next best
     readings; `order`: of the frames; `residuals`: in pixels, as given and as read; `step`: of quantized vectors,
     pixels; `decodes_color`: colors are to be made linear, which only `gffe_cl.captures.doctor.selected` decides;
-    `frames`: number of examined frames.
+    `frames`: number of examined frames; `mends`: changes of the clip, the first one first, before it is read so.
     """
 
     findings: list[Finding]
@@ -68,6 +69,7 @@ class Diagnosis:
     step: float = 0.0
     decodes_color: bool = False
     frames: int = 0
+    mends: list[Mend] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list, repr=False)
 
     def of_kind(self, kind: str) -> list[Finding]:
@@ -135,6 +137,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
 
     search = search_of(())
     found.given = search.verdict(Reading())
+    mend, jitter_notes = find_mend({k: looks[k] for k in beside}, deep, clip.rendered, step)
+    if mend is not None:
+        return _examine_mended(clip, exposure, mend, found, search_of)
     if not found.given.agreement >= _DOUBTFUL:
         order = shuffled_order(looks, count, step)
         if order is not None:
@@ -150,9 +155,21 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _judge_colors(found)
     if not found.faults:
         found.findings += [*dilation_notes(clip, deep), *user_interface_notes(clip, deep, exposure)]
-    if all(fault.name == JITTER for fault in found.faults):
+    found.findings += jitter_notes
+    if not jitter_notes and all(fault.name == JITTER for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
+    tell_keys(found.findings, getattr(clip, "settings", None))
+    return found
+
+
+def _examine_mended(clip: Clip, exposure: float, mend: Mend, given: Diagnosis, search_of) -> Diagnosis:
+    found = examine(MendedClip(clip, mend), exposure)
+    found.findings.insert(0, mend.finding)
+    found.mends.insert(0, mend)
+    _tell_residuals(given, search_of)
+    found.residuals |= {name: value for name, value in given.residuals.items() if name.startswith("given")}
+    found.given = given.given
     tell_keys(found.findings, getattr(clip, "settings", None))
     return found
 
