@@ -10,7 +10,16 @@ import numpy as np
 
 from gffe_cl.captures.doctor.dilation import dilation_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
-from gffe_cl.captures.doctor.findings import DISPLAY_VALUES, FAULT, JITTER, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.captures.doctor.findings import (
+    DISPLAY_VALUES,
+    FAULT,
+    JITTERS,
+    NOTE,
+    UNEXPLAINED,
+    UNKNOWN,
+    Finding,
+    faults_of,
+)
 from gffe_cl.captures.doctor.format_keys import tell_keys
 from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
@@ -156,7 +165,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     if not found.faults:
         found.findings += [*dilation_notes(clip, deep), *user_interface_notes(clip, deep, exposure)]
     found.findings += jitter_notes
-    if not jitter_notes and all(fault.name == JITTER for fault in found.faults):
+    if not jitter_notes and all(fault.name in JITTERS for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
@@ -309,7 +318,7 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
     if (off <= roughly).mean() < _UNEXPLAINED:
         sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
-        found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
+        found.findings.append(Finding(FAULT, "frames", UNEXPLAINED, sentence))
 
 
 def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, JITTER, NOTE, Finding
+from gffe_cl.captures.doctor.findings import FAULT, JITTER, JITTER_DIFFERS, JITTERED, NO_JITTER, NOTE, Finding
 from gffe_cl.captures.doctor.hypotheses.camera_jitter import (
     INVERSE,
     NONE,
@@ -22,8 +22,8 @@ from gffe_cl.captures.doctor.hypotheses.camera_jitter import (
     jitter_of_vectors,
 )
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
-from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Look, relinked
-from gffe_cl.captures.doctor.hypotheses.search import Reading, Search
+from gffe_cl.captures.doctor.hypotheses.sampling import BUFFERS, NEXT, PREVIOUS, Clip, Look, relinked, with_rows
+from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
@@ -42,6 +42,11 @@ class Mend(Protocol):
     @property
     def finding(self) -> Finding: ...
 
+    @property
+    def changes_geometry(self) -> bool:
+        """Whether it changes depth, motion vectors or cameras."""
+        ...
+
     def entry(self, entries: list[FrameEntry], k: int) -> FrameEntry | None:
         """Return the entry of frame `k`, changed; None if the frame is lost."""
         ...
@@ -57,6 +62,10 @@ class OtherFrame:
 
     buffer: str
     by: int
+
+    @property
+    def changes_geometry(self) -> bool:
+        return self.buffer != "color"
 
     @property
     def finding(self) -> Finding:
@@ -90,6 +99,7 @@ class Jitter:
 
     finding: Finding
     change: JitterChange
+    changes_geometry: bool = True
 
     def entry(self, entries: list[FrameEntry], k: int) -> FrameEntry | None:
         camera, shown = entries[k].render_camera, entries[k].display_camera
@@ -119,67 +129,67 @@ def find_mend(
 
 
 def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mend | None:
-    gains: dict[tuple[str, int], float] = {}
-    for by in (NEXT, PREVIOUS):
-        for buffer in (*_FIELDS, "motion"):
-            made = _from_other_frames(looks, buffer, by)
-            compared = [k for k in (deep if by == NEXT else (k + 1 for k in deep)) if k in made and k in looks]
-            compared = [k for k in compared if all(PREVIOUS in some[k].neighbors for some in (looks, made))]
-            if compared:
-                gains[buffer, by] = _gain([looks[k] for k in compared], [made[k] for k in compared], step)
-    best = max(gains, key=gains.__getitem__, default=None)
-    if best is None or gains[best] < _MARGIN or best[0] == "motion":
-        return None
-    return OtherFrame(*best)
+    """Return the buffer that fits clearly better as that of another frame, better also than vectors of another frame
+    and than any buffer upside down."""
+    gains: dict[OtherFrame | None, float] = {None: _MARGIN}
+    for buffer in (*_FIELDS, "motion"):
+        for by, compared in ((NEXT, deep), (PREVIOUS, [k + 1 for k in deep])):
+            gain = _gain(looks, _from_other_frames(looks, buffer, by), compared, step)
+            mend = OtherFrame(buffer, by) if buffer in _FIELDS else None
+            gains[mend] = max(gains.get(mend, 0.0), gain)
+    for buffer in BUFFERS:
+        gains[None] = max(gains[None], _gain(looks, with_rows(looks, (buffer,)), deep, step))
+    return max(gains, key=gains.__getitem__)
 
 
-def _gain(given: list[Look], made: list[Look], step: float) -> float:
-    """Return by how much the total score of looks is better than as `given`; 0 if that does not hold for most of them,
-    or if they do not fit."""
-    totals = []
-    for looks in (given, made):
-        verdict = Search(looks, step, edges=edge_agreement(looks)).verdict(Reading())
-        totals.append(verdict.total)
-    if not verdict.agreement >= _FITS or totals[1] < totals[0] + _MARGIN:
+def _gain(given: dict[int, Look], made: dict[int, Look], compared: list[int], step: float) -> float:
+    """Return by how much the total score of the `compared` looks `made` is better than as `given`; 0 if that does not
+    hold for most of them, or if they do not fit."""
+    compared = [k for k in compared if all(k in looks and PREVIOUS in looks[k].neighbors for looks in (given, made))]
+    if not compared:
         return 0.0
-    each = [[Search([look], step, edges=edge_agreement([look])).verdict(Reading()).total for look in looks]
-            for looks in (given, made)]  # fmt: skip
-    return totals[1] - totals[0] if np.mean(np.greater(each[1], each[0])) > _MOST else 0.0
+    before, after = (_verdict([looks[k] for k in compared], step) for looks in (given, made))
+    gain = after.total - before.total
+    if not after.agreement >= _FITS or gain < _MARGIN:
+        return 0.0
+    better = [_verdict([made[k]], step).total > _verdict([given[k]], step).total for k in compared]
+    return gain if np.mean(better) > _MOST else 0.0
+
+
+def _verdict(looks: list[Look], step: float) -> Verdict:
+    return Search(looks, step, edges=edge_agreement(looks)).verdict(Reading())
 
 
 def _jitter(
     looks: dict[int, Look], deep: list[int], center: np.ndarray, step: float
 ) -> tuple[Mend | None, list[Finding]]:
+    """Return the mend of jitter that cameras, vectors and colors do not share, and a note where only colors lack it."""
     vectors = jitter_of_vectors(looks, deep, center, step)
     colors = jitter_of_colors(looks, deep, center, vectors)
-    middle = float(center[0]), float(center[1])
     if vectors == SAME:
-        if colors != NONE:
-            return None, []
         sentence = (
             "jittered, as cameras and motion vectors are, and color is not: it was antialiased over time (the jitter"
             " belongs out of the cameras and the vectors and into RenderedFrame.geometry_jitter)"
         )
-        return None, [Finding(NOTE, "depth", "jittered", sentence)]
-    difference = OTHERS[vectors]
-    fix = "principal points are moved"
+        return None, [Finding(NOTE, "depth", JITTERED, sentence)] if colors == NONE else []
+    middle, difference = (float(center[0]), float(center[1])), OTHERS[vectors]
     if colors == SAME:
-        name = "jitter missing" if vectors == NONE else f"jitter {difference}"
-        has = "lack the jitter that cameras and colors have"
-        has = has if vectors == NONE else f"have jitter {difference}, compared with that of cameras and colors"
-        change = JitterChange(middle, motion=(SAME[0] - vectors[0], SAME[1] - vectors[1]))
+        name, has = NO_JITTER, "lack the jitter that cameras and colors have"
+        if vectors != NONE:
+            name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of cameras and colors"
         finding = Finding(FAULT, "motion", name, f"motion vectors {has}", "the cameras' jitter is added")
-    elif colors == vectors:
-        name = JITTER if vectors == NONE else f"jitter {INVERSE[difference]}"
-        has = "are jittered, but neither motion vectors nor colors are"
-        has = has if vectors == NONE else f"have jitter {INVERSE[difference]}, compared with that of vectors and colors"
-        change, finding = JitterChange(middle, camera=vectors), Finding(FAULT, "camera", name, f"the cameras {has}", fix)
+        return Jitter(finding, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1]))), []
+    if colors == vectors:
+        name, has = JITTER, "are jittered, but neither motion vectors nor colors are"
+        if vectors != NONE:
+            difference = INVERSE[difference]
+            name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of vectors and colors"
+        finding = Finding(FAULT, "camera", name, f"the cameras {has}", "principal points are moved")
     else:
         known = "colors are not jittered" if colors == NONE else "colors do not tell which of them is right"
         sentence = f"the jitter of motion vectors is {difference}, compared with that of the cameras; {known}"
-        change = JitterChange(middle, camera=vectors)
-        finding = Finding(FAULT, "frames", "jitter differs", sentence)
-    return Jitter(finding, change), []
+        finding = Finding(FAULT, "camera", JITTER_DIFFERS, sentence)
+    return Jitter(finding, JitterChange(middle, camera=vectors)), []
 
 
 def _from_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, Look]:

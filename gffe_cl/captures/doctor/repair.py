@@ -25,6 +25,7 @@ from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, Clip, is_long
 from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, Vectors
 from gffe_cl.captures.doctor.hypotheses.search import Reading
 from gffe_cl.captures.doctor.hypotheses.transfer_function import srgb_to_linear
+from gffe_cl.captures.doctor.mends import mended
 from gffe_cl.captures.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
@@ -41,9 +42,12 @@ _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which p
 
 
 class Repair:
-    """Frames of `clip` with the reading of `diagnosis` applied, in their correct order."""
+    """Frames of `clip` with the mends and the reading of `diagnosis` applied, in their correct order."""
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
+        given = {entry.file: entry for entry in clip.rendered}
+        self._read_given = lru_cache(_KEPT)(lambda file: clip.read(given[file]))
+        clip = mended(clip, diagnosis.mends)
         self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
         self._read = lru_cache(_KEPT)(lambda index: clip.read(clip.rendered[index]))
         self._rows = diagnosis.reading.rows
@@ -83,7 +87,8 @@ class Repair:
                 off = f"vectors would be {one.read:.3g} px off, as given they are {one.given:.3g} px off"
                 raise GffeError(f"the repair would make {file} worse: {off}; {_REFUSED}")
         better = sum(one.is_better for _, one in self._comparisons)
-        changes = replace(self._reading, rows=tuple(row for row in self._rows if row != "color")) != Reading()
+        changes = any(mend.changes_geometry for mend in self._diagnosis.mends)
+        changes |= replace(self._reading, rows=tuple(row for row in self._rows if row != "color")) != Reading()
         if changes and self._comparisons and 2 * better <= len(self._comparisons):
             counts = f"{better} of the {len(self._comparisons)} frames that can tell"
             raise GffeError(f"the repair is not clearly better: only {counts} fit better by it; {_REFUSED}")
@@ -91,7 +96,8 @@ class Repair:
     def _compare(self, index: int, made: RenderedFrame, before: RenderedFrame | None) -> None:
         if before is None or index == 0 or made.motion is None:
             return
-        given_before, given = (self._read(k) for k in (index - 1, index))
+        entries = self._clip.rendered
+        given_before, given = (self._read_given(entries[k].file) for k in (index - 1, index))
         if given.reset or given.motion is None or np.shape(given_before.depth) != np.shape(given.depth):
             return
         height, width = np.shape(given.depth)
@@ -106,7 +112,7 @@ class Repair:
         solid = np.isfinite(given.depth) & np.isfinite(made.depth) & (np.abs(made.depth) < _FAR)
         compared = Comparison.of(*pairs, solid[::every, ::every].ravel(), self._diagnosis.step)
         if compared is not None:
-            self._comparisons.append((self._clip.rendered[index].file, compared))
+            self._comparisons.append((entries[index].file, compared))
 
     def camera(self, camera: Camera) -> Camera:
         """Return the repaired camera, with its jitter completed."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import NOTE, Finding
+from gffe_cl.captures.doctor.findings import INTERFACE, NOTE, Finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame
 from gffe_cl.engine.opencl.program import constants
@@ -57,7 +57,7 @@ def user_interface_notes(clip: Clip, indices: list[int], exposure: float) -> lis
         return []
     sentence = f"user interface in the color: {share:.1%} of the pixels stay in place although vectors move them"
     sentence += f" ({ADVICE}; `--ui-detection` keeps in place what it finds)"
-    return [Finding(NOTE, "color", "user interface", sentence, figures={"share": share})]
+    return [Finding(NOTE, "color", INTERFACE, sentence, figures={"share": share})]
 
 
 def interface_share(frames: list[RenderedFrame], exposure: float) -> float:

@@ -94,9 +94,7 @@ def jitter_of_vectors(looks: dict[int, Look], deep: list[int], center: np.ndarra
     return best if found[best] > given + _BETTER else SAME
 
 
-def jitter_of_colors(
-    looks: dict[int, Look], deep: list[int], center: np.ndarray, vectors: Factors
-) -> Factors | None:
+def jitter_of_colors(looks: dict[int, Look], deep: list[int], center: np.ndarray, vectors: Factors) -> Factors | None:
     """Return the jitter that colors have, in units of the jitter of the cameras: SAME, that of `vectors`, or NONE. None
     if colors do not decide."""
     motions, bench = {}, None
