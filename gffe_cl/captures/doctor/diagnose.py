@@ -13,25 +13,30 @@ from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import (
     DISPLAY_VALUES,
     FAULT,
+    JITTER_DIFFERS,
     JITTERS,
+    MISFIT,
     NOTE,
     UNEXPLAINED,
     UNKNOWN,
     Finding,
     faults_of,
+    jitter_id,
 )
 from gffe_cl.captures.doctor.format_keys import tell_keys
 from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
+from gffe_cl.captures.doctor.hypotheses.camera_jitter import SURE
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_camera
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
-from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, take_looks, with_rows
-from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
+from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Look, take_looks, with_rows
+from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
 from gffe_cl.captures.doctor.mends import Mend, MendedClip, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.doctor.repetition import repetition_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.frame.rendered_frame import BadPixels
@@ -44,6 +49,8 @@ _DOUBTFUL = 0.5  # agreements below that make one look for another order of fram
 _MARGIN = 0.06  # of the sum of scores, by which another reading must be better than the given one
 _VISIBLE = 0.3  # least motion by the camera's rotation and by its translation, pixels
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly; below it there is an unknown fault
+_STATIC, _EXACT = 0.25, (0.05, 0.1)  # quantile of residuals; share of the motion's length and pixels that it may be
+_ALTERNATES = 0.8  # of the mean offset of a frame: most that the mean of all offsets of jitter is
 _TELLING = 0.02  # of agreements: by less they do not decide
 _COLORS_ALONE = 0.12  # of color scores, where they have to decide alone
 _COMPARABLE = 0.5  # color score of static samples, below which movers' colors decide nothing
@@ -146,9 +153,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
 
     search = search_of(())
     found.given = search.verdict(Reading())
-    mend, jitter_notes = find_mend({k: looks[k] for k in beside}, deep, clip.rendered, step)
-    if mend is not None:
-        return _examine_mended(clip, exposure, mend, found, search_of)
+    mends = find_mend({k: looks[k] for k in beside}, deep, clip.rendered, step)
+    if mends.mend is not None:
+        return _examine_mended(clip, exposure, mends.mend, found, search_of)
     if not found.given.agreement >= _DOUBTFUL:
         order = shuffled_order(looks, count, step)
         if order is not None:
@@ -158,14 +165,14 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.looks = search.full.looks
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _tell_residuals(found, search_of)
-    _judge_order(found, looks, _gaps(found, clip, exposure))
+    _judge_order(found, looks, _gaps(found, clip, exposure), _ends(count, mends.steady))
     _note_late(found, clip.rendered)
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
         found.findings += [*dilation_notes(clip, deep), *user_interface_notes(clip, deep, exposure)]
-    found.findings += jitter_notes
-    if not jitter_notes and all(fault.name in JITTERS for fault in found.faults):
+    found.findings += [*mends.findings, *repetition_notes(clip, deep)]
+    if all(fault.name in JITTERS for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
@@ -190,7 +197,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
         found.findings = [finding for finding in found.findings if finding.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
-    _judge_order(found, {}, {})
+    _judge_order(found, {}, {}, {})
     return found
 
 
@@ -244,12 +251,17 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
     if found.best is None or not _is_clear(found.best, search_of):
         ways = search_rows(search_of)
         found.best = _convincing(ways.verdicts, found.given)
-        if not _is_clear(found.best, search_of):
+        if not _is_clear(found.best, search_of) or not _explains(found.best.reading, search_of):
             found.best = found.given
         found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
         mirrored = ways.doubt(found.best.reading)
+    whose = _whose_jitter(found.best.reading, search_of)
+    if whose:
+        found.best = replace(found.best, reading=replace(found.best.reading, jitter=whose))
     found.reading = found.best.reading
     found.findings += faults_of(found.reading, bench.stored[bench.solid])
+    if found.reading.jitter and not whose:
+        _doubt_jitter(found)
     if mirrored is not None:
         instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
         sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
@@ -295,6 +307,48 @@ def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) 
     gains = [gain for gain, one in zip(scores[1] - scores[0], compared, strict=True) if one or not telling]
     known = np.array(gains)[np.isfinite(gains)]
     return bool(2 * (known > 0).sum() > len(known))
+
+
+def _explains(reading: Reading, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
+    """Return whether static points, a quarter of the samples at least, fit `reading` as vectors fit cameras in a good
+    sequence, and whether offsets that it takes for jitter alternate."""
+    search = search_of(reading.rows)
+    motion, static = search.motions(reading, search.full)
+    use = search.full.solid & np.isfinite(motion).all(-1) & np.isfinite(static).all(-1)
+    if reading.motion.adds_camera or not use.any():
+        return True
+    off = float(np.quantile(np.linalg.norm(motion - static, axis=-1)[use], _STATIC))
+    length = float(np.median(np.linalg.norm(static, axis=-1)[use]))
+    if off > max(_EXACT[0] * length, _EXACT[1], search.step):
+        return False
+    if not reading.jitter:
+        return True
+    motion, static = search.motions(replace(reading, jitter=""), search.full)
+    offsets = frame_offsets(search.full, motion - static, use)
+    size = float(np.sqrt(np.square(offsets).sum(-1).mean()))
+    return len(offsets) < 3 or float(np.linalg.norm(offsets.mean(0))) <= _ALTERNATES * size
+
+
+def _whose_jitter(reading: Reading, search_of: Callable[[tuple[str, ...]], Search]) -> str:
+    """Return the part whose jitter is wrong, if vectors and cameras differ by jitter: that from which colors differ. ""
+    if they do not decide."""
+    if not reading.jitter:
+        return ""
+    search = search_of(reading.rows)
+    plain = search.motions(replace(reading, jitter=""), search.full)[1]
+    jittered = search.motions(replace(reading, jitter="camera"), search.full)[1]
+    sure = color_gain(search.full, jittered, plain, reading.motion.step)
+    return "" if abs(sure) < SURE else "camera" if sure > 0 else "motion"
+
+
+def _doubt_jitter(found: Diagnosis) -> None:
+    """Take back which part lacks jitter, or has too much of it."""
+    fault = next(finding for finding in found.findings if finding.id == jitter_id(found.reading.jitter))
+    fault.name, fault.fix = JITTER_DIFFERS, ""
+    fault.sentence = (
+        "motion vectors and cameras differ by another part of a pixel in every frame: jitter is in one of them alone,"
+        " and colors do not tell which of them is right"
+    )
 
 
 def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
@@ -348,7 +402,16 @@ def _stretch(search: Search, reading: Reading) -> float | None:
     return factor if (off <= 0.1 * length[use]).mean() > 0.5 else None
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None]) -> None:
+def _ends(count: int, steady: set[int]) -> dict[int, str]:
+    """Return the frames that do not fit, of `count`, where vectors or cameras are of another frame but all others move
+    too steadily to show it: with the words for that. `steady`: of `find_mend`."""
+    ends = {NEXT: (1, "late"), PREVIOUS: (count - 1, "early")}
+    return {ends[by][0]: ends[by][1] for by in steady}
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None], ends: dict[int, str]) -> None:
+    """Add findings about frames that do not follow the one before them. `gaps`: those that show the same, with the
+    `_stretch`; `ends`: those that another fault explains as well."""
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -356,6 +419,11 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
+    for index in [k for k in order.misfits if k in ends]:
+        sentence = f"why frame {index} ({looks[index].file}) does not follow the frame before: a frame may be missing,"
+        sentence += f" or vectors or cameras are one frame {ends[index]}"
+        found.findings.append(Finding(UNKNOWN, "frames", MISFIT, sentence, figures={"frame": index}))
+    gaps = {index: factor for index, factor in gaps.items() if index not in ends}
     for index, factor in gaps.items():
         sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
         sentence += " vectors do not lead there"
@@ -364,7 +432,7 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )
-    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps):
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps and k not in ends):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})

@@ -29,7 +29,9 @@ _MENDED_JITTER = (JITTER, NO_JITTER, *(f"jitter {difference}" for difference in 
 JITTERS = (*_MENDED_JITTER, JITTER_DIFFERS)
 OTHER_FRAME = ("one frame late", "one frame early")  # buffers, and cameras
 DILATED, INTERFACE, JITTERED, REPEATED = "dilated", "user interface", "jittered", "repeated"
-TOLD = (INTERFACE, REPEATED, JITTERED, DILATED)  # properties that the quick form names, too
+MISFIT, SOME_FRAME = "misfit at the end", "of another frame"
+TOLD = (INTERFACE, REPEATED, JITTERED, DILATED)  # notes that the quick form names, too
+DOUBTS = (MISFIT, SOME_FRAME)  # the same, of what cannot be told
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
     0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
@@ -47,7 +49,8 @@ _UNIT_SLACK = 0.03
 
 @dataclass
 class Finding:
-    """One finding. `kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera,
+    """One finding. `kind`: fault (breaks results), warning (costs more than 1 dB, which the sentence says), note (hurts
+    little), or undecidable; `about`: motion, depth, camera,
     frames or color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
     `change`: the correction of the capture's own description, if possible; `places`: examples by name, each a frame
     and a pixel (x, y) of its rendered image."""

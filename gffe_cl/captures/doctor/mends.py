@@ -4,13 +4,21 @@ been recorded so."""
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, JITTER, JITTER_DIFFERS, JITTERED, NO_JITTER, NOTE, Finding
+from gffe_cl.captures.doctor.findings import (
+    FAULT,
+    JITTER,
+    JITTER_DIFFERS,
+    NO_JITTER,
+    SOME_FRAME,
+    UNKNOWN,
+    Finding,
+)
 from gffe_cl.captures.doctor.hypotheses.camera_jitter import (
     INVERSE,
     NONE,
@@ -34,6 +42,9 @@ _WHEN = {NEXT: ("late", "before"), PREVIOUS: ("early", "after")}
 _MARGIN = 0.06  # of the sum of scores, by which buffers of another frame must fit better
 _FITS = 0.5  # agreement of buffers that fit
 _MOST = 0.6  # of the frames that must fit better
+_OWN = {"camera": 0.06, "depth": 0.02, "color": 0.02}  # of the agreement, or of color scores
+_APART = 0.03  # of the sum of scores: mends that differ by less are not told apart
+_STEADY = 0.04  # of agreements, by which vectors and cameras of another frame fit worse where nothing accelerates
 
 
 class Mend(Protocol):
@@ -114,71 +125,116 @@ class Jitter:
         return replace(frame, motion=motion, camera=camera, display_camera=shown)
 
 
-def find_mend(
-    looks: dict[int, Look], deep: list[int], entries: list[FrameEntry], step: float
-) -> tuple[Mend | None, list[Finding]]:
-    """Return the mend that explains `looks` clearly better than as they are given, None if there is none; and notes on
-    jitter. `deep`: numbers of looks that are evidence; `entries`: of all rendered frames; `step`: of quantized vectors,
-    pixels."""
+@dataclass
+class Mends:
+    """Result of `find_mend`. `mend`: the change that explains the looks clearly better; `findings`: what cannot be told
+    of buffers of another frame; `steady`: NEXT and PREVIOUS, as far as cameras or vectors that are
+    late or early by a frame would fit about as well, because everything moves steadily."""
+
+    mend: Mend | None = None
+    findings: list[Finding] = field(default_factory=list)
+    steady: set[int] = field(default_factory=set)
+
+
+def find_mend(looks: dict[int, Look], deep: list[int], entries: list[FrameEntry], step: float) -> Mends:
+    """Return the mend that explains `looks` clearly better than as they are given. `deep`: numbers of looks that are
+    evidence; `entries`: of all rendered frames; `step`: of quantized vectors, pixels."""
     deep = [k for k in deep if PREVIOUS in looks[k].neighbors]
-    mend = _other_frame(looks, deep, step)
-    if mend is not None or not deep:
-        return mend, []
+    if not deep:
+        return Mends()
+    found = _other_frame(looks, deep, step)
     center = jitter_center(entries, looks[deep[0]].size)
-    return (None, []) if center is None else _jitter(looks, deep, center, step)
+    if found.mend is None and center is not None:
+        found.mend = _jitter(looks, deep, center, step)
+    return found
 
 
-def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mend | None:
+def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
     """Return the buffer that fits clearly better as that of another frame, better also than vectors of another frame
     and than any buffer upside down."""
-    gains: dict[OtherFrame | None, float] = {None: _MARGIN}
+    found, gains, rival = Mends(), {}, _MARGIN
     for buffer in (*_FIELDS, "motion"):
         for by, compared in ((NEXT, deep), (PREVIOUS, [k + 1 for k in deep])):
-            gain = _gain(looks, _from_other_frames(looks, buffer, by), compared, step)
-            mend = OtherFrame(buffer, by) if buffer in _FIELDS else None
-            gains[mend] = max(gains.get(mend, 0.0), gain)
+            gain = _Gain.of(looks, _from_other_frames(looks, buffer, by), compared, step)
+            if gain is None:
+                continue
+            if buffer in ("camera", "motion") and gain.agreement > -_STEADY:
+                found.steady.add(by)
+            if buffer == "motion":
+                rival = max(rival, gain.total if gain.is_clear else 0.0)
+            elif gain.is_clear and gain.own(buffer) >= _OWN[buffer]:
+                gains[OtherFrame(buffer, by)] = gain.total
     for buffer in BUFFERS:
-        gains[None] = max(gains[None], _gain(looks, with_rows(looks, (buffer,)), deep, step))
-    return max(gains, key=gains.__getitem__)
+        gain = _Gain.of(looks, with_rows(looks, (buffer,)), deep, step)
+        rival = max(rival, gain.total if gain is not None and gain.is_clear else 0.0)
+    first, *others = sorted(gains, key=gains.__getitem__, reverse=True) or [None]
+    if first is None or gains[first] <= rival:
+        return found
+    if others and gains[others[0]] > gains[first] - _APART:
+        either = " or ".join(f"{mend.buffer} {mend.finding.name}" for mend in (first, others[0]))
+        sentence = f"a buffer fits better as that of another frame, but which one is open: {either}"
+        found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
+    else:
+        found.mend = first
+    return found
 
 
-def _gain(given: dict[int, Look], made: dict[int, Look], compared: list[int], step: float) -> float:
-    """Return by how much the total score of the `compared` looks `made` is better than as `given`; 0 if that does not
-    hold for most of them, or if they do not fit."""
-    compared = [k for k in compared if all(k in looks and PREVIOUS in looks[k].neighbors for looks in (given, made))]
-    if not compared:
-        return 0.0
-    before, after = (_verdict([looks[k] for k in compared], step) for looks in (given, made))
-    gain = after.total - before.total
-    if not after.agreement >= _FITS or gain < _MARGIN:
-        return 0.0
-    better = [_verdict([made[k]], step).total > _verdict([given[k]], step).total for k in compared]
-    return gain if np.mean(better) > _MOST else 0.0
+@dataclass
+class _Gain:
+    """How much better the scores of changed looks are than as given: in `total`, in `agreement`, and in `color`s.
+    `is_clear`: whether the looks fit now, clearly better, and most of them do so alone."""
+
+    total: float
+    agreement: float
+    color: float
+    is_clear: bool
+
+    @classmethod
+    def of(cls, given: dict[int, Look], made: dict[int, Look], compared: list[int], step: float) -> _Gain | None:
+        """Compare the looks `compared`; return None if none of them is in both."""
+        compared = [k for k in compared if all(k in some and PREVIOUS in some[k].neighbors for some in (given, made))]
+        if not compared:
+            return None
+        before, after = (_verdict([looks[k] for k in compared], step) for looks in (given, made))
+        total = after.total - before.total
+        clear = after.agreement >= _FITS and total >= _MARGIN
+        if clear:
+            each = [_verdict([made[k]], step).total > _verdict([given[k]], step).total for k in compared]
+            clear = np.mean(each) > _MOST
+        color = (after.colors - after.edges) - (before.colors - before.edges)
+        agreement = float(np.nan_to_num(after.agreement) - np.nan_to_num(before.agreement))
+        return cls(total, agreement, color, bool(clear))
+
+    def own(self, buffer: str) -> float:
+        """Return the part that this buffer must improve for itself."""
+        return self.color if buffer == "color" else self.agreement
 
 
 def _verdict(looks: list[Look], step: float) -> Verdict:
     return Search(looks, step, edges=edge_agreement(looks)).verdict(Reading())
 
 
-def _jitter(
-    looks: dict[int, Look], deep: list[int], center: np.ndarray, step: float
-) -> tuple[Mend | None, list[Finding]]:
-    """Return the mend of jitter that cameras, vectors and colors do not share, and a note where only colors lack it."""
+def _jitter(looks: dict[int, Look], deep: list[int], center: np.ndarray, step: float) -> Mend | None:
+    """Return the mend of jitter that cameras, vectors and colors do not share."""
     vectors = jitter_of_vectors(looks, deep, center, step)
     colors = jitter_of_colors(looks, deep, center, vectors)
+    middle = float(center[0]), float(center[1])
     if vectors == SAME:
+        if colors != NONE:
+            return None
         sentence = (
-            "jittered, as cameras and motion vectors are, and color is not: it was antialiased over time (the jitter"
-            " belongs out of the cameras and the vectors and into RenderedFrame.geometry_jitter)"
+            "cameras and motion vectors are jittered, and color is not: it was antialiased over time (if depth is"
+            " jittered, its jitter belongs into RenderedFrame.geometry_jitter)"
         )
-        return None, [Finding(NOTE, "depth", JITTERED, sentence)] if colors == NONE else []
-    middle, difference = (float(center[0]), float(center[1])), OTHERS[vectors]
+        finding = Finding(FAULT, "camera", JITTER, sentence, "jitter is taken off cameras and vectors")
+        return Jitter(finding, JitterChange(middle, camera=NONE, motion=(-1.0, -1.0)))
+    difference = OTHERS[vectors]
     if colors == SAME:
         name, has = NO_JITTER, "lack the jitter that cameras and colors have"
         if vectors != NONE:
             name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of cameras and colors"
         finding = Finding(FAULT, "motion", name, f"motion vectors {has}", "the cameras' jitter is added")
-        return Jitter(finding, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1]))), []
+        return Jitter(finding, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1])))
     if colors == vectors:
         name, has = JITTER, "are jittered, but neither motion vectors nor colors are"
         if vectors != NONE:
@@ -189,7 +245,7 @@ def _jitter(
         known = "colors are not jittered" if colors == NONE else "colors do not tell which of them is right"
         sentence = f"the jitter of motion vectors is {difference}, compared with that of the cameras; {known}"
         finding = Finding(FAULT, "camera", JITTER_DIFFERS, sentence)
-    return Jitter(finding, JitterChange(middle, camera=vectors)), []
+    return Jitter(finding, JitterChange(middle, camera=vectors))
 
 
 def _from_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, Look]:

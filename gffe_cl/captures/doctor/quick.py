@@ -8,9 +8,12 @@ from itertools import groupby
 from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
 from gffe_cl.captures.doctor.findings import (
     BOTTOM_UP,
+    DOUBTS,
+    INTERFACE,
     JITTER,
     JITTERS,
     NO_JITTER,
+    NOTE,
     OTHER_FRAME,
     TOLD,
     UNEXPLAINED,
@@ -28,6 +31,7 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, de
 
 _FRAMES = 5  # of a sequence, before it is extrapolated
 _SUBJECTS = {"motion": "motion vectors are ", "depth": "depth is "}
+_UNKNOWN = "cannot tell whether the frames fit"
 _ALL_ROWS = "y of motion vectors and cameras does not fit the rows of the buffers"
 _JITTERED = "motion vectors are off by another part of a pixel in every frame: camera jitter"
 _ALONE, _DIFFERS = "is in them, or in the cameras, alone", "in them and in the cameras differs"
@@ -96,10 +100,20 @@ class _First:
         self.rendered, self.read = clip.rendered[:_FRAMES], clip.read
 
 
+def first_diagnosis(clip: Clip, exposure: float = 1.0) -> Diagnosis:
+    """Examine the first rendered frames of `clip`. Raises GffeError if there are none, or if one cannot be read."""
+    return examine(_First(clip), exposure)
+
+
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     """Return a sentence if the first rendered frames of `clip` do not fit, else None: their faults as `gffe check`
     names them, or the first of its warnings. Raises GffeError if a frame cannot be read."""
-    return warning_of(examine(_First(clip), exposure)) if clip.rendered else None
+    return warning_of(first_diagnosis(clip, exposure)) if clip.rendered else None
+
+
+def has_interface(diagnosis: Diagnosis) -> bool:
+    """Return whether `diagnosis` has found a user interface in the color."""
+    return any(finding.name == INTERFACE for finding in diagnosis.findings)
 
 
 def warning_of(diagnosis: Diagnosis) -> str | None:
@@ -107,8 +121,12 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     to frames; None if there is neither."""
     faults = diagnosis.faults
     if not faults:
-        told = diagnosis.of_kind(WARNING) + [note for note in diagnosis.findings if note.name in TOLD]
-        return f"{_SUBJECTS.get(told[0].about, '')}{told[0].sentence}" if told else None
+        told = diagnosis.of_kind(WARNING)
+        told += [note for note in diagnosis.of_kind(NOTE) if note.name in TOLD]
+        doubts = [doubt for doubt in diagnosis.of_kind(UNKNOWN) if doubt.name in DOUBTS]
+        if told or not doubts:
+            return f"{_SUBJECTS.get(told[0].about, '')}{told[0].sentence}" if told else None
+        return f"{_UNKNOWN}: {doubts[0].sentence}"
     turned = [fault.about for fault in faults if fault.name == BOTTOM_UP]
     if len(turned) == len(faults):
         return _ALL_ROWS if len(turned) > 1 else f"{turned[0]} is upside down against the other buffers"
@@ -136,4 +154,4 @@ def _why_not_compared(diagnosis: Diagnosis) -> str | None:
     """Return why nothing was compared; None if something was."""
     if diagnosis.compared:
         return None
-    return "; ".join(f"cannot tell whether they fit: {finding.sentence}" for finding in diagnosis.of_kind(UNKNOWN)[:1])
+    return f"{_UNKNOWN}: {diagnosis.of_kind(UNKNOWN)[0].sentence}"

@@ -27,7 +27,7 @@ INVERSE |= {"twice as large": "half as large", "half as large": "twice as large"
 _MOST, _LEAST = 1.25, 0.05  # pixels: largest deviation of a principal point, and least standard deviation
 _SAME_FOCAL = 1e-3  # relative difference of focal lengths
 _CENTERED = 0.25  # pixels: where the mean is so near to the middle of the image, that is the center
-_SURE = 4.0  # standard deviations by which colors decide
+SURE = 4.0  # standard deviations by which colors decide
 _BETTER = 0.1  # of agreements, by which another jitter of vectors must fit better
 
 
@@ -105,6 +105,6 @@ def jitter_of_colors(looks: dict[int, Look], deep: list[int], center: np.ndarray
     assert bench is not None  # there are at least two
     for factors, motion in motions.items():
         gains = [color_gain(bench, motion, other, PREVIOUS) for name, other in motions.items() if name != factors]
-        if min(gains) > _SURE:
+        if min(gains) > SURE:
             return factors
     return None
