@@ -11,12 +11,13 @@ from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.lab.fault_injection import BREAKS, GAPS
 
 COUNT, FPS = 8, 30
-SIGN_OF_Y = np.array([1, -1])
+SIGN_OF_Y, Y_UP = np.array([1, -1]), np.diag([1.0, -1, -1, 1])
 
 
 @cache
 def good_frames(seed=11):
-    """Frames of rectangles past which a camera sways, and the same ones jittered in everything."""
+    """Frames of rectangles past which a camera sways, in a world whose y is up, and the same ones jittered in
+    everything."""
     rng = np.random.default_rng(seed)
     rects = [
         Rect((0, 0, 22), (40, 30), frequency=0.4),
@@ -36,7 +37,8 @@ def good_frames(seed=11):
             view = jitter.camera(view, k) if is_jittered else view
             frames.append(world.frame(view, k / FPS, W, H, before, reset=k == 0, samples=2))
             before = view, k / FPS
-        found.append(frames)
+        turned = [replace(f.camera, world_to_view=f.camera.world_to_view @ Y_UP) for f in frames]
+        found.append([replace(f, camera=c) for f, c in zip(frames, turned, strict=True)])
     return tuple(found)
 
 
@@ -74,14 +76,8 @@ def radians_as_degrees(frame, focal):
 
 
 def near_mistaken(frames):
-    """Device depth of near plane 0.1 is made linear by 0.5."""
-    near, wrong, far = 0.1, 0.5, 1000.0
-
-    def linear(z):
-        device = far / (far - near) * (1 - near / np.minimum(z.astype(np.float64), far))
-        return np.where(np.isinf(z), z, far * wrong / (far - device * (far - wrong))).astype(np.float32)
-
-    return [replace(frame, depth=linear(frame.depth)) for frame in frames]
+    """Device depth of near plane 0.1 and an infinite far plane is made linear by 0.5."""
+    return [replace(frame, depth=(frame.depth / 0.1 * 0.5).astype(np.float32)) for frame in frames]
 
 
 def red_for_blue(frames):

@@ -50,6 +50,7 @@ _MARGIN = 0.06  # of the sum of scores, by which another reading must be better 
 _VISIBLE = 0.3  # least motion by the camera's rotation and by its translation, pixels
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly; below it there is an unknown fault
 _STATIC, _EXACT = 0.25, (0.05, 0.1)  # quantile of residuals; share of the motion's length and pixels that it may be
+_EXPLANATIONS = 6  # readings after the best one that are tried if that leaves a residual
 _ALTERNATES = 0.8  # of the mean offset of a frame: most that the mean of all offsets of jitter is
 _TELLING = 0.02  # of agreements: by less they do not decide
 _COLORS_ALONE = 0.12  # of color scores, where they have to decide alone
@@ -245,14 +246,12 @@ def _pixels(clip: Clip) -> int:
 
 
 def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
-    bench, mirrored = search_of(()).full, None
+    bench, mirrored, unexplained = search_of(()).full, None, False
     assert found.given is not None  # judged before
     found.best = without_camera(search_of(()))
     if found.best is None or not _is_clear(found.best, search_of):
         ways = search_rows(search_of)
-        found.best = _convincing(ways.verdicts, found.given)
-        if not _is_clear(found.best, search_of) or not _explains(found.best.reading, search_of):
-            found.best = found.given
+        found.best, unexplained = _explaining(ways.verdicts, found.given, search_of)
         found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
         mirrored = ways.doubt(found.best.reading)
     whose = _whose_jitter(found.best.reading, search_of)
@@ -260,12 +259,29 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
         found.best = replace(found.best, reading=replace(found.best.reading, jitter=whose))
     found.reading = found.best.reading
     found.findings += faults_of(found.reading, bench.stored[bench.solid])
+    if unexplained:
+        found.findings.append(_unexplained())
     if found.reading.jitter and not whose:
         _doubt_jitter(found)
     if mirrored is not None:
         instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
         sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
         found.findings.append(Finding(UNKNOWN, "frames", "upside down", sentence))
+
+
+def _explaining(
+    verdicts: list[Verdict], given: Verdict, search_of: Callable[[tuple[str, ...]], Search]
+) -> tuple[Verdict, bool]:
+    """Return the best of `verdicts` that is clearly better than `given` and leaves static points no residual, else
+    `given`; and whether that is far off although there is a better one."""
+    first = _convincing(verdicts, given)
+    if not _is_clear(first, search_of):
+        return given, False
+    others = [verdict for verdict in verdicts if verdict is not first and verdict.total > given.total + _MARGIN]
+    for verdict in (first, *others[:_EXPLANATIONS]):
+        if _explains(verdict.reading, search_of) and (verdict is first or _is_clear(verdict, search_of)):
+            return verdict, False
+    return given, not given.agreement >= _DOUBTFUL
 
 
 def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
@@ -370,9 +386,13 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.residuals[f"{name}_median"] = float(np.median(off))
         found.residuals[f"{name}_inliers"] = float((off <= near).mean())
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
-    if (off <= roughly).mean() < _UNEXPLAINED:
-        sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
-        found.findings.append(Finding(FAULT, "frames", UNEXPLAINED, sentence))
+    if (off <= roughly).mean() < _UNEXPLAINED and not any(fault.name == UNEXPLAINED for fault in found.faults):
+        found.findings.append(_unexplained())
+
+
+def _unexplained() -> Finding:
+    sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
+    return Finding(FAULT, "frames", UNEXPLAINED, sentence)
 
 
 def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:

@@ -47,16 +47,15 @@ class Repair:
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         given = {entry.file: entry for entry in clip.rendered}
         self._read_given = lru_cache(_KEPT)(lambda file: clip.read(given[file]))
-        clip = mended(clip, diagnosis.mends)
-        self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
-        self._read = lru_cache(_KEPT)(lambda index: clip.read(clip.rendered[index]))
+        self._clip = made = mended(clip, diagnosis.mends)
+        self._reading, self._diagnosis = diagnosis.reading, diagnosis
+        self._read = lru_cache(_KEPT)(lambda index: made.read(made.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
         self._comparisons: list[tuple[str, Comparison]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
-        count = len(clip.rendered)
+        count = len(made.rendered)
         self._order = (diagnosis.order and diagnosis.order.order) or list(range(count))
-        self._jitter = np.zeros(2)  # of the last frame, where cameras lack it
         self._stored = np.concatenate([look.depth[look.solid] for look in diagnosis.looks] or [np.zeros(0)])
         self._depth, self._translation, self._far_end = _units(diagnosis.reading.depth, self._stored)
 
@@ -170,7 +169,7 @@ class Repair:
             if self._reading.jitter == "motion":
                 motion = motion - offset
             else:
-                frame = self._jittered(frame, offset)
+                frame = _jittered(frame, offset)
         if self._sky:
             motion = np.where(np.isinf(frame.depth)[..., None], static, motion)
         return replace(frame, motion=np.asarray(motion, np.float32))
@@ -194,10 +193,12 @@ class Repair:
         own = np.linalg.norm(forward - static_motion(before, frame.camera), axis=-1) > _OWN
         return _turned_round(forward, own, before.depth, frame.depth, static)
 
-    def _jittered(self, frame: RenderedFrame, offset: np.ndarray) -> RenderedFrame:
-        self._jitter = self._jitter - offset
-        c = frame.camera
-        return replace(frame, camera=replace(c, cx=c.cx + self._jitter[0], cy=c.cy + self._jitter[1]))
+
+def _jittered(frame: RenderedFrame, offset: np.ndarray) -> RenderedFrame:
+    """Return the frame with its jitter in the camera; `offset` is that of its vectors from motion to the frame before,
+    whose camera is jittered already."""
+    c = frame.camera
+    return replace(frame, camera=replace(c, cx=c.cx - offset[0], cy=c.cy - offset[1]))
 
 
 def static_motion(frame: RenderedFrame, other: Camera, every: int = 1) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from doctor_clips import H, W, written
-from mistakes import JITTERED, MISTAKES, good_frames
+from mistakes import FPS, JITTERED, MISTAKES, good_frames
 
 import gffe_cl as gffe_api
 from gffe_cl.captures.doctor import Repair, examine, warning_of
@@ -81,7 +81,7 @@ def test_buffers_of_another_frame_go_back(buffer, by):
 @pytest.mark.parametrize("mistake", JITTERED)
 def test_jitter_is_repaired(mistake):
     """Where color is antialiased all jitter goes, else it comes back."""
-    change, fault = JITTERED[mistake]
+    change, _ = JITTERED[mistake]
     plain, jittered = good_frames()
     bad = Kept(change(plain, jittered))
     made = [frame for _, frame in Repair(bad, examine(bad)).frames()]
@@ -98,7 +98,7 @@ def test_a_late_camera_is_repaired_on_disk(gffe, tmp_path):
     assert code == 1 and "it fits now" in text
     made = open_sequence(tmp_path / "out").rendered
     assert [entry.render_camera for entry in made] == [frame.camera for frame in good_frames()[0][:-1]]
-    code, _, error = gffe("check", bad, "--fix", tmp_path / "other", "--except", "camera-one-frame-late")
+    code, _, _ = gffe("check", bad, "--fix", tmp_path / "other", "--except", "camera-one-frame-late")
     assert (tmp_path / "other").exists() and code == 1
 
 
@@ -121,13 +121,12 @@ def test_steady_motion_does_not_tell_late_cameras_from_a_missing_frame():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [5, 6])
-@pytest.mark.parametrize("scene", ["gallery", "street", "factory", "courtyard"])
-def test_no_mistake_has_a_wrong_name(scene, seed, any_device):
+@pytest.mark.parametrize(("scene", "seed"), [("gallery", 5), ("street", 6), ("factory", 5), ("courtyard", 6)])
+def test_no_mistake_has_a_wrong_name(scene, seed):
     """Scenes that served for no threshold: a mistake is named rightly, or it cannot be told."""
     loaded, size = load_scene(scene, seed), (240, 136)
     both = [
-        list(SceneFrames(SceneRenderer(any_device, loaded, *size), jitter=jitter).sequence(9, FPS))
+        list(SceneFrames(SceneRenderer(device, loaded, *size), jitter=jitter).sequence(9, FPS))
         for jitter in (None, Jitter(8))
     ]
     wrong, named = {}, 0
