@@ -44,6 +44,7 @@ _FITS = 0.5  # agreement of buffers that fit
 _MOST = 0.6  # of the frames that must fit better
 _OWN = {"camera": 0.06, "depth": 0.02, "color": 0.02}  # of the agreement, or of color scores
 _APART = 0.03  # of the sum of scores: mends that differ by less are not told apart
+_FAR_APART, _COLORS = 0.15, 0.005  # of the sum of scores, and of color scores, where vectors are an alternative
 _STEADY = 0.04  # of agreements, by which vectors and cameras of another frame fit worse where nothing accelerates
 
 
@@ -152,7 +153,8 @@ def find_mend(looks: dict[int, Look], deep: list[int], entries: list[FrameEntry]
 def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
     """Return the buffer that fits clearly better as that of another frame, better also than vectors of another frame
     and than any buffer upside down."""
-    found, gains, rival = Mends(), {}, _MARGIN
+    found, rivals = Mends(), []
+    gains: dict[OtherFrame, _Gain] = {}
     for buffer in (*_FIELDS, "motion"):
         for by, compared in ((NEXT, deep), (PREVIOUS, [k + 1 for k in deep])):
             gain = _Gain.of(looks, _from_other_frames(looks, buffer, by), compared, step)
@@ -161,16 +163,14 @@ def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
             if buffer in ("camera", "motion") and gain.agreement > -_STEADY:
                 found.steady.add(by)
             if buffer == "motion":
-                rival = max(rival, gain.total if gain.is_clear else 0.0)
+                rivals.append(gain)
             elif gain.is_clear and gain.own(buffer) >= _OWN[buffer]:
-                gains[OtherFrame(buffer, by)] = gain.total
-    for buffer in BUFFERS:
-        gain = _Gain.of(looks, with_rows(looks, (buffer,)), deep, step)
-        rival = max(rival, gain.total if gain is not None and gain.is_clear else 0.0)
-    first, *others = sorted(gains, key=gains.__getitem__, reverse=True) or [None]
-    if first is None or gains[first] <= rival:
+                gains[OtherFrame(buffer, by)] = gain
+    rivals += [_Gain.of(looks, with_rows(looks, (buffer,)), deep, step) for buffer in BUFFERS]
+    first, *others = sorted(gains, key=lambda mend: gains[mend].total, reverse=True) or [None]
+    if first is None or any(rival is not None and rival.beats(gains[first]) for rival in rivals):
         return found
-    if others and gains[others[0]] > gains[first] - _APART:
+    if others and gains[others[0]].total > gains[first].total - _APART:
         either = " or ".join(f"{mend.buffer} {mend.finding.name}" for mend in (first, others[0]))
         sentence = f"a buffer fits better as that of another frame, but which one is open: {either}"
         found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
@@ -204,6 +204,13 @@ class _Gain:
         color = (after.colors - after.edges) - (before.colors - before.edges)
         agreement = float(np.nan_to_num(after.agreement) - np.nan_to_num(before.agreement))
         return cls(total, agreement, color, bool(clear))
+
+    def beats(self, other: _Gain) -> bool:
+        """Return whether this explains the looks better than `other`, or as well by colors. They follow right vectors,
+        and cameras of another frame may fit wrong ones."""
+        if not self.is_clear or self.total < other.total - _FAR_APART:
+            return False
+        return self.total > other.total + _FAR_APART or self.color > other.color - _COLORS
 
     def own(self, buffer: str) -> float:
         """Return the part that this buffer must improve for itself."""

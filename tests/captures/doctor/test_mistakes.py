@@ -10,6 +10,7 @@ from gffe_cl.captures.doctor import Repair, examine, warning_of
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.fault_injection import Kept
 
 TABLE = {
@@ -124,7 +125,7 @@ def test_steady_motion_does_not_tell_late_cameras_from_a_missing_frame():
 @pytest.mark.parametrize(("scene", "seed"), [("gallery", 5), ("street", 6), ("factory", 5), ("courtyard", 6)])
 def test_no_mistake_has_a_wrong_name(scene, seed):
     """Scenes that served for no threshold: a mistake is named rightly, or it cannot be told."""
-    loaded, size = load_scene(scene, seed), (240, 136)
+    loaded, size, device = load_scene(scene, seed), (240, 136), open_device()
     both = [
         list(SceneFrames(SceneRenderer(device, loaded, *size), jitter=jitter).sequence(9, FPS))
         for jitter in (None, Jitter(8))
