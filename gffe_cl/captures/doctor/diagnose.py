@@ -34,7 +34,7 @@ from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Lo
 from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
-from gffe_cl.captures.doctor.mends import Mend, MendedClip, find_mend
+from gffe_cl.captures.doctor.mends import Mend, MendedClip, OtherFrame, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
 from gffe_cl.captures.doctor.repetition import repetition_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
@@ -103,6 +103,12 @@ class Diagnosis:
         return self.of_kind(FAULT)
 
     @property
+    def is_doubtful(self) -> bool:
+        """Whether a buffer of another frame is one of several faults, which another explanation may replace."""
+        faults = [fault for fault in self.faults if fault.about in ("motion", "depth", "camera")]
+        return len(faults) > 1 and any(isinstance(mend, OtherFrame) for mend in self.mends)
+
+    @property
     def compared(self) -> bool:
         """Whether motion vectors were compared with depth and cameras at all."""
         return bool(self.residuals)
@@ -155,8 +161,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     search = search_of(())
     found.given = search.verdict(Reading())
     mends = find_mend({k: looks[k] for k in beside}, deep, clip.rendered, step)
-    if mends.mend is not None:
-        return _examine_mended(clip, exposure, mends.mend, found, search_of)
+    mended = None if mends.mend is None else _examine_mended(clip, exposure, mends.mend, found, search_of)
+    if mended is not None and not mended.is_doubtful:
+        return mended
     if not found.given.agreement >= _DOUBTFUL:
         order = shuffled_order(looks, count, step)
         if order is not None:
@@ -177,15 +184,16 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
-    return found
+    return mended if mended is not None and any(fault.name == UNEXPLAINED for fault in found.faults) else found
 
 
 def _examine_mended(clip: Clip, exposure: float, mend: Mend, given: Diagnosis, search_of) -> Diagnosis:
     found = examine(MendedClip(clip, mend), exposure)
     found.findings.insert(0, mend.finding)
     found.mends.insert(0, mend)
-    _tell_residuals(given, search_of)
-    found.residuals |= {name: value for name, value in given.residuals.items() if name.startswith("given")}
+    before = replace(given, findings=[], residuals={})
+    _tell_residuals(before, search_of)
+    found.residuals |= {name: value for name, value in before.residuals.items() if name.startswith("given")}
     found.given = given.given
     tell_keys(found.findings, getattr(clip, "settings", None))
     return found

@@ -30,7 +30,7 @@ JITTERS = (*_MENDED_JITTER, JITTER_DIFFERS)
 OTHER_FRAME = ("one frame late", "one frame early")  # buffers, and cameras
 DILATED, INTERFACE, JITTERED, REPEATED = "dilated", "user interface", "jittered", "repeated"
 MISFIT, SOME_FRAME = "misfit at the end", "of another frame"
-TOLD = (INTERFACE, REPEATED, JITTERED, DILATED)  # notes that the quick form names, too
+TOLD = (INTERFACE, REPEATED, DILATED)  # notes that the quick form names, too
 DOUBTS = (MISFIT, SOME_FRAME)  # the same, of what cannot be told
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",

@@ -167,7 +167,7 @@ def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
             elif gain.is_clear and gain.own(buffer) >= _OWN[buffer]:
                 gains[OtherFrame(buffer, by)] = gain
     rivals += [_Gain.of(looks, with_rows(looks, (buffer,)), deep, step) for buffer in BUFFERS]
-    first, *others = sorted(gains, key=lambda mend: gains[mend].total, reverse=True) or [None]
+    first, *others = sorted(gains, key=lambda mend: gains[mend].total, reverse=True) if gains else (None,)
     if first is None or any(rival is not None and rival.beats(gains[first]) for rival in rivals):
         return found
     if others and gains[others[0]].total > gains[first].total - _APART:

@@ -40,7 +40,7 @@ _ALONE, _DIFFERS = "is in them, or in the cameras, alone", "in them and in the c
 def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameFormat | None = None) -> str | None:
     """Return a sentence if rendered frames in memory do not fit, or cannot be compared, else None: motion vectors and
     depth with cameras, motion vectors and colors, jitter, or a buffer that is upside down; or if the color contains a
-    user interface, motion vectors are dilated, or geometry is jittered or repeated. It examines the frames as
+    user interface, motion vectors are dilated, or geometry is repeated. It examines the frames as
     `gffe check` does and names the same causes.
 
         assert gffe.check([first, second, third]) is None
