@@ -127,8 +127,8 @@ def run(
 
 
 def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> bool:
-    """Warn of what the first frames of a sequence do not fit in, and return whether a user interface is to be detected
-    although `ui_detection` leaves that open."""
+    """Print a warning if the first frames of a sequence do not fit, and return whether `ui_detection` leaves open whether
+    a user interface is detected and they show one."""
     from gffe_cl.captures.doctor import first_diagnosis, has_interface, warning_of
     from gffe_cl.captures.offline.source import Recorded
 

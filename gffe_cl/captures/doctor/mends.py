@@ -181,7 +181,7 @@ def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
 
 @dataclass
 class _Gain:
-    """How much better the scores of changed looks are than as given: in `total`, in `agreement`, and in `color`s.
+    """Gain of scores by which changed looks are better than as given: in `total`, in `agreement`, and in `color`s.
     `is_clear`: whether the looks fit now, clearly better, and most of them do so alone."""
 
     total: float
