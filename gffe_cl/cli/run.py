@@ -127,8 +127,8 @@ def run(
 
 
 def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> bool:
-    """Print a warning if the first frames of a sequence do not fit, and return whether `ui_detection` leaves open whether
-    a user interface is detected and they show one."""
+    """Print a warning if the first frames of a sequence do not fit. Return whether they show a user interface and
+    `ui_detection` is "auto"."""
     from gffe_cl.captures.doctor import first_diagnosis, has_interface, warning_of
     from gffe_cl.captures.offline.source import Recorded
 

@@ -101,7 +101,8 @@ class _First:
 
 
 def first_diagnosis(clip: Clip, exposure: float = 1.0) -> Diagnosis:
-    """Examine the first rendered frames of `clip` and return the diagnosis. Raises GffeError if there are none, or if one cannot be read."""
+    """Examine the first rendered frames of `clip` and return the diagnosis. Raises GffeError if there are none, or if
+    one cannot be read."""
     return examine(_First(clip), exposure)
 
 
