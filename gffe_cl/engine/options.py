@@ -366,11 +366,13 @@ class Options:
         flag="--scn-model",
         remembered=False,
     )
-    scn_provider: str = _option(
-        "cpu",
+    scn_provider: str | None = _option(
+        None,
         "network's provider",
-        f"Execution provider of the network: {', '.join(network.PROVIDERS)}, or"
-        f" {network.AUTO}: the fastest whose results match the CPU's.",
+        f"What runs the network: {network.OPENCL} (kernels), a provider of onnxruntime ({', '.join(network.PROVIDERS)}),"
+        f" or {network.AUTO}: the fastest whose results match the CPU's.",
+        kind=str,
+        automatic=f"{network.OPENCL} on a GPU, cpu on a CPU: the same bits",
         flag="--scn-provider",
         remembered=False,
     )

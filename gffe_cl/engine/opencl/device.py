@@ -6,6 +6,7 @@ Only devices that probing found to work are opened (`probing`); its results are 
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import threading
@@ -26,6 +27,7 @@ from gffe_cl.engine.opencl.malloc_tuning import ask_for_huge_pages
 from gffe_cl.engine.opencl.probing import (
     DeviceInfo,
     describe,
+    floats_are_faster,
     probe,
     quiet_builds,
     try_exact_division,
@@ -94,6 +96,8 @@ class Opened:
     context: cl.Context | None  # None: not made before it is used, in the process that uses it
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
+    float_sums: bool | None = None  # None: not tried yet
+    constants: dict[bytes, cl.Buffer] = field(default_factory=dict)  # by what they hold: a hash
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
     process: int | None = None  # that has the driver's threads, which do not live on in forked children; None: no one
     lock: threading.Lock = field(default_factory=threading.Lock)  # for making the context
@@ -249,6 +253,17 @@ class Device:
         return self.opened.int64_atomics
 
     @cached_property
+    def float_sums(self) -> bool:
+        """Whether sums of products of bytes are faster in floats than in integers on this device, with the same
+        result; or `GFFE_FLOAT_SUMS` (0 or 1)."""
+        forced = os.environ.get("GFFE_FLOAT_SUMS")
+        if forced:
+            return bool(int(forced))
+        if self.opened.float_sums is None:
+            self.opened.float_sums = floats_are_faster(self.context, self.queue)
+        return self.opened.float_sums
+
+    @cached_property
     def memory(self) -> int:
         """Bytes of device memory, as the driver reports them."""
         return int(self.cl_device.global_mem_size)
@@ -304,6 +319,16 @@ class Device:
             return made
         except cl.Error as error:
             raise GffeError(f"{self.info.name}: cannot allocate {nbytes / 2**20:.0f} MiB: {error}") from None
+
+    def constant(self, values: np.ndarray) -> cl.Buffer:
+        """Return a device buffer that holds `values`, which nobody changes: one for all callers with the same bytes."""
+        held = np.ascontiguousarray(values)
+        key = hashlib.sha256(held.tobytes()).digest()
+        if key not in self.opened.constants:
+            made = self.buffer(held.nbytes)
+            cl.enqueue_copy(self.queue, made, held)
+            self.opened.constants[key] = made
+        return self.opened.constants[key]
 
     def _ask_for_huge_pages(self, buffer: cl.Buffer) -> None:
         """Find out where the new `buffer` lies, and ask for huge pages there. On a queue of its own: the device may be

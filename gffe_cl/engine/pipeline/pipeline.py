@@ -48,6 +48,7 @@ from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec,
 from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
+from gffe_cl.engine.stages.convolutions import Convolutions
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.dilated_warp import DilatedWarp
 from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
@@ -90,6 +91,7 @@ STAGES: tuple[type[Stage], ...] = (
     NetworkInput,
     ShadingTrend,
     ShadingFlow,
+    Convolutions,
     ShadingCorrection,
     Upscaling,
     Sharpening,

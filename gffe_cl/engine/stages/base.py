@@ -68,8 +68,9 @@ class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
-    `group` of them, in a row, make a work-group (None: as suits the device). `reads` and `writes` go by the names of
-    its arguments; buffers that are both read and written are in both. A launch may give another buffer than the
+    `group` of them, in a row, make a work-group (None: as suits the device), with `group_rows` rows. `repeats` is the
+    name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` go
+    by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer than the
     declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
     """
 
@@ -79,6 +80,8 @@ class Kernel:
     writes: Mapping[str, Access | str] = field(default_factory=dict)
     step: tuple[int | str, int | str] = (1, 1)
     group: int | str | None = None
+    group_rows: int | str = 1
+    repeats: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def accesses(self) -> Iterator[tuple[str, str, Access]]:
@@ -233,8 +236,8 @@ class _Prepared:
 
     kernel: cl.Kernel
     changing: list[tuple[Callable[[int, Any], None], int, str, str, str]]
-    items: tuple[int, int]
-    group: tuple[int, int]
+    items: tuple[int, ...]
+    group: tuple[int, ...]
 
 
 class Stage(Owner):
@@ -314,7 +317,7 @@ class Stage(Owner):
 
         Arguments come by name: `frame`, the frame block of `step`; the buffers that the kernel declares; and numbers,
         or other buffers, given here. Numbers must not change from frame to frame: those are members of the frame block.
-        The width is rounded up to whole groups: kernels guard against the padding.
+        The sides are rounded up to whole groups: kernels guard against the padding.
         """
         board, slot = self.board, None
         if step is not None:
@@ -359,7 +362,7 @@ class Stage(Owner):
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
-        group = self._number(kernel.group) if kernel.group else row
+        group = self._number(kernel.group) if kernel.group else row, self._number(kernel.group_rows)
         made = self.program.kernel(kernel.name)
         declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
         changing = []
@@ -378,8 +381,10 @@ class Stage(Owner):
                 changing.append((set_arg, index, argument.name, owner, own))
             else:
                 made.set_arg(index, self._buffer(f"{owner}.{own}"))
-        items = -(-width // group) * group, height
-        return _Prepared(made, changing, items, (group, 1))
+        items = -(-width // group[0]) * group[0], -(-height // group[1]) * group[1]
+        if kernel.repeats:
+            items, group = (*items, given[kernel.repeats]), (*group, 1)
+        return _Prepared(made, changing, items, group)
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""

@@ -50,6 +50,7 @@ PAPER = {
     "SCN, trend": None,
     "SCN, inputs": None,
     "SCN, flow": None,
+    "SCN, convolutions": None,
     "SCN, kernels": None,
     "SCN, network": None,
     "SCN, copies": None,
