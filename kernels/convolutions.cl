@@ -2,11 +2,11 @@
    bits that onnxruntime gives for the same file.
 
    Images hold blocks of four channels, side by side in a uint, one image of a block after the other, with a border of
-   one pixel of the byte that stands for 0. A byte q stands for (q - zero) * scale. Level l has 1/2^l of the sides of the
-   network's frames. Sums of products of bytes are whole numbers below 2^24, so they are the same as `int` and as float
-   (FLOAT_SUMS, for devices that are slow at integers), in any order. The first and the last convolution are in floats,
-   in onnxruntime's order: for each pixel the sums over the weights of one input channel, from 0, added up, and then the
-   bias. Sums are fused with their products, which is exact by the standard: `fma` rounds once. */
+   one pixel of the byte that stands for 0. A byte q stands for (q - zero) * scale. Level l has 1/2^l of the sides of
+   the network's frames. Sums of products of bytes are whole numbers below 2^24, so they are the same as `int` and as
+   float (FLOAT_SUMS, for devices that are slow at integers), in any order. The first and the last convolution are in
+   floats, in onnxruntime's order: for each pixel the sums over the weights of one input channel, from 0, added up, and
+   then the bias. Sums are fused with their products, which is exact by the standard: `fma` rounds once. */
 
 #include "frame.h"
 
@@ -27,10 +27,10 @@
 #define FIRST_PLANES 8 /* of its inputs */
 #define JUDGED_BLOCKS 5 /* of outputs of the last convolution */
 #define ROUNDINGS 4 /* float4 of a layer's `numbers` before others: see `Rounded` */
-#define ROUNDER 12582912.0f /* 1.5 * 2^23: added and subtracted, it rounds to the nearest whole number, halves to even */
+#define ROUNDER                                                                                                        \
+    12582912.0f /* 1.5 * 2^23: added and subtracted, it rounds to the nearest whole number, halves to even */
 
-/* Whether the kernels work at all: 0 in still frames, where nobody uses the judgement. */
-#define WITHIN_MASK 1 /* as in correction.cl */
+#define WITHIN_MASK 1 /* `asked` in correction.cl: the image is unchanged where the mask is 0 */
 
 DEFINE_DIVIDE(float4, divide4)
 
@@ -59,6 +59,7 @@ INLINE float4 leaky4(const float4 x, const float slope) { return fmax(x, slope *
 /* Where pixel (x, y) of an image of `pitch` - 2 pixels a row lies. */
 INLINE int place_of(const int x, const int y, const int pitch) { return (y + BORDER) * pitch + x + BORDER; }
 
+/* Whether nobody uses the judgement, because nothing changes. */
 INLINE bool is_still(const int asked, __global const int *changed) { return asked == WITHIN_MASK && !*changed; }
 
 /* Candidates as bytes: multiplied by a factor for each channel. */
@@ -238,7 +239,7 @@ __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) voi
              target_blocks, has_again, kept);
 }
 
-/* The same, to an image of half the size. */
+/* Weights of 3x3 pixels, to an image of half the size. */
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void halve3(CONVOLUTION) {
     __local Kept kept[KEPT_BLOCKS * MOST_TAPS * PART * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
@@ -269,14 +270,17 @@ INLINE Triple triple_of(__global const uint *row, const int left, const int x, c
 /* Weights of both neighbors that a doubled pixel lies between, the one before first: onnxruntime's, which are others
    at the ends. */
 INLINE float2 weights_before(const int i, const int count) {
-    return count == 1 ? (float2)(0.5f, 0.5f) : i == 0 ? (float2)(0.0f, 1.0f) : (float2)(0.25f, 0.75f);
+    const float first = count == 1 ? 0.5f : i == 0 ? 0.0f : 0.25f;
+    return (float2)(first, 1.0f - first);
 }
 INLINE float2 weights_after(const int i, const int count) {
-    return i == count - 1 ? (float2)(0.5f, 0.5f) : (float2)(0.75f, 0.25f);
+    const float first = i == count - 1 ? 0.5f : 0.75f;
+    return (float2)(first, 1.0f - first);
 }
 
 /* Between four pixels, in onnxruntime's order. */
-INLINE float4 between(const float4 a, const float4 b, const float4 c, const float4 d, const float2 wx, const float2 wy) {
+INLINE float4 between(const float4 a, const float4 b, const float4 c, const float4 d, const float2 wx,
+                      const float2 wy) {
     return wx.x * wy.x * a + wx.y * wy.x * b + wx.x * wy.y * c + wx.y * wy.y * d;
 }
 

@@ -369,8 +369,8 @@ class Options:
     scn_provider: str | None = _option(
         None,
         "network's provider",
-        f"What runs the network: {network.OPENCL} (kernels), a provider of onnxruntime ({', '.join(network.PROVIDERS)}),"
-        f" or {network.AUTO}: the fastest whose results match the CPU's.",
+        f"What runs the network: {network.OPENCL} (kernels), a provider of onnxruntime"
+        f" ({', '.join(network.PROVIDERS)}), or {network.AUTO}: the fastest whose results match the CPU's.",
         kind=str,
         automatic=f"{network.OPENCL} on a GPU, cpu on a CPU: the same bits",
         flag="--scn-provider",

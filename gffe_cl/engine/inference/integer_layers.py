@@ -2,9 +2,8 @@
 
 The network is read from its ONNX file, whatever its width and depth: a chain of convolutions of images of bytes, with
 images that are doubled or joined in between. Where the file rounds, the layers round, to the same integers as
-onnxruntime: a byte q stands for (q − zero) · scale, and what is computed of one byte alone, leaky rectifiers and changes
-of scale, is a factor that is checked for all bytes here. Sums of products of bytes stay below 2^24, so that floats hold
-them, too.
+onnxruntime: a byte q stands for (q − zero) · scale. Leaky rectifiers and changes of scale work on single bytes, and are
+factors that are checked for all bytes here. Sums of products of bytes stay below 2^24, so that floats hold them, too.
 """
 
 from __future__ import annotations
@@ -116,12 +115,14 @@ def read_layers(path: Path) -> IntegerNetwork:
     """Return the layers of the network in an ONNX file. Raises NotInKernels where kernels cannot run it."""
     try:
         graph = read_graph(path)
+        return IntegerNetwork(_Reader(graph).layers(), graph.metadata.get(HEAD, ""))
     except (NotRead, OSError) as error:
         raise NotInKernels(str(error)) from None
-    return IntegerNetwork(_Reader(graph).layers(), graph.metadata.get(HEAD, ""))
+    except (IndexError, TypeError, AttributeError) as error:  # of constants and attributes in unusual forms
+        raise NotInKernels(f"it has a node in an unusual form ({error})") from None
 
 
-def _require(holds: bool, problem: str) -> None:
+def _require(holds: Any, problem: str) -> None:
     if not holds:
         raise NotInKernels(problem)
 
@@ -131,7 +132,7 @@ def _require(holds: bool, problem: str) -> None:
 
 @dataclass(eq=False)
 class _Made:
-    """What a layer makes, before it is rounded: the `layer`, and the roundings of the images that others read of it."""
+    """Results of a `layer`, before they are rounded, and the roundings of the images that others read of it."""
 
     layer: Layer
     wanted: list[tuple[Rounding, ...]] = field(default_factory=list)
@@ -165,21 +166,31 @@ class _Integers:
 
 
 class _Reader:
-    """The nodes of a graph, read one after the other."""
+    """Reader of a graph's nodes, one after the other. A method for an operator returns the value of its output."""
 
     def __init__(self, graph: Graph):
-        self._graph, self._made = graph, []
+        self._graph = graph
+        self._made: list[_Made] = []
         inputs = [name for name in graph.inputs if name not in graph.constants]
         _require(sorted(inputs) == sorted(INPUTS) and graph.outputs == [OUTPUT], "its inputs or outputs are others")
         # By name: arrays, and the classes above; joined images are lists.
         self._known: dict[str, Any] = dict(graph.constants) | {name: _Given(name) for name in INPUTS}
-        self._users: dict[int, int] = {}
+        self._read = {
+            "Constant": self._constant,
+            "Identity": lambda node: self._value(node, 0),
+            "Mul": self._product,
+            "LeakyRelu": self._rectified,
+            "Concat": self._joined,
+            "QuantizeLinear": self._as_bytes,
+            "DequantizeLinear": self._as_numbers,
+            "Resize": self._doubled,
+            "Conv": self._convolved,
+        }
 
     def layers(self) -> list[Layer]:
         for node in self._graph.nodes:
-            read = getattr(self, f"_{node.op.lower()}", None)
-            _require(read is not None, f"it has a node '{node.op}'")
-            self._known[node.outputs[0]] = read(node)
+            _require(node.op in self._read and len(node.outputs) == 1, f"it has a node '{node.op}'")
+            self._known[node.outputs[0]] = self._read[node.op](node)
         result = self._known.get(OUTPUT)
         _require(isinstance(result, _Numbers) and result.made.layer.kind == "last", "it ends otherwise")
         for number, made in enumerate(self._made):
@@ -208,37 +219,32 @@ class _Reader:
         self._made.append(made)
         return _Numbers(made)
 
-    # ---- operators
-
     def _constant(self, node: Node) -> np.ndarray:
         value = node.attributes.get("value")
         _require(isinstance(value, np.ndarray), "a constant is no tensor")
         return np.asarray(value)
 
-    def _identity(self, node: Node) -> Any:
-        return self._value(node, 0)
-
-    def _mul(self, node: Node) -> _Given:
+    def _product(self, node: Node) -> _Given:
         value, gain = self._value(node, 0), self._array(node, 1)
         fits = isinstance(value, _Given) and value.gain is None and gain.shape in ((1, CANDIDATE_PLANES, 1, 1), ())
         _require(fits and gain.dtype == _F, "it multiplies otherwise than candidates by a factor for each channel")
         return _Given(value.name, np.broadcast_to(gain.ravel(), CANDIDATE_PLANES).copy())
 
-    def _leakyrelu(self, node: Node) -> _Numbers:
+    def _rectified(self, node: Node) -> _Numbers:
         value = self._value(node, 0)
         slope = float(node.attributes.get("alpha", 0.01))
         _require(isinstance(value, _Numbers) and not value.are_bytes and value.slope == 1.0, "a rectifier is elsewhere")
         _require(0 < slope <= 1, "a rectifier has another slope than between 0 and 1")
         return _Numbers(value.made, value.roundings, slope)
 
-    def _concat(self, node: Node) -> list[_Numbers]:
+    def _joined(self, node: Node) -> list[_Numbers]:
         parts = [self._value(node, k) for k in range(len(node.inputs))]
         fits = node.attributes.get("axis") == 1 and len(parts) == MOST_IMAGES
         fits &= all(isinstance(part, _Numbers) and part.roundings and not part.are_bytes for part in parts)
         _require(fits, f"it joins otherwise than {MOST_IMAGES} rounded images")
         return parts
 
-    def _quantizelinear(self, node: Node) -> Any:
+    def _as_bytes(self, node: Node) -> Any:
         value = self._value(node, 0)
         scale, zero = self._array(node, 1), self._array(node, 2)
         _require(scale.size == 1 and zero.dtype == np.uint8, "an image is not rounded to unsigned bytes of one scale")
@@ -256,7 +262,7 @@ class _Reader:
         _require(isinstance(value, _Numbers) and not value.are_bytes, "something else than an image is rounded")
         return _Numbers(value.made, (*value.roundings, Rounding(scale, zero, value.slope)), are_bytes=True)
 
-    def _dequantizelinear(self, node: Node) -> Any:
+    def _as_numbers(self, node: Node) -> Any:
         value = self._value(node, 0)
         scale, zero = self._array(node, 1), self._array(node, 2)
         if isinstance(value, np.ndarray):
@@ -271,7 +277,7 @@ class _Reader:
         numbers = [_Numbers(each.made, each.roundings) for each in numbers]
         return numbers if isinstance(value, list) else numbers[0]
 
-    def _resize(self, node: Node) -> _Numbers:
+    def _doubled(self, node: Node) -> _Numbers:
         told = node.attributes
         image = self._read_images(self._value(node, 0))
         fits = told.get("mode") == "linear" and told.get("coordinate_transformation_mode") == "half_pixel"
@@ -282,7 +288,7 @@ class _Reader:
         _require(layer.level > 1, "an image is larger than a quarter of the display")
         return self._add(Layer("doubled", layer.level - 1, layer.channels, image))
 
-    def _conv(self, node: Node) -> _Numbers:
+    def _convolved(self, node: Node) -> _Numbers:
         value, weights = self._value(node, 0), self._value(node, 1)
         bias = self._value(node, 2) if len(node.inputs) > 2 else None
         told, shape = node.attributes, np.shape(weights.values if isinstance(weights, _Integers) else weights)
@@ -301,9 +307,7 @@ class _Reader:
     def _first(self, value: _Given, weights: Any, bias: Any, kind: tuple[int, int]) -> _Numbers:
         fits = value.name == FRAMES and value.gain is None and kind == (3, 2) and _are_floats(weights, bias)
         fits = fits and weights.shape[1] == INPUT_PLANES and len(weights) % FIRST_CHANNELS == 0
-        _require(
-            fits, f"its first convolution is not one of frames in floats, 3×3, stride 2, to n · {FIRST_CHANNELS} channels"
-        )
+        _require(fits, f"its first convolution is not 3×3 of frames, in floats, to n · {FIRST_CHANNELS} channels")
         return self._add(Layer("first", 1, len(weights), weights=weights, bias=bias, stride=2))
 
     def _last(self, value: Any, weights: Any, bias: Any, kind: tuple[int, int]) -> _Numbers:

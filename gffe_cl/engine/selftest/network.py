@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.engine.inference.model_interface import JUDGEMENT_PLANES
-from gffe_cl.engine.inference.network import NetworkError, default_model, digest_of_weights, load_network
+from gffe_cl.engine.inference.network import Network, NetworkError, default_model, digest_of_weights, load_network
 from gffe_cl.engine.inference.provider_check import verdict
 from gffe_cl.engine.inference.providers import CPU, installed_providers
 from gffe_cl.engine.selftest.reference import Reference, recorded
@@ -26,7 +26,9 @@ def output_of(provider: str, reference: Reference, in_floats: bool = False) -> n
     values, names = reference.values["default"], ("network_input.frames", "shading_flow.candidates")
     frames, candidates = (np.ascontiguousarray(values[name]) for name in names)
     made = np.empty((JUDGEMENT_PLANES, *candidates.shape[1:]), np.float32)
-    load_network(default_model() if in_floats else None, provider).run(frames, candidates, made)
+    network = load_network(default_model() if in_floats else None, provider)
+    assert isinstance(network, Network)
+    network.run(frames, candidates, made)
     return made
 
 

@@ -70,8 +70,8 @@ class Kernel:
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
     `group` of them, in a row, make a work-group (None: as suits the device), with `group_rows` rows. `repeats` is the
     name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` go
-    by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer than the
-    declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
+    by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer
+    than the declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
     """
 
     name: str

@@ -110,11 +110,9 @@ class Convolutions(Stage):
             if layer.kind == "convolution":
                 arrays["weights"] = weights_of(layer)
             for kind, array in arrays.items():
-                name = f"{kind}{number}"
-                specs.append(
-                    BufferSpec(name, array.dtype.type, (), "once", f"{kind} of a layer", planes=array.size, scratch=True)
-                )
-                buffers[name] = self.device.constant(array)
+                spec = _array_spec(f"{kind}{number}", array)
+                specs.append(spec)
+                buffers[spec.name] = self.device.constant(array)
             self.layers.append(_launch_of(layer, number))
         self.buffers, self.buffer = tuple(specs), buffers
 
@@ -139,6 +137,11 @@ def _image_spec(image: Image) -> BufferSpec:
         image.name, np.uint8, (), f"network{image.level}", "bytes in blocks of four channels", planes=image.channels,
         scratch=True, border=_BORDER,
     )  # fmt: skip
+
+
+def _array_spec(name: str, array: np.ndarray) -> BufferSpec:
+    about = "weights and other numbers of a layer"
+    return BufferSpec(name, array.dtype.type, (), "once", about, planes=array.size, scratch=True)
 
 
 def _launch_of(layer: Layer, number: int) -> tuple[str, dict[str, Any]]:

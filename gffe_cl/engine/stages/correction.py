@@ -12,7 +12,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
-from gffe_cl.engine.inference.network import Network, load_network
+from gffe_cl.engine.inference.network import KernelNetwork, Network, load_network
 from gffe_cl.engine.inference.providers import CPU
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
@@ -162,7 +162,8 @@ class ShadingCorrection(Stage):
         """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
         they are different processors, and that no other stage needs the final image."""
         same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
-        return not (same or self.runs_on_device or self.works_alone) and next(reversed(self.board.stages.values())) is self
+        is_last = next(reversed(self.board.stages.values())) is self
+        return is_last and not (same or self.runs_on_device or self.works_alone)
 
     def look_at(self, names: set[str] | None) -> None:
         self.with_refined = names is None or "correction.refined" in names
@@ -228,7 +229,7 @@ class ShadingCorrection(Stage):
         self.judge(step, within_mask, **given)
         self.compose(step, within_mask)
 
-    def use(self, network: Network) -> None:
+    def use(self, network: Network | KernelNetwork) -> None:
         """Set the runner of the network from now on: onnxruntime or, for a network of `layers`, the kernels."""
         network.prepare(*reversed(self.sizes.of("network")))
         self.network = network
@@ -279,7 +280,7 @@ class ShadingCorrection(Stage):
 
     @property
     def asked(self) -> int:
-        """What the kernels are asked for: bits of correction.cl."""
+        """The request to the kernels, in bits of correction.cl."""
         return self._asked(self.board.options.focus_mask)
 
     def _asked(self, within_mask: bool) -> int:
