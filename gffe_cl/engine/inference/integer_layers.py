@@ -28,6 +28,7 @@ from gffe_cl.engine.inference.onnx_file import Graph, Node, NotRead, read_graph
 FRAMES, CANDIDATES = INPUTS
 BLOCK = 4  # channels that lie side by side
 FIRST_CHANNELS = 16  # that a work-item of the first convolution makes: a divisor of its channels
+FEWEST_LAST_CHANNELS = 16  # that the last convolution reads
 MOST_LEVEL = 4  # of the images: frames are a multiple of 2^4 pixels wide and high
 MOST_IMAGES = 2  # that a convolution joins, and that a layer makes
 EXACT = 1 << 24  # floats hold all whole numbers up to here
@@ -314,7 +315,9 @@ class _Reader:
         images = self._read_images(value)
         fits = len(images) == 1 and kind == (1, 1) and _are_floats(weights, bias) and len(weights) == JUDGEMENT_PLANES
         fits = fits and images[0].made.layer.level == 1 and weights.shape[1] == images[0].made.layer.channels
-        _require(fits, "its last convolution is not one of single pixels, in floats")
+        # onnxruntime sums fewer channels in another order.
+        fits = fits and images[0].made.layer.channels >= FEWEST_LAST_CHANNELS
+        _require(fits, f"its last convolution is not of single pixels, in floats, from {FEWEST_LAST_CHANNELS} channels on")
         return self._add(Layer("last", 1, JUDGEMENT_PLANES, images, weights=weights, bias=bias))
 
     def _convolution(self, value: Any, weights: _Integers, bias: Any, kind: tuple[int, int]) -> _Numbers:
@@ -331,7 +334,8 @@ class _Reader:
         _require(level <= MOST_LEVEL, f"it has images of level {level} (expected up to {MOST_LEVEL})")
         whole = integers.astype(np.int64)
         added = bias.values.astype(np.int64) - last.zero * whole.sum((1, 2, 3))
-        largest = int((255 * np.abs(whole).sum((1, 2, 3)) + np.abs(added)).max())
+        products, own = 255 * np.abs(whole).sum((1, 2, 3)), np.abs(bias.values.astype(np.int64))
+        largest = int(np.max([products + own, np.abs(added)]))
         _require(largest < EXACT, f"sums reach {largest} (expected less than 2^24)")
         return self._add(
             Layer("convolution", level, len(integers), images, weights=integers, bias=added.astype(_F), unit=unit,
