@@ -31,6 +31,7 @@ def devices(
     network."""
     from dataclasses import asdict
 
+    from gffe_cl.engine.inference.network import RUNS_ON
     from gffe_cl.engine.opencl.device import best_of, list_devices, none_works
 
     every = list_devices(refresh)
@@ -53,6 +54,7 @@ def devices(
     if default:
         out.print("* the default: the most Mpixel/s in a test of arithmetic and memory, or about as many on a GPU")
         out.print("choose another with --device or GFFE_DEVICE (--refresh repeats the tests)")
+        out.print(f"it runs the network {RUNS_ON['gpu' if default.kind == 'gpu' else 'cpu']} (--scn-provider)")
     verdicts = _provider_verdicts(refresh)
     for found in verdicts:
         out.print(plain(f"network's provider {found.provider}: {found.summary()}"))

@@ -317,7 +317,7 @@ class _Reader:
         fits = fits and images[0].made.layer.level == 1 and weights.shape[1] == images[0].made.layer.channels
         # onnxruntime sums fewer channels in another order.
         fits = fits and images[0].made.layer.channels >= FEWEST_LAST_CHANNELS
-        _require(fits, f"its last convolution is not of single pixels, in floats, from {FEWEST_LAST_CHANNELS} channels on")
+        _require(fits, f"its last convolution is not 1×1, in floats, of {FEWEST_LAST_CHANNELS} channels or more")
         return self._add(Layer("last", 1, JUDGEMENT_PLANES, images, weights=weights, bias=bias))
 
     def _convolution(self, value: Any, weights: _Integers, bias: Any, kind: tuple[int, int]) -> _Numbers:

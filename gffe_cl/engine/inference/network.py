@@ -41,6 +41,11 @@ from gffe_cl.engine.inference.sessions import FixedSession
 __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
 OPENCL = "opencl"  # the kernels, in place of a provider of onnxruntime
+# What runs the network of the package by default, by the kind of the device.
+RUNS_ON = {
+    "gpu": "with OpenCL kernels, as it is a GPU",
+    "cpu": "with onnxruntime, which is faster on a CPU than kernels and has the same bits",
+}
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
 _loaded: dict[tuple, tuple] = {}  # (path, the CPU's, requested provider) → (stamp of the file, Network)
@@ -104,6 +109,17 @@ def _load(path: Path, provider: str | None, on_cpu: Path, on_gpu: bool) -> Netwo
                 raise NetworkError(f"{on_cpu}: OpenCL kernels cannot run it: {why}") from None
             remark = f"{on_cpu.name}: onnxruntime runs the network, as OpenCL kernels cannot: {why}"
     return Network(path, provider or CPU.name, on_cpu, remark)
+
+
+def reason(network: Network | KernelNetwork, provider: str | None, on_gpu: bool) -> str:
+    """Return why `network` was loaded as it was for the request `provider` (see `load_network`), in words."""
+    if provider not in (None, AUTO):
+        return "as requested"
+    if network.layers:
+        return "the device is a GPU"
+    if provider == AUTO:
+        return "the fastest with the CPU's results"
+    return "kernels cannot run it" if on_gpu else "faster on a CPU than kernels, with the same bits"
 
 
 def take_remarks() -> list[str]:

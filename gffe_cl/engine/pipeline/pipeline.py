@@ -752,8 +752,8 @@ class Pipeline:
                 self._outputs.setdefault(stage, Output(self.stages[stage], specs)).choose(chosen)
 
     def take_timings(self) -> dict[str, float]:
-        """Return milliseconds of kernel time per stage since the last call (waits for the device). With shading
-        correction "network" is the wall time in the network, "network copies" that of copies to its provider and back.
+        """Return milliseconds of kernel time per stage since the last call (waits for the device). If
+        onnxruntime runs the network, "network" is the wall time there, "network copies" that of copies there and back.
         Where the queue has no profiling (`Device.profiles`) only "network" is there."""
         return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
 

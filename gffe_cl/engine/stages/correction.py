@@ -295,7 +295,10 @@ class ShadingCorrection(Stage):
 
     def take_network_milliseconds(self) -> dict[str, float]:
         """Return milliseconds since the last call, kernels excluded; the device must have finished. "network": time
-        in the network; "network copies": transfers between the device and the network, if the queue has profiling."""
+        in onnxruntime; "network copies": transfers between the device and that, if the queue has profiling. Nothing
+        where kernels run the network."""
+        if self.runs_on_device:
+            return {}
         copying = self._copying_milliseconds + self._take_transfers()
         taken = {"network": self._network_milliseconds}
         if self.device.profiles:

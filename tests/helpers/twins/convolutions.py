@@ -63,7 +63,8 @@ def in_steps(numbers, rounding):
 
 def to_bytes(steps, rounding):
     """NaN is the least byte."""
-    return (np.rint(np.fmin(np.fmax(steps, F(-rounding.zero)), F(255 - rounding.zero))) + rounding.zero).astype(np.uint8)
+    whole = np.rint(np.fmin(np.fmax(steps, F(-rounding.zero)), F(255 - rounding.zero)))
+    return (whole + rounding.zero).astype(np.uint8)
 
 
 def in_floats(planes, layer, border):
