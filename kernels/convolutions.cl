@@ -161,11 +161,11 @@ INLINE float4 total_of(const Sums sums, const float4 bias) { return convert_floa
    that is joined to it. A work-item makes `rows` pixels of PART blocks of channels, a work-group of 32 x 2 work-items
    shares their weights. `numbers` has, after the roundings, of each block of outputs the bias and the scale of sums.
    `again`: the image rounded once more, if `has_again`. */
-INLINE void convolve(const int size, const int stride, const int rows, __constant Frame *restrict frame,
-                     __global const uint *restrict source, __global const uint *restrict beside,
-                     __global const uint4 *restrict weights, __constant float4 *numbers, __global uint *restrict target,
-                     __global uint *restrict again, const int level, const int source_blocks, const int beside_blocks,
-                     const int target_blocks, const int has_again, __local Kept *kept) {
+INLINE void convolve(const int size, const int stride, const int rows, __constant Frame *frame,
+                     __global const uint *source, __global const uint *beside, __global const uint4 *weights,
+                     __constant float4 *numbers, __global uint *target, __global uint *again, const int level,
+                     const int source_blocks, const int beside_blocks, const int target_blocks, const int has_again,
+                     __local Kept *kept) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
     const int x = get_global_id(0), y = get_global_id(1) * rows, part = get_global_id(2);
     const int taps = size * size, blocks = source_blocks + beside_blocks, first = BORDER - size / 2;

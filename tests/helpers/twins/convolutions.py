@@ -18,7 +18,8 @@ def judge_with(network, frames, candidates):
                 results = in_floats(frames, layer, 1)
                 results = np.where(results < 0, F(layer.roundings[0].slope) * results, results)
         elif layer.kind == "taken":
-            results = candidates * layer.weights[:, None, None]
+            with np.errstate(over="ignore"):
+                results = candidates * layer.weights[:, None, None]
         elif layer.kind == "doubled":
             results = doubled_image(numbers_of(layer.sources[0], sources[0]))
         else:
