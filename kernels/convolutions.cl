@@ -15,8 +15,7 @@
 #define GROUP_WIDTH 32
 #define GROUP_HEIGHT 2
 #define GROUP_ITEMS 64 /* their product */
-#define PART 2 /* blocks of outputs that a work-item makes, ... */
-#define ROWS 4 /* ... of so many rows, ... */
+#define ROWS 4 /* of pixels that a work-item makes, ... */
 #define ROWS_HALVING 2 /* ... or so many where the image is halved, */
 #define ROWS_OF_PIXELS 2 /* or where weights are of single pixels */
 #define MOST_ROWS 4
@@ -25,7 +24,11 @@
 #define MOST_TAPS 9 /* weights of an input for an output */
 #define FIRST_PART 4 /* blocks of outputs that a work-item of the first convolution makes */
 #define FIRST_PLANES 8 /* of its inputs */
+#define FIRST_WEIGHTS 288 /* float4: of FIRST_PLANES inputs, MOST_TAPS each, for FIRST_PART blocks */
 #define JUDGED_BLOCKS 5 /* of outputs of the last convolution */
+#define JUDGED_INPUTS 8 /* blocks of inputs whose weights it has in local memory at once */
+#define JUDGED_WEIGHTS 160 /* float4: of so many blocks of four inputs, for JUDGED_BLOCKS blocks */
+#define LINE 64 /* work-items of a work-group of both */
 #define ROUNDINGS 4 /* float4 of a layer's `numbers` before others: see `Rounded` */
 #define ROUNDER                                                                                                        \
     12582912.0f /* 1.5 * 2^23: added and subtracted, it rounds to the nearest whole number, halves to even */
@@ -75,15 +78,18 @@ __kernel void take(__constant Frame *restrict frame, const int asked, __global c
     target[block * pitch * (height + 2 * BORDER) + place_of(x, y, pitch)] = bytes_of(steps, zeros.x);
 }
 
-/* The first convolution, of frames, at half of their resolution: 3x3 in floats. */
-__kernel void see(__constant Frame *restrict frame, const int asked, __global const int *changed,
-                  __global const float *frames, __constant float4 *numbers, __global uint *target) {
+/* The first convolution, of frames, at half of their resolution: 3x3 in floats. A work-group shares its weights. */
+__kernel __attribute__((reqd_work_group_size(LINE, 1, 1))) void
+see(__constant Frame *restrict frame, const int asked, __global const int *changed, __global const float *frames,
+    __global const float4 *weights, __constant float4 *numbers, __global uint *target) {
+    __local float4 kept[FIRST_WEIGHTS];
     if (is_still(asked, changed)) return;
     const int width = frame->network_width >> 1, height = frame->network_height >> 1;
     const int x = get_global_id(0), y = get_global_id(1), part = get_global_id(2), pitch = width + 2 * BORDER;
-    if (x >= width || y >= height) return;
-    __constant float4 *bias = numbers + ROUNDINGS + part * FIRST_PART * (1 + FIRST_PLANES * MOST_TAPS);
-    __constant float4 *w = bias + FIRST_PART;
+    for (int i = get_local_id(0); i < FIRST_WEIGHTS; i += LINE) kept[i] = weights[part * FIRST_WEIGHTS + i];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (x >= width) return;
+    __local const float4 *w = kept;
     float4 sums[FIRST_PART];
 #pragma unroll
     for (int b = 0; b < FIRST_PART; ++b) sums[b] = 0.0f;
@@ -107,7 +113,8 @@ __kernel void see(__constant Frame *restrict frame, const int asked, __global co
     target += part * FIRST_PART * plane + place_of(x, y, pitch);
 #pragma unroll
     for (int b = 0; b < FIRST_PART; ++b) {
-        const float4 v = divide4(leaky4(sums[b] + bias[b], zeros.w), (float4)(zeros.z));
+        const float4 sum = sums[b] + numbers[ROUNDINGS + part * FIRST_PART + b];
+        const float4 v = divide4(leaky4(sum, zeros.w), (float4)(zeros.z));
         target[b * plane] = bytes_of(first_steps(v, numbers), zeros.x);
     }
 }
@@ -158,34 +165,31 @@ INLINE float4 total_of(const Sums sums, const float4 bias) { return convert_floa
 #endif
 
 /* A convolution with `size` weights each way, of an image of `source_blocks` blocks and of another of `beside_blocks`
-   that is joined to it. A work-item makes `rows` pixels of PART blocks of channels, a work-group of 32 x 2 work-items
+   that is joined to it. A work-item makes `rows` pixels of a block of channels, a work-group of 32 x 2 work-items
    shares their weights. `numbers` has, after the roundings, of each block of outputs the bias and the scale of sums.
    `again`: the image rounded once more, if `has_again`. */
 INLINE void convolve(const int size, const int stride, const int rows, __constant Frame *frame,
                      __global const uint *source, __global const uint *beside, __global const uint4 *weights,
                      __constant float4 *numbers, __global uint *target, __global uint *again, const int level,
-                     const int source_blocks, const int beside_blocks, const int target_blocks, const int has_again,
-                     __local Kept *kept) {
+                     const int source_blocks, const int beside_blocks, const int has_again, __local Kept *kept) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
-    const int x = get_global_id(0), y = get_global_id(1) * rows, part = get_global_id(2);
+    const int x = get_global_id(0), y = get_global_id(1) * rows, target_block = get_global_id(2);
     const int taps = size * size, blocks = source_blocks + beside_blocks, first = BORDER - size / 2;
     const int pitch = stride * width + 2 * BORDER, last_row = stride * height + 2 * BORDER - 1;
     const int in_plane = pitch * (last_row + 1), in_x = stride * min(x, width - 1) + first;
     const int read = (rows - 1) * stride + size;
     const int item = get_local_id(1) * GROUP_WIDTH + get_local_id(0);
     int places[MOST_READ];
-    Sums sums[MOST_ROWS][PART];
+    Sums sums[MOST_ROWS];
 #pragma unroll
     for (int j = 0; j < read; ++j) places[j] = min(stride * y + first + j, last_row) * pitch + in_x;
 #pragma unroll
-    for (int p = 0; p < rows; ++p)
-#pragma unroll
-        for (int b = 0; b < PART; ++b) sums[p][b] = 0;
-    weights += part * PART * blocks * taps;
-    for (int from = 0; from < blocks; from += KEPT_BLOCKS, weights += PART * KEPT_BLOCKS * taps) {
+    for (int p = 0; p < rows; ++p) sums[p] = 0;
+    weights += target_block * blocks * taps;
+    for (int from = 0; from < blocks; from += KEPT_BLOCKS, weights += KEPT_BLOCKS * taps) {
         const int count = min(KEPT_BLOCKS, blocks - from);
         barrier(CLK_LOCAL_MEM_FENCE); /* nobody reads the weights before these any more */
-        for (int i = item; i < PART * count * taps; i += GROUP_ITEMS) keep(weights[i], kept + KEPT_PER_WEIGHTS * i);
+        for (int i = item; i < count * taps; i += GROUP_ITEMS) keep(weights[i], kept + KEPT_PER_WEIGHTS * i);
         barrier(CLK_LOCAL_MEM_FENCE);
         __local const Kept *w = kept;
         for (int block = from; block < from + count; ++block) {
@@ -197,30 +201,23 @@ INLINE void convolve(const int size, const int stride, const int rows, __constan
 #pragma unroll
                 for (int j = 0; j < read; ++j) v[j] = inputs_of(in[places[j] + i]);
 #pragma unroll
-                for (int j = 0; j < size; ++j)
+                for (int j = 0; j < size; ++j, w += KEPT_PER_WEIGHTS)
 #pragma unroll
-                    for (int b = 0; b < PART; ++b, w += KEPT_PER_WEIGHTS)
-#pragma unroll
-                        for (int p = 0; p < rows; ++p) sums[p][b] = added(sums[p][b], v[p * stride + j], w);
+                    for (int p = 0; p < rows; ++p) sums[p] = added(sums[p], v[p * stride + j], w);
             }
         }
     }
     if (x >= width) return;
     const int out_pitch = width + 2 * BORDER, plane = out_pitch * (height + 2 * BORDER);
     const float4 zeros = numbers[3];
+    const float4 bias = numbers[ROUNDINGS + 2 * target_block], scale = numbers[ROUNDINGS + 2 * target_block + 1];
 #pragma unroll
-    for (int b = 0; b < PART; ++b) {
-        const int block = part * PART + b;
-        if (block >= target_blocks) break;
-        const float4 bias = numbers[ROUNDINGS + 2 * block], scale = numbers[ROUNDINGS + 2 * block + 1];
-#pragma unroll
-        for (int p = 0; p < rows; ++p) {
-            if (y + p >= height) break;
-            const int at = block * plane + place_of(x, y + p, out_pitch);
-            const float4 steps = first_steps(total_of(sums[p][b], bias) * scale, numbers);
-            target[at] = bytes_of(steps, zeros.x);
-            if (has_again) again[at] = bytes_of(joined_steps(steps, numbers), zeros.y);
-        }
+    for (int p = 0; p < rows; ++p) {
+        if (y + p >= height) break;
+        const int at = target_block * plane + place_of(x, y + p, out_pitch);
+        const float4 steps = first_steps(total_of(sums[p], bias) * scale, numbers);
+        target[at] = bytes_of(steps, zeros.x);
+        if (has_again) again[at] = bytes_of(joined_steps(steps, numbers), zeros.y);
     }
 }
 
@@ -229,30 +226,30 @@ INLINE void convolve(const int size, const int stride, const int rows, __constan
         __global const uint *restrict source, __global const uint *restrict beside,                                    \
         __global const uint4 *restrict weights, __constant float4 *numbers, __global uint *restrict target,            \
         __global uint *restrict again, const int level, const int source_blocks, const int beside_blocks,              \
-        const int target_blocks, const int has_again
+        const int has_again
 
 /* Weights of 3x3 pixels. */
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void convolve3(CONVOLUTION) {
-    __local Kept kept[KEPT_BLOCKS * MOST_TAPS * PART * KEPT_PER_WEIGHTS];
+    __local Kept kept[KEPT_BLOCKS * MOST_TAPS * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
     convolve(3, 1, ROWS, frame, source, beside, weights, numbers, target, again, level, source_blocks, beside_blocks,
-             target_blocks, has_again, kept);
+             has_again, kept);
 }
 
 /* Weights of 3x3 pixels, to an image of half the size. */
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void halve3(CONVOLUTION) {
-    __local Kept kept[KEPT_BLOCKS * MOST_TAPS * PART * KEPT_PER_WEIGHTS];
+    __local Kept kept[KEPT_BLOCKS * MOST_TAPS * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
     convolve(3, 2, ROWS_HALVING, frame, source, beside, weights, numbers, target, again, level, source_blocks,
-             beside_blocks, target_blocks, has_again, kept);
+             beside_blocks, has_again, kept);
 }
 
 /* Weights of single pixels. */
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void convolve1(CONVOLUTION) {
-    __local Kept kept[KEPT_BLOCKS * PART * KEPT_PER_WEIGHTS];
+    __local Kept kept[KEPT_BLOCKS * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
     convolve(1, 1, ROWS_OF_PIXELS, frame, source, beside, weights, numbers, target, again, level, source_blocks,
-             beside_blocks, target_blocks, has_again, kept);
+             beside_blocks, has_again, kept);
 }
 
 /* The numbers that bytes stand for, along one row from the left to the right neighbor of a pixel. */
@@ -314,35 +311,45 @@ __kernel void double_size(__constant Frame *restrict frame, const int asked, __g
     }
 }
 
-/* The last convolution, of single pixels, in floats. `numbers`: scale and zero point of the source, the bias, and
-   weights of one input channel after the other. */
-__kernel void judge_pixels(__constant Frame *restrict frame, const int asked, __global const int *changed,
-                           __global const uint *source, __constant float4 *numbers, __global float *judgement,
-                           const int source_blocks) {
+/* The last convolution, of single pixels, in floats. A work-group shares its weights, those of one input channel after
+   the other. `numbers`: scale and zero point of the source, and the bias. */
+__kernel __attribute__((reqd_work_group_size(LINE, 1, 1))) void
+judge_pixels(__constant Frame *restrict frame, const int asked, __global const int *changed,
+             __global const uint *source, __global const float4 *weights, __constant float4 *numbers,
+             __global float *judgement, const int source_blocks) {
+    __local float4 kept[JUDGED_WEIGHTS];
     if (is_still(asked, changed)) return;
     const int width = frame->network_width >> 1, height = frame->network_height >> 1, plane = width * height;
     const int x = get_global_id(0), y = get_global_id(1), pitch = width + 2 * BORDER;
-    if (x >= width || y >= height) return;
     const float4 input = numbers[0];
-    __constant float4 *bias = numbers + 1, *w = bias + JUDGED_BLOCKS;
-    source += place_of(x, y, pitch);
+    source += place_of(min(x, width - 1), y, pitch);
     float4 sums[JUDGED_BLOCKS];
 #pragma unroll
     for (int b = 0; b < JUDGED_BLOCKS; ++b) sums[b] = 0.0f;
-    for (int block = 0; block < source_blocks; ++block, w += BLOCK * JUDGED_BLOCKS) {
-        const float4 v = input.x * (convert_float4(as_uchar4(source[block * pitch * (height + 2 * BORDER)])) - input.y);
+    for (int from = 0; from < source_blocks; from += JUDGED_INPUTS) {
+        const int count = min(JUDGED_INPUTS, source_blocks - from);
+        barrier(CLK_LOCAL_MEM_FENCE); /* nobody reads the weights before these any more */
+        for (int i = get_local_id(0); i < count * BLOCK * JUDGED_BLOCKS; i += LINE)
+            kept[i] = weights[from * BLOCK * JUDGED_BLOCKS + i];
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int k = 0; k < count; ++k) {
+            __local const float4 *w = kept + k * BLOCK * JUDGED_BLOCKS;
+            const uint bytes = source[(from + k) * pitch * (height + 2 * BORDER)];
+            const float4 v = input.x * (convert_float4(as_uchar4(bytes)) - input.y);
 #pragma unroll
-        for (int b = 0; b < JUDGED_BLOCKS; ++b) {
-            sums[b] = fma((float4)(v.x), w[b], sums[b]);
-            sums[b] = fma((float4)(v.y), w[JUDGED_BLOCKS + b], sums[b]);
-            sums[b] = fma((float4)(v.z), w[2 * JUDGED_BLOCKS + b], sums[b]);
-            sums[b] = fma((float4)(v.w), w[3 * JUDGED_BLOCKS + b], sums[b]);
+            for (int b = 0; b < JUDGED_BLOCKS; ++b) {
+                sums[b] = fma((float4)(v.x), w[b], sums[b]);
+                sums[b] = fma((float4)(v.y), w[JUDGED_BLOCKS + b], sums[b]);
+                sums[b] = fma((float4)(v.z), w[2 * JUDGED_BLOCKS + b], sums[b]);
+                sums[b] = fma((float4)(v.w), w[3 * JUDGED_BLOCKS + b], sums[b]);
+            }
         }
     }
+    if (x >= width) return;
     judgement += y * width + x;
 #pragma unroll
     for (int b = 0; b < JUDGED_BLOCKS; ++b) {
-        const float4 said = sums[b] + bias[b];
+        const float4 said = sums[b] + numbers[1 + b];
         judgement[BLOCK * b * plane] = said.x;
         judgement[(BLOCK * b + 1) * plane] = said.y;
         judgement[(BLOCK * b + 2) * plane] = said.z;

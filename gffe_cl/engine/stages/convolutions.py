@@ -15,13 +15,14 @@ from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 
 _CONSTANTS = constants("convolutions.cl")
-_PART, _BORDER, _ROUNDINGS = (_CONSTANTS[name] for name in ("PART", "BORDER", "ROUNDINGS"))
+_BORDER, _ROUNDINGS = _CONSTANTS["BORDER"], _CONSTANTS["ROUNDINGS"]
 assert _CONSTANTS["BLOCK"] == BLOCK and _CONSTANTS["FIRST_PART"] * BLOCK == FIRST_CHANNELS
 assert _CONSTANTS["FIRST_PLANES"] == INPUT_PLANES and _CONSTANTS["JUDGED_BLOCKS"] * BLOCK == JUDGEMENT_PLANES
 _NOTHING = "nothing"  # in place of an image that a layer does without
 
 _CHANGED = {"changed": Access("shading_trend.changed")}
 _NUMBERS = {"numbers": "convolutions.numbers{layer}"}
+_WEIGHTS = {"weights": "convolutions.weights{layer}"} | _NUMBERS
 _TARGET = {"target": "convolutions.{made}"}
 
 
@@ -34,9 +35,8 @@ def _convolution(name: str, rows: str) -> Kernel:
         | {
             "source": "convolutions.{read}",
             "beside": "convolutions.{read_beside}",
-            "weights": "convolutions.weights{layer}",
         }
-        | _NUMBERS,
+        | _WEIGHTS,
         _TARGET | {"again": "convolutions.{made_again}"},
         step=(1, rows),
         group="GROUP_WIDTH",
@@ -69,7 +69,14 @@ class Convolutions(Stage):
             _TARGET,
             repeats="parts",
         ),
-        Kernel("see", "network1", _CHANGED | {"frames": "network_input.frames"} | _NUMBERS, _TARGET, repeats="parts"),
+        Kernel(
+            "see",
+            "network1",
+            _CHANGED | {"frames": "network_input.frames"} | _WEIGHTS,
+            _TARGET,
+            group="LINE",
+            repeats="parts",
+        ),
         _convolution("convolve3", "ROWS"),
         _convolution("halve3", "ROWS_HALVING"),
         _convolution("convolve1", "ROWS_OF_PIXELS"),
@@ -83,8 +90,9 @@ class Convolutions(Stage):
         Kernel(
             "judge_pixels",
             "network1",
-            _CHANGED | {"source": "convolutions.{read}"} | _NUMBERS,
+            _CHANGED | {"source": "convolutions.{read}"} | _WEIGHTS,
             {"judgement": "correction.judgement"},
+            group="LINE",
         ),
     )
 
@@ -107,8 +115,8 @@ class Convolutions(Stage):
             buffers[spec.name] = self._bordered(spec, image)
         for number, layer in enumerate(network.layers if network else ()):
             arrays = {"numbers": numbers_of(layer)}
-            if layer.kind == "convolution":
-                arrays["weights"] = weights_of(layer)
+            if layer.kind in _LAID_OUT:
+                arrays["weights"] = _LAID_OUT[layer.kind](layer)
             for kind, array in arrays.items():
                 spec = _array_spec(f"{kind}{number}", array)
                 specs.append(spec)
@@ -165,21 +173,31 @@ def _launch_of(layer: Layer, number: int) -> tuple[str, dict[str, Any]]:
         "level": layer.level,
         "source_blocks": sources[0].channels // BLOCK,
         "beside_blocks": beside.channels // BLOCK if beside else 0,
-        "target_blocks": blocks,
         "has_again": len(layer.targets) - 1,
-        "parts": -(-blocks // _PART),
+        "parts": blocks,
     }
 
 
-def weights_of(layer: Layer) -> np.ndarray:
-    """Return the weights of a convolution in integers as its kernel reads them: of each part of outputs, block of
-    inputs, column and row those of each block of outputs, four inputs of four outputs."""
+def _weights_of_integers(layer: Layer) -> np.ndarray:
+    """Return the weights as `convolve` reads them: of each block of outputs, block of inputs, column and row those of
+    four inputs for four outputs, (n,) uint32."""
     outputs, inputs, size, _ = layer.weights.shape
-    parts = -(-outputs // (BLOCK * _PART))
-    padded = np.zeros((parts * _PART * BLOCK, inputs, size, size), np.int8)
-    padded[:outputs] = layer.weights
-    split = padded.reshape(parts, _PART, BLOCK, inputs // BLOCK, BLOCK, size, size)
-    return np.ascontiguousarray(split.transpose(0, 3, 6, 5, 1, 2, 4)).view(np.uint32)
+    split = layer.weights.reshape(outputs // BLOCK, BLOCK, inputs // BLOCK, BLOCK, size, size)
+    return np.ascontiguousarray(split.transpose(0, 2, 5, 4, 1, 3)).view(np.uint32).ravel()
+
+
+def _first_weights(layer: Layer) -> np.ndarray:
+    """Return the weights as `see` reads them: of each part of outputs, input, row and column, (n, 4) float32."""
+    parts = layer.weights.reshape(-1, FIRST_CHANNELS, INPUT_PLANES, layer.weights[0, 0].size)
+    return np.ascontiguousarray(parts.transpose(0, 2, 3, 1)).reshape(-1, BLOCK)
+
+
+def _last_weights(layer: Layer) -> np.ndarray:
+    """Return the weights as `judge_pixels` reads them: of each input, (n, 4) float32."""
+    return np.ascontiguousarray(layer.weights[:, :, 0, 0].T).reshape(-1, BLOCK)
+
+
+_LAID_OUT = {"convolution": _weights_of_integers, "first": _first_weights, "last": _last_weights}
 
 
 def numbers_of(layer: Layer) -> np.ndarray:
@@ -188,8 +206,7 @@ def numbers_of(layer: Layer) -> np.ndarray:
     kind, rows = layer.kind, []
     if kind == "last":
         (source,) = layer.sources
-        weights = layer.weights[:, :, 0, 0].T.reshape(-1, BLOCK)
-        return _stacked([[source.scale, source.zero, 0, 0]], layer.bias.reshape(-1, BLOCK), weights)
+        return _stacked([[source.scale, source.zero, 0, 0]], layer.bias.reshape(-1, BLOCK))
     for rounding, factors in zip(layer.roundings, ((0.0, 0.0), *layer.factors), strict=True):
         rows.append([*rounding.limits, *factors])
     rows += [[0.0] * 4] * (_ROUNDINGS - 1 - len(rows))
@@ -203,9 +220,7 @@ def numbers_of(layer: Layer) -> np.ndarray:
     if kind == "doubled":
         (source,) = layer.sources
         return _stacked(rows, [[source.scale, source.zero, 0, 0]])
-    weights = layer.weights.reshape(-1, FIRST_CHANNELS, INPUT_PLANES, layer.weights[0, 0].size)
-    weights = weights.transpose(0, 2, 3, 1).reshape(len(weights), -1)
-    return _stacked(rows, np.concatenate([layer.bias.reshape(-1, FIRST_CHANNELS), weights], 1).reshape(-1, BLOCK))
+    return _stacked(rows, layer.bias.reshape(-1, BLOCK))
 
 
 def _stacked(*parts: Any) -> np.ndarray:
