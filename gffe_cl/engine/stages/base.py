@@ -250,6 +250,7 @@ class Stage(Owner):
 
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
+    builds_at_once = True  # else the stage calls `_build` before it launches anything
     needs_footprints = False  # whether it adds to the warp of footprints: a dilated warp does without
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
     # stage that has one makes the final image.
@@ -260,7 +261,6 @@ class Stage(Owner):
         self.board = board
         self._bit = 1 << board.members
         board.members += 1
-        self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
         self.launches: list[tuple[Kernel, dict]] | None = None  # with the arguments, while launches are counted
         self.recorder: Recorder | None = None
@@ -268,15 +268,21 @@ class Stage(Owner):
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
+        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
+        if self.builds_at_once:
+            self._build(**variant)
+        if self.registered:
+            board.stages[self.name] = self
+            board.memory.borrowing += [(self, spec) for spec in borrowing]
+
+    def _build(self, **variant: int) -> None:
+        """Build the kernels."""
+        self.program: Program = build(self.device, self.name, **variant)
         self._changing = {
             name: {argument.name for argument in arguments if not argument.is_number}
             for name, arguments in self.program.arguments.items()
         }
-        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
         self._check()
-        if self.registered:
-            board.stages[self.name] = self
-            board.memory.borrowing += [(self, spec) for spec in borrowing]
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:

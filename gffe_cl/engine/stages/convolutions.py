@@ -55,6 +55,7 @@ class Convolutions(Stage):
     """
 
     name = "convolutions"
+    builds_at_once = False
     buffers = (
         BufferSpec(
             _NOTHING, np.uint8, (), "once", "stands in for an image that a layer does without", planes=BLOCK,
@@ -97,7 +98,7 @@ class Convolutions(Stage):
     )
 
     def __init__(self, board: Board):
-        super().__init__(board, **({"FLOAT_SUMS": 1} if board.device.float_sums else {}))
+        super().__init__(board)
         self.layers: list[tuple[str, dict[str, Any]]] = []  # kernels, and arguments of their launches
 
     @classmethod
@@ -105,7 +106,10 @@ class Convolutions(Stage):
         return options.corrects_shading
 
     def use(self, network: IntegerNetwork | None) -> None:
-        """Run `network` from now on, or none. Its weights are uploaded once per device."""
+        """Run `network` from now on, or none. Its weights are uploaded once per device, and kernels built for the first
+        one."""
+        if network:
+            self._build(**({"FLOAT_SUMS": 1} if self.device.float_sums else {}))
         specs, buffers = list(type(self).buffers), {_NOTHING: self.buffer[_NOTHING]}
         self._prepared.clear()
         self.layers = []
