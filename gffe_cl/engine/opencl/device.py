@@ -6,7 +6,6 @@ Only devices that probing found to work are opened (`probing`); its results are 
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import threading
@@ -97,7 +96,7 @@ class Opened:
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
     float_sums: bool | None = None  # None: not tried yet
-    constants: dict[bytes, cl.Buffer] = field(default_factory=dict)  # by what they hold: a hash
+    constants: dict[bytes, cl.Buffer] = field(default_factory=dict)  # that nobody changes, by what they hold: a hash
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
     process: int | None = None  # that has the driver's threads, which do not live on in forked children; None: no one
     lock: threading.Lock = field(default_factory=threading.Lock)  # for making the context
@@ -319,16 +318,6 @@ class Device:
             return made
         except cl.Error as error:
             raise GffeError(f"{self.info.name}: cannot allocate {nbytes / 2**20:.0f} MiB: {error}") from None
-
-    def constant(self, values: np.ndarray) -> cl.Buffer:
-        """Return a device buffer that holds `values`, which nobody changes: one for all callers with the same bytes."""
-        held = np.ascontiguousarray(values)
-        key = hashlib.sha256(held.tobytes()).digest()
-        if key not in self.opened.constants:
-            made = self.buffer(held.nbytes)
-            cl.enqueue_copy(self.queue, made, held)
-            self.opened.constants[key] = made
-        return self.opened.constants[key]
 
     def _ask_for_huge_pages(self, buffer: cl.Buffer) -> None:
         """Find out where the new `buffer` lies, and ask for huge pages there. On a queue of its own: the device may be

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.inference.integer_layers import BLOCK, FIRST_CHANNELS, Image, IntegerNetwork, Layer
 from gffe_cl.engine.inference.model_interface import INPUT_PLANES, JUDGEMENT_PLANES
+from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
@@ -124,7 +126,7 @@ class Convolutions(Stage):
             for kind, array in arrays.items():
                 spec = _array_spec(f"{kind}{number}", array)
                 specs.append(spec)
-                buffers[spec.name] = self.device.constant(array)
+                buffers[spec.name] = _uploaded(self.device, array)
             self.layers.append(_launch_of(layer, number))
         self.buffers, self.buffer = tuple(specs), buffers
 
@@ -149,6 +151,17 @@ def _image_spec(image: Image) -> BufferSpec:
         image.name, np.uint8, (), f"network{image.level}", "bytes in blocks of four channels", planes=image.channels,
         scratch=True, border=_BORDER,
     )  # fmt: skip
+
+
+def _uploaded(device: Device, array: np.ndarray) -> cl.Buffer:
+    """Return a device buffer that holds `array`: one for all pipelines of an OpenCL device with the same numbers."""
+    held = np.ascontiguousarray(array)
+    key, known = hashlib.sha256(held.tobytes()).digest(), device.opened.constants
+    if key not in known:
+        made = device.buffer(held.nbytes)
+        cl.enqueue_copy(device.queue, made, held)
+        known[key] = made
+    return known[key]
 
 
 def _array_spec(name: str, array: np.ndarray) -> BufferSpec:
