@@ -369,10 +369,10 @@ class Options:
     scn_provider: str | None = _option(
         None,
         "network's provider",
-        f"What runs the network: {network.OPENCL} (kernels), a provider of onnxruntime"
-        f" ({', '.join(network.PROVIDERS)}), or {network.AUTO}: the fastest whose results match the CPU's.",
+        f"Runner of the network: {network.OPENCL}, onnxruntime's {', '.join(network.PROVIDERS)},"
+        f" or {network.AUTO}: the fastest.",
         kind=str,
-        automatic=f"{network.OPENCL} on a GPU, cpu on a CPU: the same bits",
+        automatic=f"auto: {network.OPENCL} on GPUs, else cpu",
         flag="--scn-provider",
         remembered=False,
     )
