@@ -371,11 +371,13 @@ class Options:
         flag="--scn-model",
         remembered=False,
     )
-    scn_provider: str = _option(
-        "cpu",
+    scn_provider: str | None = _option(
+        None,
         "network's provider",
-        f"Execution provider of the network: {', '.join(network.PROVIDERS)}, or"
-        f" {network.AUTO}: the fastest whose results match the CPU's.",
+        f"Runner of the network: {network.OPENCL}, onnxruntime's {', '.join(network.PROVIDERS)},"
+        f" or {network.AUTO}: the fastest.",
+        kind=str,
+        automatic=f"auto: {network.OPENCL} on GPUs, else cpu",
         flag="--scn-provider",
         remembered=False,
     )

@@ -29,7 +29,8 @@ class ShadingTrend(Stage):
     64 samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
     network makes the whole image. The device decides while it works on the rendered frame; `submit` does not wait. The
     host reads the decision where it is about to wait for the network anyway, behind all other work on the new frame: in
-    the network's thread, where that runs beside the device (`ShadingCorrection.begin`).
+    the network's thread, where that runs beside the device (`ShadingCorrection.begin`). Where the network runs on the
+    device (`Convolutions`) the host never does, and `is_still` is False: kernels see the decision themselves.
     """
 
     name = "shading_trend"
@@ -114,6 +115,7 @@ class ShadingTrend(Stage):
         super().__init__(board)
         self._changed = HostView(self, "changed")
         self.never_still = False  # whether all work is to be done in any case
+        self.host_decides = True  # whether the host reads the decision; else all work is enqueued
         self._known: list[cl.Event] = []  # complete when `_changed` can be read
 
     @property
@@ -136,7 +138,7 @@ class ShadingTrend(Stage):
         self.launch("measure_changes", step)
         self.launch("find_change", step)
         options = self.board.options
-        if options.corrects_shading and options.focus_mask and self.recorder is None:
+        if self.host_decides and options.corrects_shading and options.focus_mask and self.recorder is None:
             self._known = self._changed.open()
         self.launch("blur_rows", step)
         self.launch("find_trend", step)
