@@ -45,15 +45,19 @@ class ShadingTrend(Stage):
                 "color_prev": Access("previous.color", 4 * _SAMPLED),
                 "depth_prev": Access("previous.depth", 4 * _SAMPLED),
             },
-            {"changes": "shading_trend.changes", "changed_samples": "shading_trend.changed_samples"},
+            {
+                "changes": "shading_trend.changes",
+                "changed_samples": "shading_trend.changed_samples",
+                "changed": "shading_trend.changed",
+            },
             step=("LANES", 1),
         ),
         Kernel(
             "find_change",
-            "once",
-            {"changed_samples": "shading_trend.changed_samples"},
+            "cells",
+            {"changed_samples": "shading_trend.changed_samples", "changed": "shading_trend.changed"},
             {"changed": "shading_trend.changed"},
-            group="SCANNERS",
+            step=("TILE", "TILE"),
         ),
         Kernel(
             "blur_rows",
