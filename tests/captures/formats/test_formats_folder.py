@@ -461,6 +461,20 @@ def test_the_range_that_a_matrix_of_opengl_leaves_open_is_named(tmp_path):
     assert not open_capture(tmp_path).notes
 
 
+def test_an_oblique_near_plane_opens_with_linear_depth_only(tmp_path):
+    cameras = []
+    for shot in rendered():
+        p = shot.camera.projection_matrix("opengl", W, H, NEAR, FAR)
+        p[2] = (0.1, -0.4, -0.8, -0.3)
+        cameras.append({"view": shot.camera.view_matrix("opengl").tolist(), "projection": p.tolist()})
+    rules = {"convention": "opengl", "list": cameras}
+    same(write(tmp_path, camera=rules))
+    for planes in ({}, {"near": NEAR, "far": FAR}):
+        said = {"file": "depth_%d.npy", "encoding": "device", **planes}
+        with pytest.raises(GffeError, match=r"frame 3, camera: projection has an oblique near plane \(third row 0.1 -0.4"):
+            write(tmp_path, device, depth=said, camera=rules)
+
+
 UNWRITTEN = np.random.default_rng(4).random((H, W)) < 0.3
 
 
