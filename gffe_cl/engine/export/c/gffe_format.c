@@ -63,7 +63,7 @@ static int is_small(const gffe_step *step) {
 
 static int is_geometry_ours(const gffe_step *step) {
     const gffe_format *format = &step->format;
-    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && format->near_z == 0
+    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && !format->depth_is_logarithmic && format->near_z == 0
            && format->far_z == 1 && format->depth_range[0] == 0 && format->depth_range[1] == 1
            && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2 && format->motion_scale[0] == 1
            && format->motion_scale[1] == 1 && format->motion_offset[0] == 0 && format->motion_offset[1] == 0
@@ -98,6 +98,10 @@ static const char *fault_of(const gffe_format *format) {
         return "near_z and far_z must differ, and so must depth_range";
     if (format->depth_is_device ? !(nearer > 0 && nearer < GFFE_LARGEST) : !finite)
         return "near_z and far_z must be finite or, of device depth, greater than 0, one of them perhaps infinite";
+    if (format->depth_is_logarithmic
+        && (format->depth_is_device || !finite || !(nearer >= 0)
+            || fmax(format->near_z, format->far_z) > GFFE_MOST_PLANES * (nearer > 0 ? nearer : 1)))
+        return "near_z and far_z of logarithmic depth, which is no device depth, must be 0 or more and not too far apart";
     if (!is_finite_pair(format->depth_range) || !is_finite_pair(format->motion_offset)
         || !is_finite_pair(format->motion_scale) || format->motion_scale[0] == 0 || format->motion_scale[1] == 0)
         return "depth_range, motion_scale and motion_offset must be finite, and motion_scale not 0";
@@ -196,6 +200,13 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
         block->given_depth.s[0] = (float)((1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most);
         block->given_depth.s[1] = block->given_depth.s[3] = (float)(far_value * depth_most);
         block->given_depth.s[2] = (float)(1 / farthest);
+    } else if (format->depth_is_logarithmic) {
+        const double above = nearest > 0 ? 0 : 1;
+        block->given_depth.s[0] =
+            (float)(log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most);
+        block->given_depth.s[1] = (float)(near_value * depth_most);
+        block->given_depth.s[2] = (float)nearest;
+        block->given_depth.s[3] = (float)(far_value * depth_most);
     } else {
         block->given_depth.s[0] = (float)((farthest - nearest) / (far_value - near_value) / depth_most);
         block->given_depth.s[1] = (float)(near_value * depth_most);
@@ -211,7 +222,7 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     block->given_types.s[3] = format->camera_motion;
     block->given_channels.s[0] = format->color_channels;
     block->given_channels.s[1] = format->motion_channels;
-    block->depth_is_device = format->depth_is_device != 0;
+    block->depth_law = format->depth_is_device ? 1 : format->depth_is_logarithmic ? 2 : 0;
     block->has_previous = step->converts_after;
 }
 
