@@ -10,10 +10,21 @@ import numpy as np
 
 from gffe_cl.captures.doctor.dilation import dilation_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
-from gffe_cl.captures.doctor.findings import DISPLAY_VALUES, FAULT, JITTER, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.captures.doctor.findings import (
+    DISPLAY_VALUES,
+    FAULT,
+    JITTER,
+    NO_LAW,
+    NOTE,
+    UNKNOWN,
+    Finding,
+    faults_of,
+    no_law_fault,
+)
 from gffe_cl.captures.doctor.format_keys import tell_keys
 from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.captures.doctor.hypotheses.laws import settled
 from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_camera
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
@@ -222,8 +233,14 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
             found.best = found.given
         found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
         mirrored = ways.doubt(found.best.reading)
-    found.reading = found.best.reading
-    found.findings += faults_of(found.reading, bench.stored[bench.solid])
+    search, stored = search_of(found.best.reading.rows), bench.stored[bench.solid]
+    found.reading, left = settled(search, found.best.reading)
+    if found.reading != found.best.reading:
+        found.best = search.verdict(found.reading)
+    if left is not None:
+        found.findings.append(no_law_fault(found.reading, stored, left))
+        found.best, found.reading, mirrored = found.given, Reading(), None
+    found.findings += faults_of(found.reading, stored)
     if mirrored is not None:
         instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
         sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
@@ -290,7 +307,7 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.residuals[f"{name}_median"] = float(np.median(off))
         found.residuals[f"{name}_inliers"] = float((off <= near).mean())
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
-    if (off <= roughly).mean() < _UNEXPLAINED:
+    if (off <= roughly).mean() < _UNEXPLAINED and not any(fault.name == NO_LAW for fault in found.faults):
         sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 

@@ -12,6 +12,7 @@ from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import FAULT, faults_of
 from gffe_cl.captures.doctor.hypotheses.cameras import camera_readings
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.captures.doctor.hypotheses.laws import settled
 from gffe_cl.captures.doctor.hypotheses.motions import motion_readings
 from gffe_cl.captures.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.captures.doctor.hypotheses.scoring import Bench, frame_offsets, mostly_nothing, moving, trimmed
@@ -169,6 +170,9 @@ def _likely_cause(looks: dict[int, Look], edges: float) -> tuple[str, float]:
         if not seen.any() or not mostly_nothing(motion[seen]):
             return "", 0.0
         return ("motion without the camera" if motion.any() else "motion zero"), 0.0
+    best, left = settled(search, best)
+    if left is not None:
+        return "", 0.0
     found, fit = faults_of(best, bench.stored[bench.solid]), _fit(looks, edges, best)
     words = f"{found[0].about} {', '.join(finding.name for finding in found)}" if found else ""
     return printable(words), fit.score if fit else 0.0

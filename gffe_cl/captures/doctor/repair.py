@@ -140,7 +140,7 @@ class Repair:
         y, x = np.mgrid[:height, :width] + 0.5
         flat = stored.astype(np.float64).ravel()
         w = self._depth.inverse(flat, rays(camera, np.stack([x.ravel(), y.ravel()], -1)))
-        if self._depth.model is DEVICE:
+        if self._depth.model is DEVICE or self._depth.model.added is not None:
             w[flat == self._far_end] = 0
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.where(w > 0, 1 / w, np.where(np.isnan(w), np.nan, np.inf))
@@ -249,6 +249,8 @@ def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
 def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float, float]:
     """Return the depth's parameters, rounded to nearby round numbers; the factor on translations; and the stored
     value of sky. `stored`: some of the depths."""
+    if depth.model.added is not None:
+        return depth, 1.0, 1.0 if depth.coefficients[1] > 0 else 0.0
     if depth.model is DEVICE:
         planes = Planes.of(depth, stored)
         far = planes.far if np.isinf(planes.far) else _rounded(planes.far)
