@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
-from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids
+from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, TWICE, Finding, finding_id, fixable_ids
 from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
@@ -45,7 +45,7 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
         jitter=reading.jitter if finding_id(reading.jitter, "jitter not removed") in wanted else "",
         rows=tuple(buffer for buffer in reading.rows if finding_id(buffer, BOTTOM_UP) in wanted),
     )
-    if order is not None and "frames-out-of-order" not in wanted:
+    if order is not None and not wanted & {"frames-out-of-order", finding_id("frames", TWICE)}:
         order = replace(order, order=None)
     return replace(diagnosis, findings=kept, reading=reading, order=order, decodes_color=ON_REQUEST in wanted)
 

@@ -16,6 +16,7 @@ from gffe_cl.captures.doctor.findings import (
     JITTER,
     NO_LAW,
     NOTE,
+    ORIGIN_SHIFTED,
     UNKNOWN,
     Finding,
     faults_of,
@@ -32,7 +33,9 @@ from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, ta
 from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.captures.doctor.hypotheses.world_shift import Shift, world_shift
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.doctor.repeats import Repeats, repeats
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.frame.rendered_frame import BadPixels
@@ -120,6 +123,12 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     if found.faults:
         tell_keys(found.findings, getattr(clip, "settings", None))
         return found
+    repeated = repeats(looks)
+    if repeated.whole:
+        if len(looks) < count:
+            repeated = repeats(take_looks(clip, range(count), _SAMPLES, set(), exposure))
+        return _examine_without(clip, exposure, repeated)
+    found.findings += repeated.findings()
     if not any(PREVIOUS in look.neighbors for look in found.looks):
         found.findings.append(
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
@@ -155,7 +164,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.looks = search.full.looks
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _tell_residuals(found, search_of)
-    _judge_order(found, looks, _gaps(found, clip, exposure))
+    _judge_order(found, looks, _breaks(found, clip, exposure))
     _note_late(found, clip.rendered)
     _note_sky(found, search)
     _judge_colors(found)
@@ -165,6 +174,21 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
+    return found
+
+
+def _examine_without(clip: Clip, exposure: float, repeated: Repeats) -> Diagnosis:
+    """Examine `clip` without the frames that were recorded twice."""
+    kept = [k for k in range(len(clip.rendered)) if k not in repeated.whole]
+    found = examine(Reordered(clip, kept), exposure)
+    for finding in found.findings:
+        if "frame" in finding.figures:
+            index = finding.figures["frame"]
+            finding.sentence = finding.sentence.replace(f"frame {index} (", f"frame {kept[index]} (")
+            finding.figures["frame"] = kept[index]
+    order = found.order and found.order.order
+    found.order = Order({}, [], [kept[k] for k in order] if order else kept)
+    found.findings[:0] = replace(repeated, color=[]).findings()
     return found
 
 
@@ -312,11 +336,12 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 
 
-def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:
-    """Return the frames whose vectors do not lead to the frame before although both frames show the same: depth and
-    cameras lead to the same colors, only the vectors lead elsewhere. With each its `_stretch`."""
+def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | Shift | None]:
+    """Return the frames that follow the one before although depth and cameras do not fit the vectors. Gaps, at which
+    depth and cameras lead to the same colors and the vectors elsewhere, have their `_stretch`. Where the vectors lead to
+    the same colors, and the cameras elsewhere, the world was shifted."""
     assert found.order is not None and found.best is not None  # examined before
-    gaps = {}
+    gaps: dict[int, float | Shift | None] = {}
     for index in found.order.misfits[:_MOST_GAPS]:
         pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
         look = pair[index]
@@ -324,7 +349,23 @@ def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | No
             search = Search([look])
             if search.camera_color(found.reading.camera, found.reading.depth) > _SAME_SHOT * found.best.camera_color:
                 gaps[index] = _stretch(search, found.reading)
+            elif (shift := _shift(search, found)) is not None:
+                gaps[index] = shift
     return gaps
+
+
+def _shift(search: Search, found: Diagnosis) -> Shift | None:
+    """Return the shift of the world before the only look of `search`; None if colors along its vectors do not match as
+    well as usual, or if no shift explains them."""
+    motion = found.reading.motion
+    assert found.order is not None and found.best is not None  # examined before
+    if motion.step != PREVIOUS or motion.held_by or found.reading.jitter:
+        return None
+    if not search.motion_color(motion) > _SAME_SHOT * found.best.motion_color:
+        return None
+    length = float(np.nanmedian(np.linalg.norm(search.full.motion(motion), axis=-1)))
+    usual = float(np.nanmedian(list(found.order.fits.values())))
+    return world_shift(search, found.reading, max(0.1 * length, _VISIBLE, found.step), _SAME_SHOT * usual)
 
 
 def _stretch(search: Search, reading: Reading) -> float | None:
@@ -339,7 +380,7 @@ def _stretch(search: Search, reading: Reading) -> float | None:
     return factor if (off <= 0.1 * length[use]).mean() > 0.5 else None
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None]) -> None:
+def _judge_order(found: Diagnosis, looks: dict[int, Look], breaks: dict[int, float | Shift | None]) -> None:
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -347,7 +388,15 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
-    for index, factor in gaps.items():
+    shifts = {index: one for index, one in breaks.items() if isinstance(one, Shift)}
+    for index, shift in shifts.items():
+        sentence = f"from frame {index} ({looks[index].file}) on they are {shift}: the origin of the world was shifted, as"
+        sentence += " vectors and colors go on"
+        figures = {"frame": index, "matrix": shift.matrix.tolist()}
+        found.findings.append(Finding(FAULT, "camera", ORIGIN_SHIFTED, sentence, "cameras are moved back", figures))
+    for index, factor in breaks.items():
+        if isinstance(factor, Shift):
+            continue
         sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
         sentence += " vectors do not lead there"
         sentence += f"; they are {factor:.2f} times as long as by depth and cameras" if factor else ""
@@ -355,7 +404,7 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )
-    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps):
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in breaks):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})

@@ -26,6 +26,7 @@ from gffe_cl.engine.core.errors import printable
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
 JITTER = "jitter not removed"
+TWICE, REPEATED, ORIGIN_SHIFTED = "recorded twice", "repeated", "origin shifted"
 LOGARITHMIC, BITS, NO_LAW = "logarithmic", "bits of floats", "no known law"
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
@@ -71,8 +72,8 @@ def fixable_ids() -> list[str]:
         "color": (DISPLAY_VALUES, BOTTOM_UP),
         "motion": (*motions.SENTENCES, JITTER, "sky without motion", BOTTOM_UP),
         "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, LOGARITHMIC, BITS, BOTTOM_UP),
-        "camera": (*cameras.SENTENCES, "field of view", JITTER),
-        "frames": ("out of order", "cut", "gap"),
+        "camera": (*cameras.SENTENCES, "field of view", JITTER, ORIGIN_SHIFTED),
+        "frames": ("out of order", TWICE, "cut", "gap"),
     }
     return [finding_id(about, name) for about, group in names.items() for name in group]
 

@@ -58,6 +58,22 @@ def test_device_depth_by_planes(tmp_path, reverse, far):
     same(made, depth=1e-5)
 
 
+@pytest.mark.parametrize("reverse", [True, False])
+@pytest.mark.parametrize("near", [0.02, None])
+def test_logarithmic_depth(tmp_path, near, reverse):
+    """As three.js has it: log(z / near) / log(far / near) with WebGPU, log2(1 + z) / log2(1 + far) with WebGL."""
+
+    def logarithm(shot):
+        z = np.minimum(np.float64(shot.depth), FAR)  # sky is at the far plane
+        value = np.log(z / near) / np.log(FAR / near) if near else np.log2(1 + z) / np.log2(1 + FAR)
+        return (1 - value if reverse else value).astype(np.float32)
+
+    said = {"file": "depth_%d.npy", "encoding": "logarithmic", "far": FAR, "reversed": reverse}
+    same(write(tmp_path, logarithm, depth=said | ({"near": near} if near else {})), depth=2e-6)
+    with pytest.raises(GffeError, match='logarithmic depth needs "far", a number greater than 0, got inf'):
+        write(tmp_path, logarithm, depth={"file": "depth_%d.npy", "encoding": "logarithmic", "near": 0.1})
+
+
 def test_distance_inverse_and_millimeters(tmp_path):
     def distance(shot):
         y, x = np.mgrid[:H, :W] + 0.5

@@ -225,13 +225,14 @@ FORMATS = (
         motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3, geometry_size=(W // 2, -(-H // 3))
     ),
     FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True, motion_dilated=True),
-    FrameFormat(motion_unit="uv", motion_dilated=True),
+    FrameFormat(motion_unit="uv", motion_dilated=True, depth="logarithmic", near_z=30, far_z=0.4),
+    FrameFormat(depth="logarithmic", near_z=0, far_z=90, depth_range=(0.2, 0.9)),
 )  # fmt: skip
 
 
 def test_engines_own_formats_have_the_same_bits(device, library):
     """Every type, from frame to frame another description, or none; a reset without motion."""
-    rng, frames, formats = np.random.default_rng(2), moving(device, 10), [*FORMATS, None, FORMATS[4]]
+    rng, frames, formats = np.random.default_rng(2), moving(device, 11), [*FORMATS, None, FORMATS[4]]
     types = zip(3 * COLOR_TYPES, 3 * (*DEPTH_TYPES, "float32"), 3 * MOTION_TYPES, strict=True)
     names = [dict(zip(("color_type", "depth_type", "motion_type"), t, strict=True)) for t in types]
     formats = [f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)
@@ -249,6 +250,9 @@ def test_wrong_formats_are_refused(device, library):
         ({"color_type": 6}, "color_type, depth_type or motion_type"),
         ({"motion_channels": 5}, "motion_channels 2 to 4"),
         ({"depth_is_device": 1}, "near_z and far_z must be finite or"),
+        ({"depth_is_logarithmic": 1, "near_z": -1}, "near_z and far_z of logarithmic depth"),
+        ({"depth_is_logarithmic": 1, "near_z": 1e-30, "far_z": 10}, "near_z and far_z of logarithmic depth"),
+        ({"depth_is_logarithmic": 1, "depth_is_device": 1, "near_z": 2}, "near_z and far_z of logarithmic depth"),
         ({"near_z": 1.0}, "near_z and far_z must differ"),
         ({"motion_unit": 3}, "motion_unit and camera_motion"),
         ({"camera_motion": 1}, "needs motion_invalid"),
