@@ -34,10 +34,13 @@ from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
 from gffe_cl.captures.doctor.hypotheses.world_shift import Shift, world_shift
+from gffe_cl.captures.doctor.limits import set_aside_cut_off
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.doctor.regions import region_findings
 from gffe_cl.captures.doctor.repeats import Repeats, repeats
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
@@ -143,6 +146,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         step *= 1 + added
         found.findings.append(motion_finding(steps, found.looks, added))
     found.step = step
+    found.findings += set_aside_cut_off(Search(found.looks, step), list(looks.values()))
     found.findings += precision_notes(found.looks, exposure)
 
     edges = edge_agreement(found.looks)
@@ -166,6 +170,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _tell_residuals(found, search_of)
     _judge_order(found, looks, _breaks(found, clip, exposure))
     _note_late(found, clip.rendered)
+    found.findings += region_findings(search, found.reading)
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
@@ -349,12 +354,12 @@ def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | 
             search = Search([look])
             if search.camera_color(found.reading.camera, found.reading.depth) > _SAME_SHOT * found.best.camera_color:
                 gaps[index] = _stretch(search, found.reading)
-            elif (shift := _shift(search, found)) is not None:
+            elif (shift := _shift(search, found, clip.rendered[max(index - 2, 0)].render_camera)) is not None:
                 gaps[index] = shift
     return gaps
 
 
-def _shift(search: Search, found: Diagnosis) -> Shift | None:
+def _shift(search: Search, found: Diagnosis, earlier: Camera | None) -> Shift | None:
     """Return the shift of the world before the only look of `search`; None if colors along its vectors do not match as
     well as usual, or if no shift explains them."""
     motion = found.reading.motion
@@ -365,7 +370,7 @@ def _shift(search: Search, found: Diagnosis) -> Shift | None:
         return None
     length = float(np.nanmedian(np.linalg.norm(search.full.motion(motion), axis=-1)))
     usual = float(np.nanmedian(list(found.order.fits.values())))
-    return world_shift(search, found.reading, max(0.1 * length, _VISIBLE, found.step), _SAME_SHOT * usual)
+    return world_shift(search, found.reading, earlier, max(0.1 * length, _VISIBLE, found.step), _SAME_SHOT * usual)
 
 
 def _stretch(search: Search, reading: Reading) -> float | None:

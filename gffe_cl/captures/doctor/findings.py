@@ -26,6 +26,7 @@ from gffe_cl.engine.core.errors import printable
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
 JITTER = "jitter not removed"
+CUT_OFF = "cut off"
 TWICE, REPEATED, ORIGIN_SHIFTED = "recorded twice", "repeated", "origin shifted"
 LOGARITHMIC, BITS, NO_LAW = "logarithmic", "bits of floats", "no known law"
 _RANGES = {

@@ -17,7 +17,9 @@ from gffe_cl.captures.doctor.hypotheses.motions import motion_readings
 from gffe_cl.captures.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.captures.doctor.hypotheses.scoring import Bench, frame_offsets, mostly_nothing, moving, trimmed
 from gffe_cl.captures.doctor.hypotheses.search import EDIT, Reading, Search
+from gffe_cl.captures.doctor.limits import set_aside_cut_off
 from gffe_cl.captures.doctor.quantization import largest_step, motion_steps
+from gffe_cl.captures.doctor.regions import region_findings
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.described import described_frame
@@ -125,6 +127,9 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
             return str(finding)
     if count < 2:
         return None
+    pairs = [look for look in looks.values() if PREVIOUS in look.neighbors and look.motion is not None]
+    search = Search(pairs, largest_step(motion_steps(pairs))) if pairs else None
+    parts = set_aside_cut_off(search, list(looks.values())) if search else []
     edges = edge_agreement([looks[0]])
     given = _fit(looks, edges)
     if given is None:
@@ -142,6 +147,10 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     if is_turned or given.share < _FITS:
         likely = f", most likely {cause}" if cause else ""
         return f"motion vectors do not fit depth and cameras (median {np.median(given.off):.3g} px){likely}"
+    if search and not parts:
+        parts = region_findings(search, _GIVEN)
+    if parts:
+        return str(parts[0])
     if _has_jitter(looks):
         return f"{_JITTERED}: camera jitter is in them, or in the cameras, alone"
     if given.still > given.along + _COLORS:

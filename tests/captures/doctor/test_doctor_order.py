@@ -59,7 +59,7 @@ def twice(which):
 
 @pytest.mark.parametrize(("which", "said"), [((4,), "frame 5 is the same"), ((2, 6), "frames 3, 8 are the same")])
 def test_frames_recorded_twice_are_left_out(tmp_path, which, said):
-    bad = written(twice(which), tmp_path / "bad")
+    bad = open_sequence(written(tmp_path / "bad", twice(which)))
     diagnosis = examine(bad)
     assert names(diagnosis) == ["frames: recorded twice"] and said in diagnosis.faults[0].sentence
     assert write_repaired(bad, selected(diagnosis), tmp_path / "fixed") == COUNT

@@ -8,9 +8,10 @@ import numpy as np
 
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search
+from gffe_cl.engine.frame.camera import Camera
 
-_ROUNDS, _CORE = 14, 0.4  # of reweighting; and the quantile of residuals that sets their scale
-_STEP = 1e-10  # of the last change
+_DRAWS, _DRAWN, _ROUNDS = 32, 6, 6  # tries, samples of each, and steps
+_CORE, _FINEST = 0.4, 1e-6  # quantile of residuals that sets their scale, and pixels: smaller ones are equal
 _ALIKE, _ALIKE_PX = 1.2, 1e-3  # times the residual, and pixels: a shift in fewer digits may leave more
 _DIGITS = 7  # after the point
 
@@ -31,9 +32,12 @@ class Shift:
         return f"turned by {angle:.4g}° and {moved}"
 
 
-def world_shift(search: Search, reading: Reading, most: float, share: float) -> Shift | None:
+def world_shift(
+    search: Search, reading: Reading, earlier: Camera | None, most: float, share: float
+) -> Shift | None:
     """Return the shift of the world that makes vectors of the only look of `search` fit depth and cameras, a translation
-    or, if that does not do, with a rotation; None unless `share` of the samples then agree to `most` pixels."""
+    or, if that does not do, with a rotation; None unless `share` of the samples then agree to `most` pixels. `earlier`:
+    camera two frames before, None if it is not known: the camera probably goes on as it went."""
     look = search.full.looks[0]
     here, before = (reading.camera.read(camera) for camera in (look.camera, look.camera_of(PREVIOUS)))
     vectors = search.full.motion(reading.motion)
@@ -45,11 +49,11 @@ def world_shift(search: Search, reading: Reading, most: float, share: float) -> 
     target = ((search.full.px + vectors)[use] - (before.cx, before.cy)) / (before.fx, before.fy)
     given = here.to_view_of(before)
     for turns in (False, True):
-        start = np.eye(4)
+        start = np.eye(4) if earlier is None else before.to_view_of(reading.camera.read(earlier))
         if not turns:
             start[:3, :3] = given[:3, :3]
-        moved = _fitted(start, turns, ray[use], w[use], target, before.fx)
-        off = _off(moved, ray[use], w[use], target, before.fx)
+        moved = fitted_motion(start, turns, ray[use], w[use], target, before.fx)
+        off = residuals(moved, ray[use], w[use], target, before.fx)
         if (off <= most).mean() >= share:
             matrix = np.linalg.inv(here.world_to_view) @ np.linalg.inv(moved) @ before.world_to_view
             if not turns:
@@ -66,40 +70,49 @@ def _seen(moved: np.ndarray, ray: np.ndarray, w: np.ndarray) -> np.ndarray:
     return ray @ moved[:3, :3].T + w[:, None] * moved[:3, 3]
 
 
-def _off(moved: np.ndarray, ray: np.ndarray, w: np.ndarray, target: np.ndarray, focal: float) -> np.ndarray:
-    """Return residuals (N,) in pixels; infinite behind the camera."""
+def residuals(moved: np.ndarray, ray: np.ndarray, w: np.ndarray, target: np.ndarray, focal: float) -> np.ndarray:
+    """Return residuals (N,) in pixels; large behind the camera."""
     v = _seen(moved, ray, w)
     with np.errstate(all="ignore"):
         off = focal * np.linalg.norm(v[:, :2] / v[:, 2:] - target, axis=-1)
-    return np.where(v[:, 2] > 1e-6, off, np.inf)
+    return np.where(v[:, 2] > 1e-6, off, 1e9)
 
 
-def _fitted(start: np.ndarray, turns: bool, ray: np.ndarray, w: np.ndarray, target: np.ndarray, focal: float):
-    """Return the motion (4, 4) from view to view that fits most targets (N, 2): reweighted least squares. Without
-    `turns` the rotation is that of `start`."""
-    moved = start.copy()
-    for _ in range(_ROUNDS):
-        v = _seen(moved, ray, w)
-        z = np.maximum(v[:, 2], 1e-6)
-        u = v[:, :2] / z[:, None]
-        squared = np.nan_to_num(((u - target) ** 2).sum(-1), nan=np.inf)
-        weight = 1 / (1 + squared / max(float(np.quantile(squared, _CORE)), (1e-7 / focal) ** 2)) ** 2
-        slopes = np.zeros((len(v), 2, 6))  # by translation, then by rotation
-        by = np.concatenate([np.broadcast_to(np.eye(3), (len(v), 3, 3)) * w[:, None, None], -_crosses(v)], -1)
-        slopes = (by[:, :2] - u[..., None] * by[:, 2:]) / z[:, None, None]
-        slopes = slopes if turns else slopes[..., :3]
-        normal = np.einsum("n,nij,nik->jk", weight, slopes, slopes)
-        normal += 1e-12 * np.trace(normal) * np.eye(len(normal))
-        step = np.linalg.solve(normal, np.einsum("n,nij,ni->j", weight, slopes, target - u))
-        change = np.eye(4)
-        change[:3, 3] = step[:3]
-        if turns:
-            left, _, right = np.linalg.svd(np.eye(3) + _crosses(step[None, 3:])[0])
-            change[:3, :3] = left @ right
-        moved = change @ moved
-        if np.abs(step).max() < _STEP:
-            break
-    return moved
+def fitted_motion(start: np.ndarray, turns: bool, ray: np.ndarray, w: np.ndarray, target: np.ndarray, focal: float):
+    """Return the motion (4, 4) from view to view that fits most targets (N, 2): the best one of some samples, refined
+    with all. Without `turns` the rotation is that of `start`."""
+    rng, found, least = np.random.default_rng(7), start, np.inf
+    for _ in range(_DRAWS):
+        few = rng.integers(len(w), size=_DRAWN)
+        moved = start
+        for _ in range(_ROUNDS):
+            moved = _step(moved, turns, ray[few], w[few], target[few], np.ones(_DRAWN))
+        badness = float(np.log(residuals(moved, ray, w, target, focal) + _FINEST).mean())
+        found, least = (moved, badness) if badness < least else (found, least)
+    for _ in range(2 * _ROUNDS):
+        off = residuals(found, ray, w, target, focal)
+        weight = 1 / (1 + (off / max(float(np.quantile(off, _CORE)), _FINEST)) ** 2) ** 2
+        found = _step(found, turns, ray, w, target, weight)
+    return found
+
+
+def _step(moved: np.ndarray, turns: bool, ray: np.ndarray, w: np.ndarray, target: np.ndarray, weight: np.ndarray):
+    """Return the motion (4, 4) after a step of weighted least squares."""
+    v = _seen(moved, ray, w)
+    z = np.maximum(v[:, 2], 1e-6)
+    u = v[:, :2] / z[:, None]
+    by_translation = np.broadcast_to(np.eye(3), (len(v), 3, 3)) * w[:, None, None]
+    by = np.concatenate([by_translation, -_crosses(v)], -1) if turns else by_translation
+    slopes = (by[:, :2] - u[..., None] * by[:, 2:]) / z[:, None, None]
+    normal = np.einsum("n,nij,nik->jk", weight, slopes, slopes)
+    right = np.einsum("n,nij,ni->j", weight, slopes, target - u)
+    step = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
+    change = np.eye(4)
+    change[:3, 3] = step[:3]
+    if turns:
+        left, _, back = np.linalg.svd(np.eye(3) + _crosses(step[None, 3:])[0])
+        change[:3, :3] = left @ back
+    return change @ moved
 
 
 def _crosses(v: np.ndarray) -> np.ndarray:
@@ -114,7 +127,7 @@ def _in_few_digits(matrix: np.ndarray, here, before, evidence: tuple) -> np.ndar
 
     def residual(tried: np.ndarray) -> float:
         moved = before.world_to_view @ np.linalg.inv(tried) @ np.linalg.inv(here.world_to_view)
-        return float(np.median(_off(moved, *evidence)))
+        return float(np.median(np.nan_to_num(residuals(moved, *evidence), nan=np.inf)))
 
     for digits in range(_DIGITS):
         tried = np.round(matrix, digits)
