@@ -54,4 +54,3 @@ INLINE Floats exp_less_one(const Floats x) {
     const Floats power = ints_as_floats((to_ints(n) + 127) << 23);
     return y * power + (power - 1.0f);
 }
-

@@ -76,7 +76,10 @@ class COverlays(ct.Structure):
 class CFormat(ct.Structure):
     _fields_ = (
         *((name, ct.c_int) for name in ("geometry_width", "geometry_height")),
-        *((name, ct.c_int) for name in ("color_type", "color_channels", "depth_type", "depth_is_device", "depth_is_logarithmic")),
+        *(
+            (name, ct.c_int)
+            for name in ("color_type", "color_channels", "depth_type", "depth_is_device", "depth_is_logarithmic")
+        ),
         *((name, ct.c_double) for name in ("near_z", "far_z")),
         ("depth_range", ct.c_double * 2),
         *((name, ct.c_int) for name in ("motion_type", "motion_channels")),

@@ -343,8 +343,8 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
 
 def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | Shift | None]:
     """Return the frames that follow the one before although depth and cameras do not fit the vectors. Gaps, at which
-    depth and cameras lead to the same colors and the vectors elsewhere, have their `_stretch`. Where the vectors lead to
-    the same colors, and the cameras elsewhere, the world was shifted."""
+    depth and cameras lead to the same colors and the vectors elsewhere, have their `_stretch`. Where the vectors lead
+    to the same colors, and the cameras elsewhere, the world was shifted."""
     assert found.order is not None and found.best is not None  # examined before
     gaps: dict[int, float | Shift | None] = {}
     for index in found.order.misfits[:_MOST_GAPS]:
@@ -395,7 +395,9 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], breaks: dict[int, flo
         return
     shifts = {index: one for index, one in breaks.items() if isinstance(one, Shift)}
     for index, shift in shifts.items():
-        sentence = f"from frame {index} ({looks[index].file}) on they are {shift}: the origin of the world was shifted, as"
+        sentence = (
+            f"from frame {index} ({looks[index].file}) on they are {shift}: the origin of the world was shifted, as"
+        )
         sentence += " vectors and colors go on"
         figures = {"frame": index, "matrix": shift.matrix.tolist()}
         found.findings.append(Finding(FAULT, "camera", ORIGIN_SHIFTED, sentence, "cameras are moved back", figures))

@@ -162,7 +162,7 @@ def no_law_fault(reading: Reading, stored: np.ndarray, misfit: Misfit) -> Findin
     """Return the fault of depths that no law explains, not even that of `reading`, the best one, which leaves
     `misfit`."""
     best = "; ".join(fault.sentence for fault in faults_of(reading, stored))
-    sentence = f"no known law explains it (the nearest, \"{best}\", leaves {misfit.share:.0%} and {misfit.pixels:.2g} px)"
+    sentence = f'no known law explains it (the nearest, "{best}", leaves {misfit.share:.0%} and {misfit.pixels:.2g} px)'
     return Finding(FAULT, "depth", NO_LAW, sentence, figures=misfit._asdict())
 
 

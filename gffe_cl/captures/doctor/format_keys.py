@@ -7,7 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, LOGARITHMIC, NEVER_WRITTEN, RANGE_MISREAD, Finding
+from gffe_cl.captures.doctor.findings import (
+    BOTTOM_UP,
+    DISPLAY_VALUES,
+    LOGARITHMIC,
+    NEVER_WRITTEN,
+    RANGE_MISREAD,
+    Finding,
+)
 from gffe_cl.captures.formats.buffers import TO_NEXT, Buffer, DepthBuffer
 from gffe_cl.captures.formats.cameras import CONVENTIONS
 from gffe_cl.captures.formats.folder import FolderSettings

@@ -22,8 +22,8 @@ _AGREES, _FINEST, _MOST_FIT = 0.1, 0.3, 0.35  # of the motion, pixels, share: th
 
 def set_aside_cut_off(search: Search, looks: list[Look]) -> list[Finding]:
     """Make depths infinite and vectors NaN in `looks` that end at one number, and return notes on them: depths, if
-    vectors say that they are farther or nearer, and vectors, if depth and cameras say that they are longer. `search`: of
-    some of the looks. All other samples must fit."""
+    vectors say that they are farther or nearer, and vectors, if depth and cameras say that they are longer. `search`:
+    of some of the looks. Most other samples must fit."""
     found = _of_depth(search)
     for finding in found:
         limit = finding.figures["limit"]
@@ -97,7 +97,9 @@ def _of_motion(search: Search) -> list[Finding]:
     ends = [np.abs(motion[:, "xy".index(name)]) == limit for name, limit in limits.items()]
     if not told or not _fits(search, ~np.any(ends, 0)):
         return []
-    sentence = f"{' and '.join(told)}, the largest number, and depth and cameras say that most of these are longer: they"
+    sentence = (
+        f"{' and '.join(told)}, the largest number, and depth and cameras say that most of these are longer: they"
+    )
     sentence += " were cut off (expected a larger range)"
     return [Finding(NOTE, "motion", CUT_OFF, sentence, figures={"share": shares, "limits": limits})]
 

@@ -34,7 +34,7 @@ class Part(NamedTuple):
 
     def holds(self, at: np.ndarray) -> np.ndarray:
         """Return which of the positions `at` (N, 2), in shares of the sides, lie within."""
-        return ((at >= (self.left, self.top)) & (at < (self.right, self.bottom))).all(-1)
+        return np.all((at >= (self.left, self.top)) & (at < (self.right, self.bottom)), axis=-1)
 
     def in_words(self, size: tuple[int, int]) -> str:
         sides = [
@@ -47,8 +47,8 @@ class Part(NamedTuple):
 
 
 def region_findings(search: Search, reading: Reading) -> list[Finding]:
-    """Return a finding if a rectangle of the picture does not fit `reading`, the rest does, and another camera or another
-    convention of vectors explains it. Several surfaces must be in it, for a mover is no such part."""
+    """Return a finding if a rectangle of the picture does not fit `reading`, the rest does, and another camera or
+    another convention of vectors explains it. Several surfaces must be in it, for a mover is no such part."""
     bench = search.full
     if reading.motion.step != PREVIOUS or reading.motion.adds_camera or reading.jitter:
         return []
@@ -71,7 +71,9 @@ def region_findings(search: Search, reading: Reading) -> list[Finding]:
         return [Finding(FAULT, "motion", _PART, f"in {where}, and only there: {named}", figures=part._asdict())]
     if not _fits_another_camera(search, reading, part, inside, near):
         return []
-    sentence = f"{where} fits another camera than the rest: one picture of several views? (expected one sequence, and one"
+    sentence = (
+        f"{where} fits another camera than the rest: one picture of several views? (expected one sequence, and one"
+    )
     sentence += " pipeline, for each)"
     return [Finding(NOTE, "frames", _VIEWS, sentence, figures=part._asdict())]
 

@@ -224,7 +224,6 @@ class DepthBuffer:
             depth = self.near / (beyond + self.near / self.far * (1 - beyond))
         return np.where(beyond <= 0, np.inf, depth)
 
-
     def _from_logarithmic(self, values: np.ndarray) -> np.ndarray:
         """Return depth of log(z / near) / log(far / near) or, without near, of log(1 + z) / log(1 + far)."""
         values = np.asarray(values, np.float64)

@@ -183,8 +183,8 @@ def unreal_view(location: Any, pitch: float, yaw: float, roll: float) -> np.ndar
 
 
 def refuse_oblique(projection: np.ndarray) -> None:
-    """Raise GffeError if the near plane of a perspective projection (4, 4), for column vectors, is oblique: planar depth
-    then depends on more than the value in the buffer."""
+    """Raise GffeError if the near plane of a perspective projection (4, 4), for column vectors, is oblique: planar
+    depth then depends on more than the value in the buffer."""
     row = projection[2]
     if np.abs(row[:2]).max() > _ZERO * np.abs(projection).max():
         raise GffeError(
@@ -340,8 +340,8 @@ def _is_view(m: np.ndarray) -> bool:
 
 
 def _are_projections(m: np.ndarray) -> list[bool]:
-    """Return whether `m`, and whether its transpose, is a perspective projection for column vectors. One with an oblique
-    near plane, whose third row may hold anything, counts only if neither is an ordinary one."""
+    """Return whether `m`, and whether its transpose, is a perspective projection for column vectors. One with an
+    oblique near plane, whose third row may hold anything, counts only if neither is an ordinary one."""
     ordinary = [_is_projection(p) and _is_zero(p[2, :2], p) for p in (m, m.T)]
     return ordinary if any(ordinary) else [_is_projection(p) for p in (m, m.T)]
 

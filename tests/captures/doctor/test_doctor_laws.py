@@ -39,7 +39,7 @@ def test_logarithmic_depth_is_found_and_made_linear(law):
     diagnosis = examine(bad)
     assert names(diagnosis) == ["depth: logarithmic"]
     (fault,) = diagnosis.faults
-    form, *taken = law.split(",")
+    form = law.split(",")[0]
     assert f"the logarithm of {form}, not" in fault.sentence
     planes = {"z": "near 0.03, far 700", "z, reversed": "near 0.5, far 90", "1 + z": "far 400"}
     assert fault.sentence.endswith(planes.get(law, "not device depth"))

@@ -14,7 +14,9 @@ def changed(**buffers):
     """The exact clip with functions of its buffers in their place."""
     frames = []
     for frame in clip().images:
-        made = {name: change(getattr(frame, name)) for name, change in buffers.items() if getattr(frame, name) is not None}
+        made = {
+            name: change(getattr(frame, name)) for name, change in buffers.items() if getattr(frame, name) is not None
+        }
         frames.append(replace(frame, **{name: np.asarray(value, np.float32) for name, value in made.items()}))
     return Kept(frames)
 
@@ -49,4 +51,6 @@ def test_vectors_that_stop_at_the_end_of_their_range(most, axis):
 def test_a_wall_at_the_end_of_the_depths_is_no_limit():
     """All that is farther is cut away, with what vectors and depth say of it: a wall, seen straight on."""
     assert not [f for f in examine(clip(True, False)).findings if f.name == "cut off"]
-    assert not [f for f in examine(changed(depth=lambda z: np.where(z > 15, np.inf, z))).findings if f.name == "cut off"]
+    assert not [
+        f for f in examine(changed(depth=lambda z: np.where(z > 15, np.inf, z))).findings if f.name == "cut off"
+    ]

@@ -487,7 +487,9 @@ def test_an_oblique_near_plane_opens_with_linear_depth_only(tmp_path):
     same(write(tmp_path, camera=rules))
     for planes in ({}, {"near": NEAR, "far": FAR}):
         said = {"file": "depth_%d.npy", "encoding": "device", **planes}
-        with pytest.raises(GffeError, match=r"frame 3, camera: projection has an oblique near plane \(third row 0.1 -0.4"):
+        with pytest.raises(
+            GffeError, match=r"frame 3, camera: projection has an oblique near plane \(third row 0.1 -0.4"
+        ):
             write(tmp_path, device, depth=said, camera=rules)
 
 

@@ -79,7 +79,7 @@ def test_logarithmic_depth_is_described():
     view, encoding = camera(W, H), Encoding.parse("log-depth")
     frame = RenderedFrame(np.zeros((H, W, 3), np.float16), depth, ramp(0, 1), view, 0.5, view)
     stored = encoding.frame(frame)
-    assert 0 < stored.depth.min() and stored.depth[0, 0] == stored.depth.max() == 1
+    assert stored.depth.min() > 0 and stored.depth[0, 0] == stored.depth.max() == 1
     made = described_frame(stored, encoding.format, None, (0.0, 0.0))
     np.testing.assert_allclose(made.depth, depth, rtol=2e-6)
     assert np.array_equal(made.motion, frame.motion)

@@ -117,7 +117,7 @@ def oblique(projection, plane):
 @pytest.mark.parametrize("case", CASES)
 def test_an_oblique_near_plane_changes_no_camera(case, transposed):
     """That of water or a mirror: pixels do not depend on it. Depth from the buffer is refused in one line."""
-    make, z_sign, up, mirrored = CASES[case]
+    make, z_sign, _, mirrored = CASES[case]
     plain = frustum(z_sign, -0.6, 0.5, -0.3, 0.35, Z_ROWS["-1..1"])
     view = turn(4) @ np.diag([1, 1, -1 if mirrored else 1, 1])
     for plane in ((0, 0.35, z_sign, -0.3), (0.6, -0.2, 0.4 * z_sign, -1.7)):

@@ -4,8 +4,8 @@ import numpy as np
 
 from gffe_cl.captures.sequence.described import spread_geometry as spread_geometry  # of sequences on disk, too
 from gffe_cl.captures.sequence.described import undilated as undilated
-from twins.network_input import exp_less_one
 from twins.common import COLOR_MAX, INF, F, centers, kernel_constants, reproject
+from twins.network_input import exp_less_one
 
 UPLOAD = kernel_constants("upload.cl")
 UNITS = {np.uint8: F(1) / F(255), np.uint16: F(1) / F(65535)}

@@ -130,7 +130,7 @@ AS_GIVEN = DepthReading()
 
 def is_from_0_to_1(stored: np.ndarray) -> bool:
     """Return whether `stored` depths (N,) can be those of a depth buffer."""
-    return bool(-_SIGNED < np.nanmin(stored) and np.nanmax(stored) < 1 + _SIGNED)
+    return bool(np.nanmin(stored) > -_SIGNED and np.nanmax(stored) < 1 + _SIGNED)
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ class Misfit(NamedTuple):
 
 
 def settled(search: Search, reading: Reading) -> tuple[Reading, Misfit | None]:
-    """Return `reading` with the depth law that fits vectors clearly best for its cameras, rare laws among them, and what
-    that leaves over. Depths as given, and laws without parameters but a unit that explain everything, stay."""
+    """Return `reading` with the depth law that fits vectors clearly best for its cameras, rare laws among them, and
+    what that leaves over. Depths as given, and laws without parameters but a unit that explain everything, stay."""
     left = None if reading.depth == AS_GIVEN else misfit(search, reading)
     if reading.depth == AS_GIVEN or reading.motion.adds_camera or (left is None and reading.depth.model.terms == 1):
         return reading, left

@@ -18,11 +18,9 @@ _DIGITS = 7  # after the point
 
 @dataclass(frozen=True)
 class Shift:
-    """Change of the world's space. `matrix` (4, 4): from the coordinates before the frame to those from it on; `off`
-    (N,): residuals of vectors in pixels, NaN where they are not known."""
+    """Change of the world's space. `matrix` (4, 4): from the coordinates before the frame to those from it on."""
 
     matrix: np.ndarray
-    off: np.ndarray
 
     def __str__(self) -> str:
         moved = "moved by (" + ", ".join(f"{value + 0.0:.8g}" for value in self.matrix[:3, 3].round(6)) + ")"
@@ -32,12 +30,10 @@ class Shift:
         return f"turned by {angle:.4g}° and {moved}"
 
 
-def world_shift(
-    search: Search, reading: Reading, earlier: Camera | None, most: float, share: float
-) -> Shift | None:
-    """Return the shift of the world that makes vectors of the only look of `search` fit depth and cameras, a translation
-    or, if that does not do, with a rotation; None unless `share` of the samples then agree to `most` pixels. `earlier`:
-    camera two frames before, None if it is not known: the camera probably goes on as it went."""
+def world_shift(search: Search, reading: Reading, earlier: Camera | None, most: float, share: float) -> Shift | None:
+    """Return the shift of the world that makes vectors of the only look of `search` fit depth and cameras: a
+    translation or, if that does not do, with a rotation; None unless `share` of the samples then agree to `most`
+    pixels. `earlier`: camera two frames before, None if it is not known: the camera probably goes on as it went."""
     look = search.full.looks[0]
     here, before = (reading.camera.read(camera) for camera in (look.camera, look.camera_of(PREVIOUS)))
     vectors = search.full.motion(reading.motion)
@@ -59,9 +55,7 @@ def world_shift(
             if not turns:
                 matrix[:3, :3] = np.eye(3)
                 matrix = _in_few_digits(matrix, here, before, (ray[use], w[use], target, before.fx))
-            all_off = np.full(len(use), np.nan)
-            all_off[use] = off
-            return Shift(matrix, all_off)
+            return Shift(matrix)
     return None
 
 

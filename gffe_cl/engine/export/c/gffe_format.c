@@ -63,13 +63,13 @@ static int is_small(const gffe_step *step) {
 
 static int is_geometry_ours(const gffe_step *step) {
     const gffe_format *format = &step->format;
-    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && !format->depth_is_logarithmic && format->near_z == 0
-           && format->far_z == 1 && format->depth_range[0] == 0 && format->depth_range[1] == 1
-           && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2 && format->motion_scale[0] == 1
-           && format->motion_scale[1] == 1 && format->motion_offset[0] == 0 && format->motion_offset[1] == 0
-           && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous && !format->motion_y_up
-           && !format->motion_dilated && !format->motion_jittered && isnan(format->motion_invalid)
-           && format->camera_motion == GFFE_CAMERA_INCLUDED;
+    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device
+           && !format->depth_is_logarithmic && format->near_z == 0 && format->far_z == 1 && format->depth_range[0] == 0
+           && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2
+           && format->motion_scale[0] == 1 && format->motion_scale[1] == 1 && format->motion_offset[0] == 0
+           && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous
+           && !format->motion_y_up && !format->motion_dilated && !format->motion_jittered
+           && isnan(format->motion_invalid) && format->camera_motion == GFFE_CAMERA_INCLUDED;
 }
 
 static int is_one_of(int value, const int *allowed, int count) {
@@ -101,7 +101,8 @@ static const char *fault_of(const gffe_format *format) {
     if (format->depth_is_logarithmic
         && (format->depth_is_device || !finite || !(nearer >= 0)
             || fmax(format->near_z, format->far_z) > GFFE_MOST_PLANES * (nearer > 0 ? nearer : 1)))
-        return "near_z and far_z of logarithmic depth, which is no device depth, must be 0 or more and not too far apart";
+        return "near_z and far_z of logarithmic depth, which is no device depth, must be 0 or more and not too far "
+               "apart";
     if (!is_finite_pair(format->depth_range) || !is_finite_pair(format->motion_offset)
         || !is_finite_pair(format->motion_scale) || format->motion_scale[0] == 0 || format->motion_scale[1] == 0)
         return "depth_range, motion_scale and motion_offset must be finite, and motion_scale not 0";
