@@ -138,13 +138,21 @@ INLINE float3 mean_of(const float3 sum, const float weight_sum) {
     return (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum));
 }
 
-/* Linear RGB of pixel i; NaN counts as 0, infinities are clamped. */
-INLINE float3 load_color(__global const half *color, const int i) {
-    const float4 c = vload_half4(i, color), number = c == c ? c : (float4)(0.0f);
-    const float4 low = number < -COLOR_MAX ? (float4)(-COLOR_MAX) : number;
-    return (low < COLOR_MAX ? low : (float4)(COLOR_MAX)).xyz;
+/* Colors as they are read and stored: NaN counts as 0, and magnitudes are limited to the largest half. */
+#define DEFINE_FINITE(F, finite)                                                                                       \
+    INLINE F finite(const F c) {                                                                                       \
+        const F number = c == c ? c : (F)(0.0f), low = number < -COLOR_MAX ? (F)(-COLOR_MAX) : number;                 \
+        return low < COLOR_MAX ? low : (F)(COLOR_MAX);                                                                 \
+    }
+
+DEFINE_FINITE(float4, finite_texel)
+
+/* Linear RGB of pixel i. */
+INLINE float3 load_color(__global const half *color, const int i) { return finite_texel(vload_half4(i, color)).xyz; }
+
+/* Every image of colors is stored by these two, and by store_texels and store_rgb_run of simd_rgb.h. */
+INLINE void store_texel(const float4 c, const int i, __global half *color) {
+    vstore_half4_rte(finite_texel(c), i, color);
 }
 
-INLINE void store_color(const float3 c, __global half *color, const int i) {
-    vstore_half4_rte((float4)(clamp(c, -COLOR_MAX, COLOR_MAX), 0.0f), i, color);
-}
+INLINE void store_color(const float3 c, __global half *color, const int i) { store_texel((float4)(c, 0.0f), i, color); }

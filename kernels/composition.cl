@@ -78,7 +78,7 @@ __kernel void compose(__constant Frame *restrict frame, const int is_rendered, _
         const int src = rendered ? (int)place.y * source_width + (int)place.x : 0;
         if (rendered && fixed_mask[src]) {
             picture = load_color(source_color, src);
-            depth[dst] = source_depth[src];
+            if (!INVALID_DEPTH(source_depth[src])) depth[dst] = source_depth[src]; /* else that of what is behind */
             motion[dst] = px_render - px;
             dynamic[dst] = 0;
             disoccluded[dst] = 0;

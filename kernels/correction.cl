@@ -214,7 +214,7 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
     store_floats(c.b, 0, b);
     for (int k = 0; k < min(count, LANES); ++k) {
         if (lane_holds[k]) {
-            vstore_half4_rte((float4)(r[k], g[k], b[k], 0.0f), k, out);
+            store_color((float3)(r[k], g[k], b[k]), out, k);
         } else {
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
         }

@@ -41,10 +41,11 @@ typedef struct {
 
 INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
-/* The position where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-INLINE float2 moves_along(const int x, const int y, const int2 offset, __constant Frame *frame, const Images f) {
+/* The position where the pixel (dst_x, dst_y) was in the rendered image if it moves as the mover at (x, y) does. */
+INLINE float2 moves_along(const int x, const int y, const int dst_x, const int dst_y, __constant Frame *frame,
+                          const Images f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
-           + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
+           + (float2)(divide((float)(dst_x - x), frame->zoom.x), divide((float)(dst_y - y), frame->zoom.y));
 }
 
 /* The first of `steps` pixels, `offset` apart from each other, that is dynamic, counted from 1; 0: none. */
@@ -65,7 +66,7 @@ INLINE int first_dynamic(const int dst, const int offset, const int steps, __glo
 INLINE bool was_seen_through(const int x, const int y, const float2 px_source, const float z_source,
                              __constant Frame *frame, const Images f) {
     const int width = frame->source_width, height = frame->source_height;
-    const float2 px_mover = moves_along(x, y, (int2)(0, 0), frame, f);
+    const float2 px_mover = moves_along(x, y, x, y, frame, f);
     const int src_x = clamp((int)px_mover.x, 0, width - 1), src_y = clamp((int)px_mover.y, 0, height - 1);
     const float2 px_prev = px_source + f.source_motion[src_y * width + src_x];
     if (!frame->has_previous || !holds(width, height, px_prev)) return false;
@@ -87,7 +88,7 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
         if (!f.disoccluded[between] && !(f.depth[between] < z * STANDS_BEFORE)) return 0;
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
-    const float2 px_source = moves_along(x, y, -t * d, frame, f);
+    const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
     if (!holds(frame->source_width, frame->source_height, px_source)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     const float z_source = reproject(pixel_center(x, y), z, frame->to_source).z;
@@ -144,7 +145,7 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame 
         const int x = dst_x + steps * d.x, y = dst_y + steps * d.y;
         const float weight = divide(1.0f, (float)steps * step_length(d));
         sum += weight * load_code(f.color, y * width + x, frame->code_offset);
-        px_sum += weight * moves_along(x, y, -steps * d, frame, f);
+        px_sum += weight * moves_along(x, y, dst_x, dst_y, frame, f);
         z_sum += weight * z_mover;
         weight_sum += weight;
     }
@@ -168,7 +169,7 @@ INLINE void fill_entering(const int dst_x, const int dst_y, __constant Frame *fr
     int t = 1;
     while (t <= most && f.disoccluded[dst + t * offset]) ++t;
     if (t > most || !f.is_dynamic[dst + t * offset]) return;
-    const float2 px_source = moves_along(dst_x + t * d.x, dst_y + t * d.y, -t * d, frame, f);
+    const float2 px_source = moves_along(dst_x + t * d.x, dst_y + t * d.y, dst_x, dst_y, frame, f);
     const float along = d.x ? px_source.x : px_source.y;
     const float end = (float)(d.x ? frame->source_width : frame->source_height);
     if (d.x + d.y > 0 ? !(along < 0.0f) : !(along >= end)) return;

@@ -28,9 +28,10 @@ typedef struct {
     __global float2 *motion;
 } Images;
 
-/* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole texel. */
-INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float3 c, const float z) {
-    const float weight = divide(pixel_weight, 1.0f + fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
+/* Adds a pixel to the sums; those that are displayed bright weigh less, or one lamp would fill its whole texel. */
+INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float exposure, const float3 c,
+                const float z) {
+    const float weight = divide(pixel_weight, 1.0f + exposure * fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
     *sum += weight * (float4)(c, 1.0f);
     *inverse_sum += weight * (isinf(z) ? 0.0f : divide(1.0f, z));
 }
@@ -460,7 +461,7 @@ __kernel void push_image(__constant Frame *restrict frame, __global const uchar 
         if (!inside(dst_x, dst_y, target_width, target_height)
             || filled_by[dst_y * target_width + dst_x] == BY_HOLE_FILLING)
             continue;
-        add(&sum, &inverse_sum, 1.0f, load_color(color, dst_y * target_width + dst_x),
+        add(&sum, &inverse_sum, 1.0f, frame->exposure, load_color(color, dst_y * target_width + dst_x),
             depth[dst_y * target_width + dst_x]);
     }
     const bool any = sum.w > 0.0f;
@@ -624,10 +625,12 @@ INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *fr
     if (dst_x >= target_width) return sum;
     for (int dst_y = first_y; dst_y < min(first_y + STRIP, target_height); ++dst_y) {
         const int dst = dst_y * target_width + dst_x;
-        if (f.filled_by[dst] != BY_HOLE_FILLING) add(&sum, inverse_sum, 1.0f, load_color(f.color, dst), f.depth[dst]);
+        if (f.filled_by[dst] != BY_HOLE_FILLING)
+            add(&sum, inverse_sum, 1.0f, frame->exposure, load_color(f.color, dst), f.depth[dst]);
         const int src = (dst_y * source_height / target_height) * source_width + dst_x * source_width / target_width;
         const float z = f.source_depth[src];
-        if (!INVALID_DEPTH(z)) add(&sum, inverse_sum, RENDERED_WEIGHT, load_color(f.source_color, src), z);
+        if (!INVALID_DEPTH(z))
+            add(&sum, inverse_sum, RENDERED_WEIGHT, frame->exposure, load_color(f.source_color, src), z);
     }
     return sum;
 }

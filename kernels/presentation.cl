@@ -49,7 +49,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
         }
         held = y0;
         const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top), row0, row1, row2, row3);
-        vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), dst_y * target_width + dst_x, out_color);
+        store_color((float3)(c.r, c.g, c.b), out_color, dst_y * target_width + dst_x);
     }
 }
 

@@ -74,10 +74,10 @@ DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
 INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const int source_width,
                           const Rendered shown, __global half *out_color) {
     if (any(exact) && !all(exact)) return false;
-    const Texels c = all(exact) ? finite_texels(vload_half16(0, shown.color + 4 * tap))
+    const Texels c = all(exact) ? vload_half16(0, shown.color + 4 * tap)
                                 : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes),
                                                 shown.code_offset);
-    vstore_half16_rte(WITHOUT_ALPHA(c), 0, out_color);
+    store_texels(WITHOUT_ALPHA(c), 0, out_color);
     return true;
 }
 

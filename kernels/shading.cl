@@ -35,7 +35,7 @@ __kernel void prepare_inputs(__constant Frame *restrict frame, __global const ha
                            .to_previous = &frame->target_to_previous};
     const int dst = dst_y * target_width + dst_x;
     vstore_half_rte(input_mask_at(&frames, dst), dst, input_mask);
-    vstore_half4_rte(previous_at(&frames, dst_x, dst_y), dst, warped_previous);
+    store_texel(previous_at(&frames, dst_x, dst_y), dst, warped_previous);
 }
 
 INLINE float relative_error(const float a, const float b) {

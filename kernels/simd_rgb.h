@@ -6,11 +6,7 @@ typedef struct {
     Floats r, g, b;
 } WideRgb;
 
-/* NaN counts as 0, infinities are clamped. */
-INLINE Floats finite(const Floats c) {
-    const Floats number = c == c ? c : (Floats)(0.0f), low = number < -COLOR_MAX ? (Floats)(-COLOR_MAX) : number;
-    return low < COLOR_MAX ? low : (Floats)(COLOR_MAX);
-}
+DEFINE_FINITE(Floats, finite)
 
 INLINE WideRgb finite_rgb(const WideRgb c) {
     const WideRgb rgb = {finite(c.r), finite(c.g), finite(c.b)};
@@ -41,15 +37,6 @@ INLINE WideRgb load_rgb_run(__global const half *color) {
     return rgb;
 }
 
-INLINE void store_rgb_run(const WideRgb c, __global half *color) {
-    vstore_half16_rte((float16)(c.r.s0, c.g.s0, c.b.s0, 0.0f, c.r.s1, c.g.s1, c.b.s1, 0.0f, c.r.s2, c.g.s2, c.b.s2,
-                                0.0f, c.r.s3, c.g.s3, c.b.s3, 0.0f),
-                      0, color);
-    vstore_half16_rte((float16)(c.r.s4, c.g.s4, c.b.s4, 0.0f, c.r.s5, c.g.s5, c.b.s5, 0.0f, c.r.s6, c.g.s6, c.b.s6,
-                                0.0f, c.r.s7, c.g.s7, c.b.s7, 0.0f),
-                      1, color);
-}
-
 INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     vstore16(vload16(0, (__global const uint *)color), 0, (__global uint *)out);
 }
@@ -64,16 +51,28 @@ typedef float16 Texels;
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) vload_half16(i, p)
 #define reload_texels(i, p) vload16(i, p)
-#define store_texels(v, i, p) vstore16(v, i, p)
-#define store_half_texels(v, i, p) vstore_half16_rte(v, i, p)
+#define unload_texels(v, i, p) vstore16(v, i, p)
+
+DEFINE_FINITE(Texels, finite_texels)
+
+INLINE void store_texels(const Texels c, const int i, __global half *color) {
+    vstore_half16_rte(finite_texels(c), i, color);
+}
+
+INLINE void store_rgb_run(const WideRgb c, __global half *color) {
+    store_texels((float16)(c.r.s0, c.g.s0, c.b.s0, 0.0f, c.r.s1, c.g.s1, c.b.s1, 0.0f, c.r.s2, c.g.s2, c.b.s2, 0.0f,
+                           c.r.s3, c.g.s3, c.b.s3, 0.0f),
+                 0, color);
+    store_texels((float16)(c.r.s4, c.g.s4, c.b.s4, 0.0f, c.r.s5, c.g.s5, c.b.s5, 0.0f, c.r.s6, c.g.s6, c.b.s6, 0.0f,
+                           c.r.s7, c.g.s7, c.b.s7, 0.0f),
+                 1, color);
+}
 
 #else
 
 INLINE WideRgb load_rgb_run(__global const half *color) { return gather_rgb(color, 0); }
 
-INLINE void store_rgb_run(const WideRgb c, __global half *color) {
-    vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), 0, color);
-}
+INLINE void store_rgb_run(const WideRgb c, __global half *color) { store_color((float3)(c.r, c.g, c.b), color, 0); }
 
 INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     *(__global uint2 *)out = *(__global const uint2 *)color;
@@ -87,20 +86,15 @@ typedef float4 Texels;
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) vload_half4(i, p)
 #define reload_texels(i, p) vload4(i, p)
-#define store_texels(v, i, p) vstore4(v, i, p)
-#define store_half_texels(v, i, p) vstore_half4_rte(v, i, p)
+#define unload_texels(v, i, p) vstore4(v, i, p)
+#define finite_texels finite_texel
+#define store_texels store_texel
 
 #endif
 
 typedef struct {
     Texels part[PARTS];
 } Strip;
-
-/* `finite` of texels: NaN becomes 0, and magnitudes are limited. */
-INLINE Texels finite_texels(const Texels c) {
-    const Texels number = c == c ? c : (Texels)(0.0f), low = number < -COLOR_MAX ? (Texels)(-COLOR_MAX) : number;
-    return low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
-}
 
 /* The four channels of a strip, apart. */
 INLINE void channels_of(const Strip *s, Floats *channels) {
@@ -132,10 +126,10 @@ INLINE Strip load_strip(const int count, __global const half *color) {
 
 INLINE void store_strip(const Strip s, const int count, __global half *color) {
     if (IS_WHOLE(count)) {
-        for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, color);
+        for (int part = 0; part < PARTS; ++part) store_texels(s.part[part], part, color);
         return;
     }
     float texels[4 * LANES];
-    for (int part = 0; part < PARTS; ++part) store_texels(s.part[part], part, texels);
-    for (int k = 0; k < count; ++k) vstore_half4_rte(vload4(k, texels), k, color);
+    for (int part = 0; part < PARTS; ++part) unload_texels(s.part[part], part, texels);
+    for (int k = 0; k < count; ++k) store_texel(vload4(k, texels), k, color);
 }

@@ -174,7 +174,6 @@ INLINE void take(__constant Frame *frame, __global const float *given, const int
                               | (b & (fabs(rgba[2]) > COLOR_MAX));
             infinite += min(count, LANES) - lanes_where(r & g & b, count);
             clamped += lanes_where(over, count);
-            for (int part = 0; part < PARTS; ++part) s.part[part] = finite_texels(s.part[part]);
         }
         store_strip(s, count, color + 4 * i);
     }

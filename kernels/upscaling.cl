@@ -333,10 +333,11 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
 
     /* Without confidence the interpolated frame replaces it; single samples would be dots in a grid. */
     const Floats kept = wide_lesser(r.held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
-    const Floats counted = known ? kept : (Floats)(1.0f), share = known ? FRESH * (1.0f - kept) : (Floats)(1.0f);
-    r.color.x += (fresh.x * per_far - r.color.x) * share;
-    r.color.y += (fresh.y * per_far - r.color.y) * share;
-    r.color.z += (fresh.z * per_far - r.color.z) * share;
+    const Floats counted = known ? kept : (Floats)(1.0f), share = FRESH * (1.0f - kept);
+    const Wide4 now = {fresh.x * per_far, fresh.y * per_far, fresh.z * per_far, fresh.w};
+    r.color.x = known ? r.color.x + (now.x - r.color.x) * share : now.x;
+    r.color.y = known ? r.color.y + (now.y - r.color.y) * share : now.y;
+    r.color.z = known ? r.color.z + (now.z - r.color.z) * share : now.z;
     const Floats held = wide_greater(r.held, (Floats)(LEAST_WEIGHT));
     total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);

@@ -419,9 +419,9 @@ INLINE bool is_smooth(const uint src, const int width, const int height, __globa
 INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFrame to, const int pixel) {
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) {
-        Texels c = finite_texels(load_texels(part, shown.color + 4 * pixel));
+        Texels c = load_texels(part, shown.color + 4 * pixel);
         VALID(c) = (float)0;
-        store_half_texels(c, part, to.color + 4 * pixel);
+        store_texels(c, part, to.color + 4 * pixel);
     }
     store_floats(load_floats(0, from.depth + pixel), 0, to.depth + pixel);
     store_xy((Floats)(0.0f), (Floats)(0.0f), to.motion + pixel);

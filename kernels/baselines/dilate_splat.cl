@@ -101,8 +101,7 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
         Texels c[4];
 #pragma unroll
         for (int k = 0; k < 4; ++k) c[k] = texels_at(color, taps + k * LANES + part * TEXELS, in_row);
-        made.part[part] =
-            finite_texels((1.0f - v) * ((1.0f - u) * c[0] + u * c[1]) + v * ((1.0f - u) * c[2] + u * c[3]));
+        made.part[part] = (1.0f - v) * ((1.0f - u) * c[0] + u * c[1]) + v * ((1.0f - u) * c[2] + u * c[3]);
     }
     store_strip(made, count, out_color + 4 * dst);
 }

@@ -21,17 +21,12 @@ import pyopencl as cl
 from gffe_cl.engine.core.files import read_bounded
 from gffe_cl.engine.opencl import probing
 from gffe_cl.engine.opencl.probing import DeviceInfo, Probed
-from gffe_cl.engine.opencl.runtimes import keep_file, kept_folder, vendors
+from gffe_cl.engine.opencl.runtimes import driver_variables, keep_file, kept_folder, vendors
 
 _NAME = "devices-{}.json"
 _MOST_FILES = 16
 _MOST_BYTES = 1 << 20
 _HOUR = 3600.0
-# Environment variables of drivers and their libraries.
-TOLD = (
-    "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
-    "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH",
-)  # fmt: skip
 _NODES = ("/dev/dri/*", "/dev/nvidia*", "/dev/kfd", "/dev/dxg", "/dev/mali*")
 _KERNEL_DRIVERS = ("/proc/driver/nvidia/version", "/sys/module/amdgpu/version", "/sys/module/i915/srcversion")
 _LIBRARIES = ("/usr/lib/*-linux-gnu*", "/usr/lib64", "/usr/lib", "/usr/local/lib*")
@@ -44,7 +39,7 @@ def fingerprint() -> str:
         hashlib.sha256(Path(probing.__file__).read_bytes()).hexdigest(),
         cl.VERSION_TEXT,
         [(icd.name, _text(icd), _stamps(_text(icd))) for icd in vendors()],
-        sorted((name, value) for name, value in os.environ.items() if name.startswith(TOLD)),
+        driver_variables(),
         (platform.node(), platform.release(), platform.machine(), os.cpu_count(), _processor()),
         [(str(node), os.access(node, os.R_OK | os.W_OK)) for node in _matching(_NODES)],
         [_text(Path(path)) for path in _KERNEL_DRIVERS],

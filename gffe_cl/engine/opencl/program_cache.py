@@ -18,7 +18,7 @@ import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
 from gffe_cl.engine.core.files import read_bounded
-from gffe_cl.engine.opencl.runtimes import NO_CACHE, keep_file, kept_folder, private_folder
+from gffe_cl.engine.opencl.runtimes import NO_CACHE, driver_variables, keep_file, kept_folder, private_folder
 
 _FOLDER = "kernels"
 _MOST_FILES = 256
@@ -69,7 +69,7 @@ def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | No
     driver = device.platform
     facts = (
         source, options, device.name, device.version, device.driver_version, driver.name, driver.version,
-        cl.VERSION_TEXT, os.environ.get("LD_PRELOAD"), _processor(),
+        cl.VERSION_TEXT, driver_variables(), _processor(),
     )  # fmt: skip
     return folder / _FOLDER / f"{hashlib.sha256(repr(facts).encode('utf-8', 'surrogateescape')).hexdigest()[:32]}.bin"
 

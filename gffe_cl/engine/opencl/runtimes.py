@@ -31,6 +31,11 @@ VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` fil
 NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub only accepts folders
 _POCL_CACHE = "POCL_CACHE_DIR"  # PoCL's variable
 _DRIVER_CACHES = ("pocl", "pyopencl", "neo_compiler_cache", "mesa_shader_cache", "mesa_shader_cache_db")
+# Environment variables of drivers and their libraries begin with these.
+_DRIVERS_READ = (
+    "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
+    "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH",
+)  # fmt: skip
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 _MOST_NAMED, _LONGEST_NAME = 3, 300  # drivers in a message, and characters of a library's name
 # libintelocl.so finds these only if they are already loaded, in this order.
@@ -139,6 +144,12 @@ def expose_installed_runtimes() -> None:
         return
     entries = {icd.name: icd.read_text() for icd in vendors()} | {_INTEL_ICD: f"{library}\n"}
     os.environ[VENDORS] = str(_vendor_folder(entries))
+
+
+def driver_variables() -> dict[str, str]:
+    """Return the environment variables that drivers and their libraries read, sorted by name. What a driver finds and
+    builds depends on them: Intel's runtime for CPUs takes the instruction set from CL_CONFIG_CPU_TARGET_ARCH."""
+    return {name: value for name, value in sorted(os.environ.items()) if name.startswith(_DRIVERS_READ)}
 
 
 def vendors() -> list[Path]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import platform
 import time
 from collections.abc import Callable
@@ -14,8 +13,7 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.provider_check import TOLERANCE
 from gffe_cl.engine.opencl.device import DeviceInfo, list_devices, select
-from gffe_cl.engine.opencl.device_cache import TOLD
-from gffe_cl.engine.opencl.runtimes import vendors
+from gffe_cl.engine.opencl.runtimes import driver_variables, vendors
 from gffe_cl.engine.opencl.subprocess_runner import run_child
 from gffe_cl.engine.selftest.network import providers
 from gffe_cl.engine.selftest.worker import MARK
@@ -189,6 +187,6 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": versions,
         "drivers": [icd.name for icd in vendors()],
-        "variables": {name: value for name, value in sorted(os.environ.items()) if name.startswith(TOLD)},
+        "variables": driver_variables(),
         "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }

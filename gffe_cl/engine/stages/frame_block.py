@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.frame.vectors import length, view_to_view
 from gffe_cl.engine.opencl.program import expand, parse_constants, parse_struct
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
@@ -97,7 +98,8 @@ class BlockWriter:
             "interval_ratio": ((times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0,),
             "exposure": (exposure,),
             "color_law": color_law(exposure),
-            "code_offset": (self._facts.get("code_offset", 0.0) / math.sqrt(exposure),),
+            # White is no brighter than the largest half: a brighter one has codes that are no halves.
+            "code_offset": (self._facts.get("code_offset", 0.0) / math.sqrt(max(exposure, 1 / HALF_MAX)),),
         }
         block = self._fixed[:]
         _put(block, values)

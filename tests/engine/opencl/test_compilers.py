@@ -87,6 +87,40 @@ def test_a_warning_is_an_error():
             clang(fault, "CL1.2", *WARNINGS, "-Xclang", EXTENSIONS, "-fsyntax-only")
 
 
+def forms_to_avoid(source, lanes, *options):
+    """Lines of LLVM's assembly, as clang writes it without optimizing, of two forms: a product of a scalar and a vector
+    of integers (of `lanes` at once: of a negated scalar), and `any` or `all` of one number, which look at its highest
+    bit: a comparison of scalars gives 1."""
+    code = clang(source, "CL1.2", "-O0", "-S", "-emit-llvm", *options).decode()
+    for body in code.split("\ndefine ")[1:]:
+        negated = set(re.findall(r"(%\S+) = sub (?:nsw )?i\d+ 0, ", body))
+        first = dict(re.findall(r"(%\S+) = insertelement <\d+ x i\d+> poison, i\d+ ([^,\s]+), i32 0", body))
+        splats = dict(re.findall(r"(%\S+) = shufflevector <\d+ x i\d+> (%[^,\s]+), .* zeroinitializer", body))
+        for line, width, *factors in re.findall(r"(%\S+ = mul .*?<(\d+) x i\d+> (\S+), (\S+))", body):
+            scalars = {first.get(splats[factor]) for factor in factors if factor in splats}
+            if scalars and (int(width) != lanes or scalars & negated):
+                yield line
+        yield from re.findall(r"call .*@_Z3(?:any|all)[a-z]\(.*", body)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_no_form_that_gives_other_bits_somewhere(name):
+    source = expand(f"{name}.cl")
+    for lanes in (1, 8):
+        options = [f"-DLANES={lanes}", f"-DRUN={16 if lanes > 1 else 1}"]
+        assert not list(forms_to_avoid(source, lanes, *options)), f"{lanes} lanes"
+
+
+@pytest.mark.parametrize(
+    ("expression", "found"),
+    [("-s * (int2)(1, 0)", 1), ("d * s", 1), ("(int2)(s) * d", 1), ("(int2)(-s * d.x, -s * d.y)", 0), ("d * d.yx", 0),
+     ("(s * w).lo.lo", 0), ("(w * -s).lo.lo", 1), ("(int2)(any(s > 1), 0)", 1), ("(int2)(any(d > 1), all(w > 1))", 0)],
+)  # fmt: skip
+def test_these_forms_are_found(expression, found):
+    source = f"int2 f(const int s, const int2 d, const int8 w) {{ return {expression}; }}"
+    assert len(list(forms_to_avoid(source, 8))) == found
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", FILES)
 def test_its_spirv_is_valid(name, tmp_path):

@@ -67,6 +67,15 @@ def test_what_is_kept_is_used(keeping, folder, given):
     assert given == ["source", "binary"]
 
 
+def test_a_driver_told_otherwise_builds_again(keeping, folder, given, monkeypatch):
+    """Its variables choose the instruction set that it builds for."""
+    device = keeping
+    for architecture in ("core-avx2", "corei7", "core-avx2"):
+        monkeypatch.setenv("CL_CONFIG_CPU_TARGET_ARCH", architecture)
+        built_program(device.context, device.cl_device, SOURCE, OPTIONS)
+    assert given == ["source", "source", "binary"]
+
+
 def flipped(content, place):
     return content[:place] + bytes([content[place] ^ 4]) + content[place + 1 :]
 

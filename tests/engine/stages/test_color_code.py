@@ -5,6 +5,10 @@ import twins
 from twins.common import decode_color, encode_color
 from twins.warp import codes_of
 
+from gffe_cl import Camera, Options, Pipeline, RenderedFrame
+
+W, H = 48, 32
+
 
 def test_kernel_equals_its_twin(case):
     """NaN, infinities and negative colors included; in linear light the code is the color."""
@@ -15,6 +19,22 @@ def test_kernel_equals_its_twin(case):
     assert (color > 2).any() and np.isfinite(codes).all() and (codes < 0).any() and not np.isfinite(color).all()
     if case.options.resampling == "linear":
         assert np.array_equal(codes, twins.load_color(color).astype(np.float16))
+
+
+def test_codes_are_halves_at_every_exposure(device):
+    """The brightest color, resampled where everything is as bright, keeps its value."""
+    for exposure in (1e-6, 1.0, 1e6):
+        color = np.full((H, W, 3), 6e4, np.float32)
+        pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+        pipeline.exposure = exposure
+        for k in range(2):
+            pose = np.eye(4)
+            pose[0, 3] = 0.01 * k
+            camera, motion = Camera(pose, W, W, W / 2, H / 2), np.full((H, W, 2), (-0.01 * W / 5, 0), np.float32)
+            depth = np.full((H, W), 5, np.float32)
+            pipeline.submit(RenderedFrame(color, depth, motion, camera, k / 30, reset=k == 0))
+        new = pipeline.extrapolate().numpy("color").astype(np.float32)
+        np.testing.assert_allclose(new, color, rtol=3e-3, err_msg=f"exposure {exposure}")
 
 
 def test_bright_colors_come_back_and_weigh_less():

@@ -56,7 +56,9 @@ def compose(color, frame, source_color, source_depth, to_render, alpha, layers):
         x, y = np.where(rendered, place[..., 0], 0), np.where(rendered, place[..., 1], 0)
         fixed = rendered & (mask[y, x] > 0)
         picture[fixed] = load_color(source_color)[y, x][fixed]
-        frame["depth"][fixed] = source_depth[y, x][fixed]
+        near = source_depth[y, x]
+        valid = fixed & (near > 0)  # elsewhere that of what is behind stays
+        frame["depth"][valid] = near[valid]
         frame["motion"][fixed] = (px_render - px)[fixed]
         for name, value in (("dynamic", 0), ("disoccluded", 0), ("filled_by", COMMON.BY_FIXED)):
             frame[name][fixed] = value

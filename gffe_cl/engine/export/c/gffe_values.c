@@ -156,7 +156,7 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     if (step->time_count > 2)
         block->interval_ratio = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
     block->exposure = (float)step->exposure;
-    block->code_offset = (float)(block->code_offset / sqrt(step->exposure));
+    block->code_offset = (float)(block->code_offset / sqrt(fmax(step->exposure, 1.0 / 65504)));
     block->alpha = (float)step->alpha;
     color_law(step->exposure, block->color_law.s);
     if (block->order > step->time_count - 1) block->order = step->time_count - 1;
