@@ -183,7 +183,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
 
 
 def _examine_without(clip: Clip, exposure: float, repeated: Repeats) -> Diagnosis:
-    """Examine `clip` without the frames that were recorded twice."""
+    """Examine `clip` without the frames that were recorded twice, and return the diagnosis."""
     kept = [k for k in range(len(clip.rendered)) if k not in repeated.whole]
     found = examine(Reordered(clip, kept), exposure)
     for finding in found.findings:

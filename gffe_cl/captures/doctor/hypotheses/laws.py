@@ -19,7 +19,7 @@ _SYSTEMATIC = 1.5  # times their scatter: by so much the depths of a range are o
 
 
 class Misfit(NamedTuple):
-    """What a law leaves over: in parts of depth, and in pixels of motion."""
+    """Error that a law leaves over: in parts of depth, and in pixels of motion."""
 
     share: float
     pixels: float
