@@ -90,7 +90,7 @@ def _of_motion(search: Search) -> list[Finding]:
         if limit is None:
             continue
         there = use & (np.abs(motion[:, axis]) == limit)
-        longer = (static[:, axis] / np.where(there, motion[:, axis], 1) > 1 + _BY)[there]
+        longer = (static[:, axis] * np.sign(motion[:, axis]) > (1 + _BY) * limit + search.step)[there]
         if there.sum() >= _FEWEST and longer.mean() > _BEYOND:
             limits[name], shares[name] = limit, float(there.sum() / use.sum())
             told.append(f"{shares[name]:.0%} of the vectors are ±{limit:.4g} px in {name}")
