@@ -235,6 +235,15 @@ def _finite(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def duration(seconds: float) -> str:
+    """Return the text for a length of time: "80 s", "12 min", "3.5 h" or "4 days"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.0f} days"
+
+
 def say(markup: str) -> None:
     """Print a line on standard error. If that fails (closed pipe, full disk), the command continues."""
     try:

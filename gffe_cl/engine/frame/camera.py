@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame import conventions, vectors
+from gffe_cl.engine.frame.intervals import MOST_ALPHA
 
 RIGIDITY_TOLERANCE = 1e-3
 MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
-MOST_ALPHA = 1e6  # intervals
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
 _QUIETLY = np.errstate(all="ignore")  # cameras that overflow are reported as invalid
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}

@@ -38,6 +38,7 @@ __all__ = [
     "Device",
     "DeviceInfo",
     "best_of",
+    "known_devices",
     "list_devices",
     "open_device",
     "open_info",
@@ -320,11 +321,11 @@ def list_devices(refresh: bool = False) -> list[DeviceInfo]:
     """Return every OpenCL device with the result of probing it. Probing happens with `refresh`, or if no result is
     stored for the installed drivers. Never raises for a broken driver: its devices have `works == False`. A driver
     that crashes or hangs while its devices are listed is one entry with the name of its `.icd` file."""
-    return _list_devices(require_bool(refresh, "list_devices: refresh"))[0]
+    return known_devices(require_bool(refresh, "list_devices: refresh"))[0]
 
 
-def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
-    """Return the devices, and whether their results were known without probing."""
+def known_devices(refresh: bool = False) -> tuple[list[DeviceInfo], float | None]:
+    """Return what `list_devices` does, and how many seconds ago the devices were probed; None if just now."""
     prepare_runtimes()
     key = device_cache.fingerprint()
     known = None if refresh else device_cache.recall(key)
@@ -334,7 +335,7 @@ def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
     elif probed.crashing:
         hide_vendors(set(probed.crashing))
     _crashing.update(probed.crashing)
-    return probed.devices + list(_crashing.values()), known is not None
+    return probed.devices + list(_crashing.values()), probed.age
 
 
 def open_device(wanted: str | None = None) -> Device:
@@ -345,11 +346,11 @@ def open_device(wanted: str | None = None) -> Device:
     if wanted is not None:
         require_kind(wanted, str, "open_device: wanted", 'a text such as "0:1", "gpu" or "intel"')
     wanted = wanted or os.environ.get("GFFE_DEVICE") or None
-    infos, known = _list_devices(refresh=False)
+    infos, age = known_devices()
     try:
         return open_info(_choose(infos, wanted))
     except GffeError:
-        if not known or any(opened.process not in (None, _process) for opened in _opened.values()):
+        if age is None or any(opened.process not in (None, _process) for opened in _opened.values()):
             raise
     return open_info(_choose(list_devices(refresh=True), wanted))
 

@@ -25,9 +25,10 @@ from gffe_cl.engine.core.validation import (
     require_size,
     shown,
 )
-from gffe_cl.engine.frame.camera import MOST_ALPHA, Camera
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, jitter_in_color, require_render_size
+from gffe_cl.engine.frame.intervals import FAR_ALPHA, MOST_ALPHA, interval_of
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
@@ -94,8 +95,6 @@ STAGES: tuple[type[Stage], ...] = (
     Upscaling,
     Sharpening,
 )
-
-_FAR_ALPHA = 16  # intervals
 
 
 def stages_of(options: Options) -> list[type[Stage]]:
@@ -549,7 +548,7 @@ class Pipeline:
     def interval(self) -> float:
         """Seconds between the last two rendered frames; 1/fps after a reset."""
         self._decide_cut()
-        return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
+        return interval_of(self._times, self.fps)
 
     def predict_camera(self, alpha: float) -> Camera:
         """Return the predicted camera C̄ at t + α, from the last display cameras (`predict_camera_at`); after a reset
@@ -595,10 +594,10 @@ class Pipeline:
             raise GffeError(
                 f"extrapolate: time {time:g} s is more than {MOST_ALPHA:g} intervals after {source.time:g} s"
             )
-        if alpha > _FAR_ALPHA:  # a program may have stalled: it must not fail
+        if alpha > FAR_ALPHA:  # a program may have stalled: it must not fail
             warnings.warn(
                 f"extrapolate: time {time:g} s is {alpha:.0f} intervals after the last rendered frame's (expected up to"
-                f" {_FAR_ALPHA}, in seconds on the clock of the rendered frames)",
+                f" {FAR_ALPHA:g}, in seconds on the clock of the rendered frames)",
                 stacklevel=3,
             )
         camera = self.predict_camera(alpha) if camera is None else camera
