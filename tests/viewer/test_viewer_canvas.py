@@ -15,6 +15,7 @@ from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.stages.buffers import Sizes, texel_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
@@ -757,6 +758,20 @@ def test_layers_of_the_network_line_up_with_the_picture(canvas):
     for plane in range(2):
         image = drawn(canvas, View("n", Display(plane=plane, color_map="gray"), center=(30.5, 18.5)), size)
         close(image, np.repeat(texels[plane, y, x][..., None], 3, -1), 1.5)
+
+
+@pytest.mark.parametrize("grid", ["source", "target", "level2", "cells", "residuals", "target_blocks", "downsampled"])
+def test_a_texel_is_shown_where_its_pixels_are(canvas, grid):
+    """Also of an image whose sides are no multiple of the texels: the picture shows what inspection reads."""
+    size = (61, 37)
+    canvas.frame = FrameInfo(size)
+    wide, high = Sizes(size, size).of(grid)
+    texels = np.arange(wide * high, dtype=np.float32).reshape(high, wide) / (wide * high)
+    canvas.upload("n", texels, LayerSpec("n", "N", "g", "scalar", grid=grid))
+    y, x = np.mgrid[: size[1], : size[0]]
+    image = drawn(canvas, View("n", Display(color_map="gray"), center=(30.5, 18.5)), size)
+    side = texel_of(grid)
+    close(image, np.repeat(texels[y // side[1], x // side[0]][..., None], 3, -1), 1.5)
 
 
 def test_layers_of_a_pipeline(canvas, device, tmp_path):

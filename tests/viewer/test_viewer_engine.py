@@ -492,6 +492,20 @@ def test_the_newest_request_wins(device):
         assert engine.poll() is None and max(source.asked) == 2
 
 
+SOURCE_GRIDS = ("source", "source_blocks", "cells", "level0", "level1", "level2")
+
+
+def texels_under(x, y, sx, sy):
+    """The texel of each grid under display pixel (x, y), and under pixel (sx, sy) of the rendered image."""
+    places = {"target": (x, y), "source": (sx, sy), "downsampled": (x // 32, y // 32), **network_places(x, y)}
+    places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
+    return places | {
+        "target_blocks": (x // 8, y // 4),
+        "source_blocks": (sx // 8, sy // 4),
+        "cells": (sx // 8, sy // 8),
+    }
+
+
 def test_inspection_equals_the_whole_buffers(device, tmp_path):
     setup = Setup(replace(ALL, history=3, scn_model=constant_model(tmp_path / "m.onnx")), n=1)
     with running(device, Clip()) as engine:
@@ -506,23 +520,17 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
             assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
             sx, sy = np.floor(seen.source).astype(int)
-            places = {"target": (x, y), "source": (sx, sy)}
-            places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
-            places |= {"downsampled": (x // 32, y // 32), **network_places(x, y)}
-            places |= {
-                "target_blocks": (x // 8, y // 4),
-                "source_blocks": (sx // 8, sy // 4),
-                "cells": (sx // 8, sy // 8),
-            }
-            outside = not (0 <= sx < W and 0 <= sy < H)
+            here, origin = texels_under(x, y, x, y), texels_under(x, y, sx, sy)
+            inside = 0 <= sx < W and 0 <= sy < H
             for name, image in images.items():
-                spec = specs[name]
-                if outside and spec.grid in ("source", "source_blocks", "cells", "level0", "level1", "level2"):
-                    assert name not in seen.values
-                    continue
-                px, py = places[spec.grid]
-                expected = image[:, py, px] if spec.planes > 1 else image[py, px]
-                np.testing.assert_array_equal(seen.values[name], np.reshape(expected, seen.values[name].shape), name)
+                on_source = specs[name].grid in SOURCE_GRIDS
+                assert (name in seen.origin) == (on_source and inside), name
+                for values, places in ((seen.values, here), (seen.origin, origin)):
+                    if name in values:
+                        px, py = places[specs[name].grid]
+                        expected = image[:, py, px] if specs[name].planes > 1 else image[py, px]
+                        np.testing.assert_array_equal(values[name], np.reshape(expected, values[name].shape), name)
+                assert name in seen.values
         ask(engine, 13, setup, ("truth",))
         engine.inspect(3, 4, frozenset({"final", "truth"}))
         seen = wait_for(engine.poll_inspection)
@@ -531,7 +539,7 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
         ask(engine, 12, setup)
         engine.inspect(5, 6)
         seen = wait_for(engine.poll_inspection)
-        assert seen.source == (5.5, 6.5) and seen.slot == 12
+        assert seen.source == (5.5, 6.5) and seen.slot == 12 and not seen.origin
         np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
 
 

@@ -24,8 +24,11 @@ from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.panels import status
 from gffe_cl.viewer.panels.doctor import offers_repair
+from gffe_cl.viewer.panels.inspector import rows_of
 from gffe_cl.viewer.panels.palette import stepped
+from gffe_cl.viewer.picture.legends import value_text
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
@@ -62,6 +65,37 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     model.pointing.hover((7.5, 5.5))
     session.settle()
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
+
+
+def test_values_under_the_pointer_are_those_of_the_picture(session):
+    """In a generated frame layers on the rendered image have two: the one that is shown here, and the one where the
+    pixel's content comes from. Inspector and status bar give both, and say which is which."""
+    model = session.model
+    model.playback.seek(3)
+    model.show_layer("rendered.color")
+    session.settle()
+    image, spec = model.contents.image("rendered.color"), model.contents.spec("rendered.color")
+    for x, y in ((x, y) for y in range(tiny_sequence.H) for x in range(tiny_sequence.W)):
+        seen = inspected(session, x, y)
+        origin = seen.origin.get("rendered.color")
+        if origin is not None and origin.tobytes() != image[y, x].tobytes():
+            break
+    right, down = seen.source
+    assert seen.values["rendered.color"].tobytes() == image[y, x].tobytes()
+    assert origin.tobytes() == image[int(down), int(right)].tobytes()
+    here, there = (value_text(spec, values) for values in (image[y, x], origin))
+    assert status.parts(model)[-1] == f"({x}, {y})   {here}   from ({right:.1f}, {down:.1f})   {there}"
+    rows = [(row.label, row.where, row.value) for row in rows_of(model.contents.layers, seen)]
+    assert [row[1:] for row in rows if row[0] == "Rendered color"] == [("here", here), ("from", there)]
+    assert [row[1] for row in rows if row[0] == "Final"] == ["here"]
+
+
+def inspected(session, x, y):
+    """The values at a pixel."""
+    pointing = session.model.pointing
+    pointing.hover((x + 0.5, y + 0.5))
+    session.until(lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y))
+    return pointing.inspection
 
 
 def test_a_layer_is_never_compared_with_itself(session):

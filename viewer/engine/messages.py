@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -130,8 +130,9 @@ class EngineError:
 class Inspection:
     """Values of the slot last computed at display pixel `pixel`.
 
-    `values` are (planes?, channels) by layer: on grid "target" those of the pixel, on "source" and "level l" those of
-    `source`, the position in the rendered image (pixels) that the warp's motion points to. `fault`: why the pixel there
+    `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
+    rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on the rendered
+    image; of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source`
     is invalid; empty if it is not.
     """
 
@@ -141,6 +142,14 @@ class Inspection:
     values: dict[str, np.ndarray]
     story: Story
     fault: str = ""
+    origin: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def of(self, layers: frozenset[str] | None) -> Inspection:
+        """Return the same with the values of `layers` alone; None: of all."""
+        if layers is None:
+            return self
+        values, origin = ({name: of[name] for name in of if name in layers} for of in (self.values, self.origin))
+        return replace(self, values=values, origin=origin)
 
 
 class Closing(Exception):

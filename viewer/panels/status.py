@@ -83,4 +83,8 @@ def _under_pointer(model: Model) -> list[str]:
     if inspection is None or spec is None or spec.name not in inspection.values:
         return []
     x, y = inspection.pixel
-    return [f"({x}, {y})   {value_text(spec, inspection.values[spec.name])}"]
+    told = f"({x}, {y})   {value_text(spec, inspection.values[spec.name])}"
+    if inspection.source is not None and spec.name in inspection.origin:
+        right, down = inspection.source
+        told += f"   from ({right:.1f}, {down:.1f})   {value_text(spec, inspection.origin[spec.name])}"
+    return [told]

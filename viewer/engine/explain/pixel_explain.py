@@ -23,7 +23,7 @@ from gffe_cl.engine.stages.buffers import (
 from gffe_cl.engine.stages.sharpening import Sharpening
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 from .. import names
-from ..buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
+from ..buffers import PixelValues, Shot, device_layers, moved, pixel_values, read_blocks, source_position
 from .fragment_history import Fragment, around, least
 from .motion_trail import Passed, way_of
 from .pixel_explain_types import Link, Step, Story
@@ -32,13 +32,14 @@ _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within
 
 
 def pixel_story(
-    pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None,
+    pipeline: Pipeline, shot: Shot, x: int, y: int, values: PixelValues | None = None,
     passed: Iterable[Passed] = (), fault: str = "",
 ) -> Story:  # fmt: skip
     """Return the story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its
     `pixel_values`, `passed` are the frames submitted last, newest first. `fault`: what is wrong with its pixel of the
     rendered image."""
-    story = _story(pipeline, shot, x, y, values)
+    values = values or pixel_values(pipeline, shot, x, y)
+    story = _story(pipeline, shot, x, y, values.of_content)
     if fault:
         said = f"Invalid in the input: {fault}."
         start = [sentence for sentence in story.sentences if sentence != _as_it_is(shot)]
@@ -49,19 +50,18 @@ def pixel_story(
     return replace(story, way=way_of(pipeline.device.queue, passed, own))
 
 
-def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None) -> Story:
+def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray]) -> Story:
     source_px = source_position(pipeline, shot, x, y)
     if not shot.moment.alpha:
         told = Fragment.at(pipeline, shot, source_px)
         start = _as_it_is(shot)
         if Upscaling.name in pipeline.stages:
-            start = _gathered(shot, values or pixel_values(pipeline, shot, x, y))
+            start = _gathered(shot, values)
         return (
             told.story((x, y), "rendered frame", source_px, (start,))
             if told
             else Story((x, y), "rendered frame", source_px)
         )
-    values = values or pixel_values(pipeline, shot, x, y)
     made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
     return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
 
