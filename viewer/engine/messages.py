@@ -131,9 +131,9 @@ class Inspection:
     """Values of the slot last computed at display pixel `pixel`.
 
     `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
-    rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on the rendered
-    image; of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source`
-    is invalid; empty if it is not.
+    rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on that image;
+    of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source` is
+    invalid; empty if it is not.
     """
 
     pixel: tuple[int, int]

@@ -24,8 +24,8 @@ _LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest
 
 
 class Row(NamedTuple):
-    """A layer's value: `group` is its stage, `description` the layer's; `where`: HERE, FROM, or nothing where there is no
-    choice; `is_bad`: NaN or infinite."""
+    """A layer's value: `group` is its stage, `description` the layer's; `where`: HERE, FROM, or nothing where both are
+    one; `is_bad`: NaN or infinite."""
 
     group: str
     label: str
@@ -120,8 +120,8 @@ def _rows(app: Interface, inspection) -> list[Row]:
 
 
 def rows_of(layers: Iterable[LayerSpec], inspection: Inspection) -> list[Row]:
-    """Return the rows of an inspection in the order of `layers`: for each the value under the pointer, and under it, for
-    layers on the rendered image, the one where the pixel's content comes from."""
+    """Return the rows of an inspection in the order of `layers`: for each the value at the pixel; then, of layers on
+    the rendered image, the one where the pixel's content comes from."""
     rows = []
     for spec in layers:
         named = ((HERE, inspection.values), (FROM, inspection.origin))

@@ -19,7 +19,7 @@ from gffe_cl.engine.stages.buffers import lies_on_source
 from gffe_cl.engine.stages.frame_block import reprojection
 from ..engine import names
 from ..engine.layers import VIEWS, LayerSpec
-from . import colors, invalid
+from . import colors, differences, invalid
 from .colors import Rgb
 from .displays import TONE_MAPS, Display, FrameInfo, shown_as
 from .textures import PixelBuffers, Texture, texels_of
@@ -293,7 +293,8 @@ class Canvas:
             "size": size,
             "bottom_up": bottom_up,
             "grid_contrast": contrast,
-            "difference_gain": view.gain,
+            "difference": differences.DIFFERENCES.index(view.difference),
+            "difference_high": self._difference_high(view, layers),
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
             "residual_scale": max(view.residual_scale, 1e-6),
@@ -303,6 +304,17 @@ class Canvas:
         }
         program.set("", values)
         return program
+
+    def _difference_high(self, view: View, layers: Sequence[tuple[str | None, Display | None]]) -> float:
+        """Return the difference between two layers that has full color."""
+        sides = []
+        for name, display in layers:
+            layer = self._layers.get(name) if name is not None else None
+            if layer is not None and layer.spec is not None and display is not None:
+                sides.append((layer.spec, display))
+        if len(sides) < 2:
+            return 1.0
+        return differences.full_scale(differences.compared_as(*sides), view.difference, view.gain, sides[0][1])
 
     def _grid_contrast(self, view: View, shown: _Shown) -> float:
         """Return the contrast of the lines between pixels; 0: there are none."""
