@@ -1,8 +1,11 @@
 """The viewer's model with its engine, without a window: what is asked for, and that nothing outdated is shown."""
 
 import json
+import os
+import shutil
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +21,7 @@ from gffe_cl import OPTIONS, Options
 from gffe_cl.captures.doctor.findings import FAULT, NOTE, Finding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
+from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Option
 from gffe_cl.lab.fault_injection import broken
 from gffe_cl.lab.metrics import to_display
@@ -96,6 +100,66 @@ def inspected(session, x, y):
     pointing.hover((x + 0.5, y + 0.5))
     session.until(lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y))
     return pointing.inspection
+
+
+def test_a_picture_of_another_slot_or_setting_is_not_current(session):
+    """While the next one is made, captions name what is still shown, and its values are not given for the next."""
+    model = session.model
+    model.playback.seek(3)
+    session.settle()
+    assert model.current and model.frame_text == "generated: frame 1 + 1/2"
+    seen = inspected(session, 3, 4)
+    assert model.shows(seen) and not model.shows(replace(seen, slot=2))
+    with session.engine_waiting():
+        model.playback.seek(1)
+        session.model.update(time.perf_counter(), session.canvas)
+        assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
+    session.settle()
+    assert model.current and not model.shows(seen)
+    model.playback.n = 3
+    assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
+    session.settle()
+    seen = inspected(session, 3, 4)
+    model.set("hole_filling", "none")
+    session.frame()
+    session.settle()
+    assert model.current and not model.shows(replace(seen, slot=model.slot))
+
+
+def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
+    """A failed reload of kernels or of the sequence, and frames on disk that are others now."""
+    shutil.copytree(kernel_folder(), tmp_path / "kernels")
+    monkeypatch.setenv("GFFE_KERNELS", str(tmp_path / "kernels"))
+    folder = tiny_sequence.write(tmp_path / "first")
+    session = Session(folder)
+    model, warp, description = session.model, tmp_path / "kernels" / "warp.cl", folder / "sequence.json"
+    try:
+        assert model.states == []
+        good, text = warp.read_text(), description.read_text()
+        warp.write_text(f"{good}\nnonsense")
+        session.until(lambda: model.states)
+        assert model.states == [f"kernels on disk do not build: build {model.recipe.kernels[:6]} is shown"]
+        model.playback.seek(3)
+        session.settle()
+        assert len(model.states) == 1, "another frame does not mend them"
+        warp.write_text(good)
+        session.until(lambda: not model.states)
+        description.write_text("{")
+        model.reload()
+        session.until(lambda: model.states)
+        model.playback.seek(1)
+        session.settle()
+        assert "could not be read again" in model.states[0] and "sequence.json" in model.states[0]
+        description.write_text(text)
+        model.reload()
+        session.until(lambda: not model.states)
+        os.utime(folder / "frame_1.exr", ns=(1, 1))
+        session.until(lambda: model.states)
+        assert model.states == ["files on disk have changed: Ctrl+R reads them again"]
+        model.reload()
+        session.until(lambda: not model.states)
+    finally:
+        model.close()
 
 
 def test_a_layer_is_never_compared_with_itself(session):

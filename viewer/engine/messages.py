@@ -93,6 +93,8 @@ class Result:
         Of rendered frame k.
     buffers : tuple of str
         Properties of the engine's buffers that differ from our conventions.
+    recipe : Recipe or None
+        Everything that it was made from.
     """
 
     request: Request
@@ -109,6 +111,7 @@ class Result:
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
     buffers: tuple[str, ...] = ()
+    recipe: Recipe | None = None
 
     @property
     def milliseconds(self) -> dict[str, float]:
@@ -133,7 +136,7 @@ class Inspection:
     `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
     rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on that image;
     of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source` is
-    invalid; empty if it is not.
+    invalid; empty if it is not. `recipe`: of the slot.
     """
 
     pixel: tuple[int, int]
@@ -143,6 +146,7 @@ class Inspection:
     story: Story
     fault: str = ""
     origin: dict[str, np.ndarray] = field(default_factory=dict)
+    recipe: Recipe | None = None
 
     def of(self, layers: frozenset[str] | None) -> Inspection:
         """Return the same with the values of `layers` alone; None: of all."""

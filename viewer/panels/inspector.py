@@ -41,7 +41,9 @@ def draw(app: Interface) -> None:
     if model.walk.can_go_back:
         widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
     if model.pointing.story is not None:
+        imgui.begin_disabled(model.pointing.story_due or not model.current)
         _story(model, model.pointing.story)
+        imgui.end_disabled()
     if model.selection.rectangle is not None:
         _rectangle(model, *model.selection.rectangle)
     _buffers(model)
@@ -50,6 +52,16 @@ def draw(app: Interface) -> None:
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
         return
+    stale = not (model.current and model.shows(inspection))
+    if stale:
+        imgui.text_disabled("computing … these values are of another frame or setting")
+    imgui.begin_disabled(stale)
+    _inspection(app, inspection)
+    imgui.end_disabled()
+
+
+def _inspection(app: Interface, inspection: Inspection) -> None:
+    """Draw the values of a pixel, under the positions that they are of."""
     x, y = inspection.pixel
     imgui.text_wrapped(f"{HERE}: pixel ({x}, {y})")
     if inspection.origin and inspection.source is not None:

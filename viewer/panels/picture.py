@@ -30,6 +30,8 @@ _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
+_GRAY = (0.3, 0.3, 0.32, 0.6)  # over a picture that is not the requested one ...
+_STILL_FRESH = 0.15  # ... for so many seconds: less would flicker
 
 
 def draw(app: Interface) -> None:
@@ -63,6 +65,9 @@ def draw(app: Interface) -> None:
     hovered = imgui.is_item_hovered()
     marks = imgui.get_window_draw_list()
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
+    stale = app.stale_for(_STILL_FRESH)
+    if stale:
+        marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
     if model.arrows:
         _arrows(model, place, marks)
     marked = _numbers(model, view, place, marks)
@@ -72,7 +77,7 @@ def draw(app: Interface) -> None:
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
     covers += _bars(model, origin, width, height, marks)
-    if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
+    if not (marked or stale or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
         app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
 
@@ -300,8 +305,12 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     elif model.comparison.flipped and view.b:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
-        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
-        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
+        first = model.contents.result
+        settings = f"{told(first.request.setup)}   " if model.comparison.by_settings and first is not None else ""
+        builds = model.builds
+        texts = (
+            f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}"
+        )  # fmt: skip
         a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
         label(a, 10, 8)
         label(b, width - 10, 8, right=True)
@@ -312,12 +321,18 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
-    if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):
-        state = "computing …"
+    if not (model.comparison.ready and model.current) or (
+        model.engine.busy and not (model.playback.playing or model.follows)
+    ):
+        state = "computing …" if model.failure is None or model.engine.busy else f"not this frame: {model.failure}"
     if state:
         state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
         label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
+    for number, state in enumerate(model.states):
+        text = widgets.cut(state, width - 24)
+        if height > (6 + number) * line:
+            label(text, (width - imgui.calc_text_size(text).x) / 2, (1.6 + 1.2 * number) * line)
     return covers
 
 

@@ -45,7 +45,7 @@ def unit_of(a: Side, b: Side, how: str = "absolute") -> str:
         return "of the larger one"
     kind = compared_as(a, b)
     if kind == COLOR:
-        return "of display values"
+        return "of display values" if shown_as(*a)[0] == COLOR == shown_as(*b)[0] else "of displayed colors"
     return _UNITS.get(kind, _UNITS.get(a[0].view, ""))
 
 

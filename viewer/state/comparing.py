@@ -49,7 +49,7 @@ class Scores:
         self._known.clear()
 
 
-_FORMULAS = {"absolute": "|A − B|", "signed": "A − B", "relative": "|A − B| / the larger one"}
+FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
 FLIP_HIGH = 0.5
 _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}  # of a view, with their ranges
@@ -129,6 +129,11 @@ class Comparison:
     def toggle(self, way: str) -> None:
         self.set("off" if self._view.compare == way else way)
 
+    def subtract(self, how: str) -> None:
+        """Show the difference of A and B as `how`, one of DIFFERENCES."""
+        self._view.difference = how
+        self.set("difference")
+
     def flip(self, down: bool) -> None:
         """Show B instead of A as long as the key is held; from then on B is read back with A."""
         if down and self._view.compare == "off":
@@ -183,7 +188,7 @@ class Comparison:
         if self.flipped or view.compare not in ("difference", "error", "flip error"):
             return ""
         if view.compare == "difference":
-            return f"{_FORMULAS[view.difference]} × {view.gain:g}"
+            return f"{FORMULAS[view.difference]} × {view.gain:g}"
         kind = "FLIP error" if view.compare == "flip error" else f"{view.error} error"
         return f"{kind}, brightest from {self.brightest:.3g}"
 
