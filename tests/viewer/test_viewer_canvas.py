@@ -278,6 +278,21 @@ def test_a_single_invalid_pixel_is_seen_in_a_small_picture(canvas):
     assert 4 <= len(at) <= 64 and np.abs(at.mean(0) + 0.5 - np.array((101, 77)) / 8).max() < 2
 
 
+@pytest.mark.parametrize("at", [(0, 0), (101, 77), (200, 300)])
+def test_a_mark_does_not_depend_on_means_of_bytes(canvas, at):
+    """At a sixtieth of the size the mean of a single one is less than half a level of a byte."""
+    size = (301, 201)
+    canvas.frame = FrameInfo(size, generated=True)
+    seen = np.zeros(size[::-1], bool)
+    seen[at] = True
+    with_masks(canvas, seen, seen)
+    canvas.upload("final", np.full(size[::-1], 0.5, np.float32), replace(SCALAR, name="final"))
+    made = drawn(canvas, View("final", Display(), center=(150.5, 100.5), zoom=1 / 60), (5, 4))
+    assert is_checkered(made).any()
+    near = drawn(canvas, View("final", Display(), center=(150.5, 100.5), zoom=1.0), size)
+    assert is_checkered(near)[at] and is_checkered(near).sum() <= 16
+
+
 def test_two_layers_with_nan_do_not_agree(canvas):
     image = np.full((8, 8, 3), 0.5, np.float16)
     image[2:4, 2:6] = np.nan

@@ -37,6 +37,7 @@ from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
+from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.state.settings import Settings
 
 
@@ -124,6 +125,32 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
     session.frame()
     session.settle()
     assert model.current and not model.shows(replace(seen, slot=model.slot))
+
+
+def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
+    """Its cached slots are not those of the opened one."""
+    model = session.model
+    session.until(lambda: model.filling.cached)
+    with session.engine_waiting():
+        model.opened(model.source)
+        assert model.filling.cached == frozenset()
+
+
+def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model, seen = session.model, set()
+    model.save(LayersWork)
+    work = model.export
+    session.until(lambda: seen.add((work.done, work.total)) or model.export is None)
+    assert work.done == work.total == len(list(work.path.iterdir())) > 5, seen
+
+
+def test_while_a_program_is_attached_to_that_is_told(session):
+    model = session.model
+    model.program = SimpleNamespace(name="game", close=lambda: None)
+    model.notice, model.engine.open_source = "", lambda make, serial: None
+    model.follow()
+    assert "game" in model.notice
 
 
 def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):

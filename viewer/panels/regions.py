@@ -15,7 +15,7 @@ from .interface import Interface
 def draw(app: Interface) -> None:
     model = app.model
     if model.source is None:
-        imgui.text_disabled("Open a sequence or a scene")
+        imgui.text_disabled(model.notice or "Open a sequence or a scene")
         return
     regions = model.regions
     reason = regions.why_not()

@@ -128,6 +128,8 @@ class Canvas:
         buffer.write(texels)
         layer.texels.write(buffer, alignment=1)
         layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
+        layer.host = texels if name in invalid.MASKS else None
+        layer.drop_reduced()
 
     @property
     def layers(self) -> dict[str, LayerSpec]:
@@ -139,7 +141,7 @@ class Canvas:
         for name in layers:
             layer = self._layers.pop(name, None)
             if layer:
-                layer.texels.release()
+                layer.release()
 
     def release(self) -> None:
         """Release everything; the canvas must not be used any more."""
@@ -149,7 +151,7 @@ class Canvas:
             _release(framebuffer)
         for program in self._programs.values():
             program.release()
-        self._nothing.texture.texels.release()
+        self._nothing.texture.release()
         self._color_maps.release()
         self._targets, self._programs = {}, {}
 
@@ -280,10 +282,10 @@ class Canvas:
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
         regions = self._layers.get(view.overlay) if view.overlay in _LABELED else None
         level = max(math.ceil(math.log2(_MARK / max(view.zoom, 1e-6))), 0)
-        for mask in filter(None, masks):
-            level = min(level, int(math.log2(max(mask.size))))
-            mask.have_mipmaps(level)
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions, *masks)):
+        for index, mask in enumerate(masks):
+            program.set(f"layer[{index}].", {"mask_size": mask.size if mask else (1, 1)})
+        largest = [mask and mask.largest(level) for mask in masks]
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions, *largest)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())

@@ -54,13 +54,14 @@ struct Layer {
     float motion_scale;   /* negative: reversed */
     vec3 tint;
     int label_flip;       /* 15: the usual label is 15, not 0 */
-    vec4 mask_area;       /* as `area`, of the mask of invalid pixels */
+    vec4 mask_area;       /* as `area`, of the mask of invalid pixels ... */
+    ivec2 mask_size;      /* ... and its pixels */
 };
 
 uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
 uniform sampler2DArray mask_a, mask_b;  /* invalid pixels of the input */
-uniform int mark_level;         /* of their mipmaps, which make single pixels as large as can be seen */
+uniform int mark_level;         /* a texel is the largest of 2^mark_level squared pixels, so that single ones are seen */
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_center;
@@ -350,7 +351,7 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
 /* Whether layer i shows an invalid pixel of the input. */
 bool marked(sampler2DArray mask, const int i, const vec2 uv) {
     vec2 at = mix(layer[i].mask_area.xy, layer[i].mask_area.zw, uv);
-    return inside(at) && texelFetch(mask, ivec3(texel_at(at, textureSize(mask, mark_level).xy), 0), mark_level).r > 0.0;
+    return inside(at) && texelFetch(mask, ivec3(texel_at(at, layer[i].mask_size) >> mark_level, 0), 0).r > 0.0;
 }
 
 vec3 with_grid(const vec3 c, const vec2 uv) {

@@ -145,6 +145,7 @@ class Model:
         """Show the program live, with its pipeline's options."""
         program = self.program
         assert program is not None  # as `attach` was called
+        self.notice = f"attaching to {program.name} …"
         self.engine.open_source(lambda device: AttachedSource(program), self.asking.serial())
 
     def freeze(self) -> None:
@@ -174,7 +175,10 @@ class Model:
         self.notice, self.reload_fault, self._target = "", "", source.target
         if self.preview is None:
             self.screen.show({}, set())
-        for part in (self.asking, self.second, self.survey, self.scores, self.walk, self.selection, self.disocclusions):
+        for part in (
+            self.asking, self.filling, self.second, self.survey, self.scores, self.walk, self.selection,
+            self.disocclusions,
+        ):  # fmt: skip
             part.forget()
         if self.export is not None:
             self.export.cancel()
@@ -293,7 +297,7 @@ class Model:
 
     @property
     def current(self) -> bool:
-        """Whether a still picture shows the slot of the playhead, made with the present settings, kernels and frames."""
+        """Whether a still picture shows the playhead's slot, made with the present settings, kernels and frames."""
         result = self.contents.result
         if result is None or self.follows or self.flying or self.playback.playing:
             return True
