@@ -1067,6 +1067,33 @@ def test_stories_of_holes_and_of_the_background(device):
         assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
 
 
+def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device):
+    """The pixels that are named give the depth that is shown, and each stage before tells what it looked at."""
+    setup, checked = Setup(Options(levels=0)), 0
+    with running(device, Clip()) as engine:
+        images = ask(engine, 13, setup, ("frame.depth", "frame.dynamic", "final")).images
+        for story in stories(engine, setup, 13, lambda i: i["frame.filled_by"] == 255, 30):
+            (taken,) = (step for step in story.sentences if "The result is (" in step)
+            color = images["final"][story.pixel[1], story.pixel[0], :3]
+            assert f"The result is ({', '.join(f'{float(c):.3g}' for c in color)})." in taken
+            (movers,) = (step for step in story.sentences if "Hidden parts of movers left it" in step)
+            if movers.links[0].pixel is not None:
+                x, y = movers.links[0].pixel
+                assert images["frame.dynamic"][y, x] and f"({x}, {y})" in movers
+            if "took the mean of those" not in taken:
+                continue
+            (x, y), beside = story.pixel, [link.pixel for link in taken.links]
+            weights = [1 / np.hypot(px - x, py - y) for px, py in beside]
+            inverse = [1 / images["frame.depth"][py, px] for px, py in beside]
+            assert images["frame.depth"][y, x] == pytest.approx(1 / np.average(inverse, weights=weights), rel=1e-3)
+            checked += 1
+        assert checked > 5
+        remembering = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 255)
+        told = [step for story in remembering for step in story.sentences if "The background left it" in step]
+        assert len(told) == len(remembering)
+        assert any("nothing is remembered" in step or "none lands here" in step for step in told)
+
+
 class BarredClip(Clip):
     """A mover behind bars."""
 

@@ -317,7 +317,7 @@ def test_the_survey_sums_up_its_regions():
 
 
 def test_equal_settings_are_counted_once():
-    engine, survey = surveyed()
+    _, survey = surveyed()
     survey.update(survey.a.setup, survey.a.setup, 1.0, True)
     assert survey.progress == (8, 8)
     survey.close()

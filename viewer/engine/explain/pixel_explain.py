@@ -27,6 +27,7 @@ from ..buffers import PixelValues, Shot, device_layers, moved, pixel_values, rea
 from .fragment_history import Fragment, around, least
 from .motion_trail import Passed, way_of
 from .pixel_explain_types import Link, Step, Story
+from .refusals import what_was_taken, why_no_background, why_no_mover
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 
@@ -97,9 +98,12 @@ def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
     coverage = int(values.get(names.COVERAGE, (0,))[0])
     if not coverage:
         return story
+    by_others = int(values[names.FILLED_BY][0]) not in (BY_WARP, BY_CRACK_CLOSING)
     said = f"Soft silhouettes: a nearer surface covers {(coverage - 1) / 254:.0%} of it."
     if coverage == 1:
         said = "Soft silhouettes: the color of a nearer surface, which was mixed in, is taken out."
+    if by_others:
+        said += f" The rest is what was filled in before: {story.filled_by}."
     return replace(story, sentences=(*story.sentences, Step(said, Link("coverage", names.COVERAGE))))
 
 
@@ -124,7 +128,7 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if not pipeline.options.warps_footprints:
         return Story((x, y), label, source_px, sentences=_dilated_sentences(shot, source_px, number == BY_WARP))
     if number in (BY_HOLE_FILLING, BY_NOTHING):
-        return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
+        return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, (x, y), source_px, values))
     if number in (BY_HIDDEN_PART, BY_REAPPEARING):
         return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values, number))
     if level is not None and values[names.DISOCCLUDED][0]:
@@ -187,15 +191,17 @@ def _hidden_sentences(shot: Shot, source_px, values, number: int) -> tuple[str, 
     )
 
 
-def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...]:
+def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px, values) -> tuple[str, ...]:
     nothing = f"No fragment of rendered frame {shot.moment.k} lands here, nor one that the background remembers."
     if "background" not in pipeline.stages:
         nothing = f"No fragment of rendered frame {shot.moment.k} lands here, and there is no background."
-    nothing = Step(nothing, Link("disoccluded", names.DISOCCLUDED))
+    refused = [why_no_mover(pipeline, shot, pixel), why_no_background(pipeline, shot, pixel, source_px)]
+    said: list[str | Step | None] = [Step(nothing, Link("disoccluded", names.DISOCCLUDED))]
     if pipeline.options.hole_filling == "none":
-        return nothing, "Hole filling is off: black, at infinite depth."
+        said += ["Hole filling is off: black, at infinite depth.", *refused]
+        return tuple(filter(None, said))
     filled = f"Hole filling: its color {HOLE_FILLINGS[pipeline.options.hole_filling]}."
-    said: list[str | Step] = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
+    said += [Step(filled, Link("filled by", names.FILLED_BY)), what_was_taken(pipeline, shot, pixel, values), *refused]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         outside = f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f})"
         if pipeline.options.hole_filling == "far-side":
@@ -203,7 +209,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
             said.append(Step(f"{outside}: near the border, lines that cross it go on at their angle.", lines))
         else:
             said.append(f"{outside}.")
-    return tuple(said)
+    return tuple(filter(None, said))
 
 
 def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> Story:
