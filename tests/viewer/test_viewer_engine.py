@@ -1110,6 +1110,21 @@ def test_stories_of_hidden_parts(device):
         assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
 
 
+def test_stories_of_parts_that_reappear(device):
+    """They lead to the mover in the frame before, and soft silhouettes are not named as the only cause."""
+    with running(device, BarredClip()) as engine:
+        told = stories(engine, Setup(n=3), 31, lambda i: i["frame.filled_by"] == 252)
+        before = ask(engine, 24, Setup(n=3), ("rendered.depth",)).images["rendered.depth"]
+        for story in told:
+            (step,) = (step for step in story.sentences if "So its color is that of frame 6 at (" in step)
+            x, y = step.links[0].pixel
+            met = float(step.rsplit(" ", 1)[1].rstrip("."))
+            around = before[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+            assert (np.abs(around - met) <= 0.05 * met).any() and step.links[0].frame == 6
+            for sentence in (sentence for sentence in story.sentences if "Soft silhouettes" in sentence):
+                assert "The rest is what was filled in before: " in sentence
+
+
 def test_stories_of_corrected_pixels(device, tmp_path):
     options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
     with running(device, FadingClip()) as engine:

@@ -27,7 +27,7 @@ from ..buffers import PixelValues, Shot, device_layers, moved, pixel_values, rea
 from .fragment_history import Fragment, around, least
 from .motion_trail import Passed, way_of
 from .pixel_explain_types import Link, Step, Story
-from .refusals import what_was_taken, why_no_background, why_no_mover
+from .refusals import what_was_taken, where_it_reappears_from, why_no_background, why_no_mover
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 
@@ -130,7 +130,7 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, (x, y), source_px, values))
     if number in (BY_HIDDEN_PART, BY_REAPPEARING):
-        return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values, number))
+        return Story((x, y), label, source_px, sentences=_hidden_sentences(pipeline, shot, source_px, values, number))
     if level is not None and values[names.DISOCCLUDED][0]:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
@@ -176,7 +176,7 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]
     return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
-def _hidden_sentences(shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
+def _hidden_sentences(pipeline: Pipeline, shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
     depth, front = float(values[names.DEPTH][0]), None
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
@@ -185,10 +185,13 @@ def _hidden_sentences(shot: Shot, source_px, values, number: int) -> tuple[str, 
         said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."
     where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
     shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
-    return (
+    told: list[str | Step | None] = [
         Step(said, Link("filled by", names.FILLED_BY)),
         f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
-    )
+    ]
+    if number == BY_REAPPEARING:
+        told.append(where_it_reappears_from(pipeline, shot, source_px))
+    return tuple(filter(None, told))
 
 
 def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px, values) -> tuple[str, ...]:

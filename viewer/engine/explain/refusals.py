@@ -11,6 +11,7 @@ from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING
+from gffe_cl.engine.stages.history import DYNAMIC
 from .. import names
 from ..buffers import Shot, device_layers, read_blocks
 from .fragment_history import around, least
@@ -22,7 +23,7 @@ _BESIDE = 2  # texels around a place in which the background is looked at
 
 
 class _Block:
-    """Layers of the new frame around a pixel, `reach` px each way."""
+    """Layers of one grid around a pixel of it, `reach` px each way."""
 
     def __init__(self, pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], reach: int, wanted: tuple[str, ...]):
         layers = device_layers(pipeline, shot)
@@ -94,8 +95,8 @@ def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -
         if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["STANDS_BEFORE"] * z:
             return f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
     return (
-        f"{was}, behind depth {shown:.4g}. But the mover is on one side only and not close by, or the frame before showed"
-        " something farther there."
+        f"{was}, behind depth {shown:.4g}. But the mover is on one side only and not close by, or the frame before"
+        " showed something farther there."
     )
 
 
@@ -207,3 +208,28 @@ def _behind(met: list[_Taken]) -> list[_Taken]:
 
     chosen = max(candidates, key=lambda one: sum(other.closeness for other in candidates if alike(one, other)))
     return [one for one in candidates if alike(one, chosen)]
+
+
+def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[float, float] | None) -> Step | None:
+    """Return where the frame before showed a part of a mover that reappears. It is at `source_px` of the rendered image,
+    behind what hides it, and moves as the mover beside that does."""
+    if source_px is None:
+        return None
+    reach = max(_MOVERS["LEAST_REACH"], pipeline.sizes.target[0] // _MOVERS["REACH_SHARE"])
+    pixel = math.floor(source_px[0]), math.floor(source_px[1])
+    if not all(0 <= at < side for at, side in zip(pixel, pipeline.sizes.source, strict=True)):
+        return None
+    block = _Block(pipeline, shot, pixel, reach, (names.DYNAMIC_MASK, names.RENDERED_MOTION, names.MET_DEPTH))
+    sides = (block.first(d, lambda x, y: block.at(names.DYNAMIC_MASK, x, y)[0] == DYNAMIC) for d in _DIRECTIONS[::2])
+    found = [at for at in sides if at is not None]
+    if not found:
+        return None
+    mover = min(found, key=lambda at: math.dist(at, pixel))
+    motion = block.at(names.RENDERED_MOTION, *mover).astype(np.float64)
+    x, y, before = source_px[0] + motion[0], source_px[1] + motion[1], shot.moment.k - 1
+    depth = float(block.at(names.MET_DEPTH, *mover)[0])
+    said = (
+        f"It moves as the mover beside it, at {mover} of rendered frame {shot.moment.k}, does. So its color is that of"
+        f" frame {before} at ({x:.1f}, {y:.1f}), mixed of up to four pixels there at the mover's depth {depth:.4g}."
+    )
+    return Step(said, Link(f"frame {before}", names.FINAL, before, (math.floor(x), math.floor(y))))
