@@ -682,7 +682,7 @@ SCAN __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
         if (!(disoccluded[dst] | mixed[dst])) continue;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
-        if (disoccluded[dst] && IS_OF_MOVER(filled_by[dst])) continue;
+        if (IS_OF_MOVER(filled_by[dst])) continue; /* its key may be that of a part that reappears */
         const int4 starts = frame->level_starts;
         const int level = level_of(winner, starts), start = start_of(level, starts),
                   width = level_side(frame->source_width, level);

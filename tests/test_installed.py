@@ -24,19 +24,23 @@ def uv(*arguments):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Built from a source distribution, as by installers that find no wheel."""
+    """Built from a source distribution, as by installers that find no wheel, with things in it that are nobody's."""
     source, built = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("built")
     for name in PARTS:
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
+    for name in (".env", "notes.txt~", "engine/.secret", "engine/export/c/.DS_Store"):
+        (source / "gffe_cl" / name).write_text("not for others")
+    (source / "gffe_cl" / "again").symlink_to(source / "gffe_cl")
+    (source / "kernels" / "up").symlink_to("..")
     uv("build", "--out-dir", built, source)
     (path,) = built.glob("*.whl")
     return path
 
 
 def test_wheel_holds_the_package_and_nothing_else(wheel):
-    """Stylesheets, scripts, kernels and weights included; tests excluded."""
+    """Stylesheets, scripts, kernels and weights included; tests, hidden files, backups and links to folders out."""
     there = {
         f"{inside}/{path.relative_to(ROOT / name).as_posix()}"
         for name, inside in PARTS.items()

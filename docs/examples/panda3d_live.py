@@ -201,8 +201,8 @@ def play(game, rate, shown, frames):
         now = perf_counter()
         if now >= due or game.cut:
             due = max(due + 1 / rate, now)
-            if game.render(now):
-                pacer.rendered(now)
+            if frame := game.render(now):
+                pacer.rendered(frame.time, frame.reset)
             rendering = perf_counter() - now
         plan = pacer.plan(now := perf_counter())
         if not plan.held:

@@ -27,7 +27,7 @@ import numpy as np
 from pages import REPOSITORY
 
 TESTS = REPOSITORY / "tests"
-CASES, WORK = TESTS / "formats" / "fuzz_cases", TESTS / ".fuzz_corpus"
+CASES, WORK = TESTS / "captures/formats/fuzz_cases", TESTS / ".fuzz_corpus"
 SECONDS, MEGABYTES = 20, 4096  # that one input may take
 
 

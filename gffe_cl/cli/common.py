@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from gffe_cl.engine.core.errors import GffeError, printable, shortened
-from gffe_cl.engine.core.files import follow_links_everywhere, require_output_file, write_text
+from gffe_cl.engine.core.files import follow_links_everywhere, require_output_file, require_readable, write_text
 from gffe_cl.engine.core.validation import is_number
 
 if TYPE_CHECKING:
@@ -35,8 +35,9 @@ app = typer.Typer(
 for _stream in (sys.stdout, sys.stderr):
     if _reconfigure := getattr(_stream, "reconfigure", None):
         _reconfigure(errors="backslashreplace")  # whatever the terminal cannot show
-out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+_AS_WRITTEN: dict[str, Any] = {"highlight": False, "emoji": False}  # a path may hold :x:
+out = Console(**_AS_WRITTEN, width=None if sys.stdout.isatty() else 120)
+err = Console(**_AS_WRITTEN, stderr=True, soft_wrap=True)
 
 DeviceOption = Annotated[
     str | None,
@@ -79,6 +80,17 @@ def cluster_at(address: str | None) -> Iterator[Cluster | None]:
 def output_file(option: str):
     """Return a callback for an option that names a file to write: it is checked before the work, not after it."""
     return lambda path: None if path is None else require_output_file(path, option)
+
+
+def input_file(option: str):
+    """Return a callback for an option that names a file to read: it is checked before the work."""
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None:
+            require_readable(path, f"{option} {path}")
+        return path
+
+    return checked
 
 
 JsonOption = Annotated[
@@ -148,7 +160,7 @@ def parse_numbers(text: str, option: str) -> list[float]:
 @contextmanager
 def progress_bars():
     """Show the progress of steps on standard error: bars on a terminal, lines elsewhere."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err) if err.is_terminal else _Lines()
     with bars as progress:
         yield progress
@@ -233,6 +245,15 @@ def _finite(value):
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def duration(seconds: float) -> str:
+    """Return the text for a length of time: "80 s", "12 min", "3.5 h" or "4 days"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.0f} days"
 
 
 def say(markup: str) -> None:

@@ -10,6 +10,7 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     JsonOption,
     app,
+    duration,
     out,
     plain,
     write_json,
@@ -31,9 +32,9 @@ def devices(
     network."""
     from dataclasses import asdict
 
-    from gffe_cl.engine.opencl.device import best_of, list_devices, none_works
+    from gffe_cl.engine.opencl.device import best_of, known_devices, none_works
 
-    every = list_devices(refresh)
+    every, age = known_devices(refresh)
     infos = [info for info in every if kind in (None, info.kind)]
     table = Table("", "index", "device", "platform", "kernel runs", "Mpixel/s", "lacks", box=None, header_style="bold")
     working = [info for info in infos if info.works]
@@ -52,11 +53,13 @@ def devices(
         out.print(table)
     if default:
         out.print("* the default: the most Mpixel/s in a test of arithmetic and memory, or about as many on a GPU")
-        out.print("choose another with --device or GFFE_DEVICE (--refresh repeats the tests)")
+        out.print("choose another with --device or GFFE_DEVICE")
+        when = "just now" if age is None else f"{duration(age)} ago"
+        out.print(f"tested {when}; other programs slow the test down: --refresh repeats it")
     verdicts = _provider_verdicts(refresh)
     for found in verdicts:
         out.print(plain(f"network's provider {found.provider}: {found.summary()}"))
-    document = {"devices": [asdict(i) | {"default": i is default} for i in infos]}
+    document = {"devices": [asdict(i) | {"default": i is default} for i in infos], "age_seconds": age or 0.0}
     write_json(json_path, document | {"providers": [asdict(found) for found in verdicts]})
     if not working:
         raise none_works(infos or every, kind)

@@ -17,6 +17,8 @@ from gffe_cl.cli.common import (
     SchedulerOption,
     app,
     cluster_at,
+    duration,
+    input_file,
     out,
     progress_bars,
     write_json,
@@ -67,10 +69,16 @@ def train(
         bool, typer.Option("--data-only", help="Training clips: make them, and do not train.")
     ] = False,
     start: Annotated[
-        Path | None, typer.Option(help="Network to begin with, an ONNX file of an earlier training.")
+        Path | None,
+        typer.Option(
+            help="Network to begin with, an ONNX file of an earlier training.", callback=input_file("--start")
+        ),
     ] = None,
     vgg: Annotated[
-        Path | None, typer.Option(help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.")
+        Path | None,
+        typer.Option(
+            help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.", callback=input_file("--vgg")
+        ),
     ] = None,
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
@@ -168,7 +176,7 @@ class _Plan:
             say(f"going on with the {begun} clips that this run was started with")
         elif minutes is not None:
             say(
-                f"clips: at most {_duration(60 * share * minutes)}"
+                f"clips: at most {duration(60 * share * minutes)}"
                 + ("" if data_only else ", then steps, then the model")
             )
 
@@ -179,7 +187,7 @@ class _Plan:
             return
         each = (time.monotonic() - self.started) / self.made
         if self.clips_until is None:
-            self.say(f"clips: {each:.1f} s each, about {_duration(each * wanted / processes)} for {wanted}")
+            self.say(f"clips: {each:.1f} s each, about {duration(each * wanted / processes)} for {wanted}")
         else:
             possible = int((self.clips_until - self.started) / each) * processes
             self.say(
@@ -192,7 +200,7 @@ class _Plan:
             self.say(f"steps: {steps - done:,} of {steps:,} to go, until all are done")
             return
         self.steps_until = max(self.started + 60 * self.minutes, self.now + 20 * self.minutes)
-        self.say(f"steps: {steps - done:,} of {steps:,} to go, for {_duration(self.steps_until - self.now)}")
+        self.say(f"steps: {steps - done:,} of {steps:,} to go, for {duration(self.steps_until - self.now)}")
 
     def step(self, done: int, steps: int) -> None:
         """Update the plan after `done` steps."""
@@ -201,16 +209,10 @@ class _Plan:
         each = (time.monotonic() - self.now) / _MEASURED_STEPS
         left = steps - self.first_step
         if self.steps_until is None:
-            self.say(f"steps: {each:.2f} s each, about {_duration(each * left)} for all")
+            self.say(f"steps: {each:.2f} s each, about {duration(each * left)} for all")
         else:
             possible = min(left, int((self.steps_until - self.now) / each))
             self.say(f"steps: {each:.2f} s each, about {possible:,} in this time")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:

@@ -17,7 +17,7 @@ from fuzz_arguments import arguments, kind, parameters, wrong
 from gffe_cl.cli import common
 from gffe_cl.engine.core import errors
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import only_process
+from gffe_cl.engine.core.files import only_process, replacing
 from gffe_cl.engine.export import writing
 from gffe_cl.engine.opencl.remote_workers import Cluster
 from gffe_cl.engine.options import Options
@@ -169,3 +169,73 @@ def test_a_file_as_home(tmp_path):
         [sys.executable, "-c", code], env=environment | changes, capture_output=True, text=True, cwd=tmp_path
     )
     assert child.returncode == 0 and not child.stderr, child.stderr
+
+
+def test_paths_are_printed_as_they_are(gffe, tmp_path, monkeypatch):
+    """Neither as emoji nor as markup."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("a:x:b", ":heart:", "[bold]b[/]", "[/]"):
+        code, _, told = gffe("check", name)
+        assert code == 2 and told.startswith(f"error: {name}: no such folder")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("GFFE_LANES", "abc", 'GFFE_LANES must be 1 or 8, got "abc"'),
+        ("GFFE_LANES", "3", 'GFFE_LANES must be 1 or 8, got "3"'),
+        ("GFFE_SHARED_MEMORY", "2", 'GFFE_SHARED_MEMORY must be 0 or 1, got "2"'),
+        ("GFFE_DEVICE", "abacus", "GFFE_DEVICE: no working device matches 'abacus' (there is: "),
+        ("GFFE_KERNELS", "none", 'GFFE_KERNELS must be a folder of kernels with common.h, got "none"'),
+    ],
+)
+def test_environment_variables_are_checked(tmp_path, name, value, told):
+    command = [sys.executable, "-m", "gffe_cl", "render", "room", "out", "--size", "16x16", "--frames", "2"]
+    if name == "GFFE_SHARED_MEMORY":  # which the network asks for
+        sees = "from gffe_cl import *\ntry: open_device().shares_memory\nexcept GffeError as e: exit(f'error: {e}')"
+        command = [sys.executable, "-c", sees]
+    child = subprocess.run(
+        command, env=os.environ | {name: value}, cwd=tmp_path, capture_output=True, text=True, timeout=100
+    )
+    (line,) = child.stderr.splitlines()
+    assert child.returncode and line.startswith(f"error: {told}") and not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_reports_into_pipes_and_devices(gffe, tmp_path):
+    """A pipe that nobody reads is refused instead of waited for; one that is read gets everything."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    code, _, told = gffe("formats", "--json", pipe)
+    assert code == 2 and told == f"error: {pipe}: cannot be written to (expected a program that reads it)\n"
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        while gffe("formats", "--json", pipe)[0]:  # until it has begun
+            pass
+        assert json.loads(reader.communicate(timeout=20)[0])["formats"]
+    if os.path.exists("/dev/full"):
+        code, _, told = gffe("formats", "--json", "/dev/full")
+        assert code == 2 and told == "error: /dev/full: cannot write: No space left on device\n"
+
+
+def test_standard_output_that_is_a_file(tmp_path):
+    """The report is added to what is printed, and replaces nothing."""
+    with open(tmp_path / "all", "w") as file:
+        command = [sys.executable, "-m", "gffe_cl", "formats", "--json", "/dev/stdout"]
+        assert subprocess.run(command, stdout=file, timeout=60).returncode == 0
+    text = (tmp_path / "all").read_text()
+    assert "form " in text and '"formats": [' in text
+
+
+def test_errors_of_writing_name_the_file(tmp_path):
+    path = tmp_path / "report.txt"
+    with pytest.raises(OSError) as failed, replacing(path) as part:
+        part.write_text("half")
+        raise OSError(28, os.strerror(28))
+    assert failed.value.filename == str(path) and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", ["--vgg", "--start"])
+def test_training_looks_for_its_files_first(gffe, tmp_path, option):
+    code, _, told = gffe("train", tmp_path / "out", option, tmp_path / "none.onnx")
+    assert code == 2 and told.startswith(f"error: {option} {tmp_path}/none.onnx: no such file in {tmp_path}")
+    assert not list(tmp_path.iterdir())

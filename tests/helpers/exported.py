@@ -16,6 +16,7 @@ from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, TYPES, FrameFormat
 from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
+MOTION_UNITS = ("pixels", "uv", "ndc", "color_pixels")  # as gffe.h numbers them
 OK, INVALID, OPENCL, OUT_OF_MEMORY, NETWORK_FAILED = range(5)
 
 
@@ -99,7 +100,7 @@ class CFormat(ct.Structure):
             **{name: numbers[getattr(format, name)] for name in ("color_type", "depth_type", "motion_type")},
             **{name: (ct.c_double * 2)(*getattr(format, name)) for name in pairs},
             depth_is_device=format.depth == "device",
-            motion_unit=("pixels", "uv", "ndc").index(format.motion_unit),
+            motion_unit=MOTION_UNITS.index(format.motion_unit),
             motion_from_previous=format.motion_direction == "from_previous",
             motion_y_up=format.motion_y == "up",
             motion_invalid=math.nan if format.motion_invalid is None else format.motion_invalid,

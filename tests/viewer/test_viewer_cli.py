@@ -49,9 +49,16 @@ def gffe(tmp_path):
     return call
 
 
-def refused(gffe, *arguments, display=None):
+@pytest.fixture
+def screen():
+    if shutil.which("xvfb-run") is None:
+        assert not os.environ.get("CI"), "CI must have xvfb-run"
+        pytest.skip("xvfb-run is not installed")
+
+
+def refused(gffe, *arguments, display=None, **environment):
     """The one line that is told."""
-    code, out, err = gffe(*arguments, display=display)
+    code, out, err = gffe(*arguments, display=display, **environment)
     lines = err.splitlines()
     assert (code, out, len(lines)) == (2, "", 1) and lines[0].startswith("error: "), (code, out, err)
     return lines[0]
@@ -98,6 +105,28 @@ def test_display_that_is_not_there(gffe):
     assert "the display :977 cannot be opened" in refused(gffe, "in", display=":977")
 
 
+@pytest.mark.parametrize(
+    ("server", "environment", "reason"),
+    [
+        (["-extension", "GLX"], {}, "GLX: GLX extension not found"),
+        ([], {"MESA_GL_VERSION_OVERRIDE": "2.1"}, "GLX: Failed to create context: GLXBadFBConfig"),
+        ([], {"MESA_GL_VERSION_OVERRIDE": "3.2"}, "GLX: Failed to create context: GLXBadFBConfig"),
+    ],
+)
+def test_display_without_opengl(gffe, screen, server, environment, reason):
+    """One line with GLFW's reason, before anything is opened or written."""
+    receiving, sending = os.pipe()
+    command = ["Xvfb", "-displayfd", str(sending), "-noreset", "-screen", "0", "640x480x24", *server]
+    with subprocess.Popen(command, pass_fds=[sending], stderr=subprocess.DEVNULL) as x, open(receiving) as number:
+        os.close(sending)
+        try:
+            display = f":{number.readline().strip()}"
+            told = refused(gffe, "in", "--screenshot", "a.png", display=display, **environment)
+        finally:
+            x.terminate()
+    assert f"the display {display} has no OpenGL 3.3 ({reason}; expected the driver of the screen's GPU" in told
+
+
 def test_wayland_without_x11_is_named(monkeypatch):
     glfw = pytest.importorskip("glfw")
     monkeypatch.setattr(glfw, "init", lambda: False)
@@ -107,13 +136,6 @@ def test_wayland_without_x11_is_named(monkeypatch):
 
     with pytest.raises(GffeError, match=r"no X display: WAYLAND_DISPLAY is wl-9, .* XWayland; without a screen: xvfb"):
         require_display()
-
-
-@pytest.fixture
-def screen():
-    if shutil.which("xvfb-run") is None:
-        assert not os.environ.get("CI"), "CI must have xvfb-run"
-        pytest.skip("xvfb-run is not installed")
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from ..shell.app import App
-from ..shell.start import require_display
 from ..state.model import Model
 from .screenshot import PATIENCE, Look
 
@@ -31,9 +30,8 @@ def measure(
     milliseconds per frame shown of uploading and of processor time (of this process, all threads); first_pass also
     those of computing (kernels) and reading back, cached also frames per second that were due and how many frames were
     dropped. "cached" is empty where there is no cache.
-    Raises GffeError without a display, or when nothing can be played.
+    Raises GffeError when nothing can be played.
     """
-    require_display()
     stopwatch = _Stopwatch(seconds, look)
     app = App(model, on_frame=stopwatch)
     app.picture_frames.on_picture = stopwatch.count

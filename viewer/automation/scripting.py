@@ -11,7 +11,6 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from ..picture.files import save_png
 from ..shell.app import App
-from ..shell.start import require_display
 from ..state.model import Model
 from ..state.playback import EVERY_FRAME
 from .screenshot import PATIENCE, without_pointer
@@ -28,7 +27,6 @@ def play_script(
 ) -> None:
     """Run the steps of the script `path` in a window of its own, and write a `film` of it, WebP or GIF. Time passes
     only while the display is up to date, so that slow machines make the same film. Raises GffeError."""
-    require_display()
     director = Director(path, steps, film is not None)
     app = App(model, on_frame=director)
     app.clock = director.clock

@@ -17,6 +17,7 @@ from gffe_cl.captures.sequence.exr_layout import read_header
 from gffe_cl.captures.sequence.reader import MOTION
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.rendered_frame import require_motion
 
 LEAST_TURN = 5.0  # degrees in all: from then on the focal length is taken from the motion
 MOST_DEVIATION = 0.003  # of the focal length, relative
@@ -111,6 +112,11 @@ def calibrate_sequence(
     Raises GffeError for structural faults, and where the motion does not determine the focal length.
     """
     refuse_same_folder(output, sequence.path)
+    if sequence.format and sequence.format.camera_motion != "included":
+        raise GffeError(
+            f"{sequence.path}: frame_format: camera_motion is {sequence.format.camera_motion} (expected included:"
+            " cameras are recovered from their part of the motion vectors)"
+        )
     width, height = _size_of(sequence)
     middle = np.array([width / 2 if center[0] is None else center[0], height / 2 if center[1] is None else center[1]])
     seen = _read(sequence, on_frame)
@@ -155,6 +161,9 @@ def _read(sequence: Sequence, on_frame: Callable[[], None]) -> dict[str, Corresp
     wanted += [entry for entry in sequence.ground_truth if _has_motion(sequence, entry, size)]
 
     def read(entry: FrameEntry) -> Correspondences:
+        if entry.kind == "rendered":
+            frame = sequence.read(entry)
+            return correspondences(frame.depth, require_motion(frame))
         channels = sequence.read_channels(entry, ("Z", *MOTION))
         return correspondences(channels["Z"], np.stack([channels[name] for name in MOTION], -1))
 
@@ -166,7 +175,10 @@ def _read(sequence: Sequence, on_frame: Callable[[], None]) -> dict[str, Corresp
 
 
 def _has_motion(sequence: Sequence, entry: FrameEntry, size: tuple[int, int]) -> bool:
-    header = read_header(sequence.path / entry.file, entry.file)
+    own = sequence.exr_file(entry)
+    if own is None:
+        return False
+    header = read_header(own, entry.file)
     there = all(header.find(name) for name in ("Z", *MOTION))
     return there and sequence.size_of(entry) == size and sequence.rendered_before(entry.time) is not None
 
@@ -216,20 +228,24 @@ def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Len
         poses.append(pose)
     cameras = {e.file: _camera(p, lens) for e, p in zip(sequence.rendered, poses, strict=True)}
     named: dict[str, Any] = {"generator": "gffe-cl calibrate", "attributes": sequence.attributes}
-    named["format"] = sequence.format  # as the files are linked
+    named["format"] = sequence.format  # depth and motion stay as they are stored
     with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         for entry in sequence.frames:
-            path = sequence.path / entry.file
+            own = sequence.exr_file(entry)
             if entry.kind == "rendered":
                 reset = entry.file not in found
                 new = replace(entry, render_camera=cameras[entry.file], display_camera=None, reset=reset)
-                writer.link(new, path)
+                if own is None:
+                    writer.add_frame(new, sequence.read_stored(entry))
+                else:
+                    writer.link(new, own)
             elif entry.kind == "ground_truth" and entry.file in found:
+                assert own is not None  # it has motion
                 number = sequence.rendered_before(entry.time)
                 assert number is not None  # the poses that were found are of frames after a rendered one
                 before = poses[number]
                 camera = _camera(np.linalg.inv(found[entry.file].movement.matrix) @ before, lens)
-                writer.link(replace(entry, display_camera=camera), path)
+                writer.link(replace(entry, display_camera=camera), own)
                 truths += 1
             elif entry.kind == "ground_truth":  # written again: its header may have a camera of another world
                 writer.add(replace(entry, display_camera=None), named_channels(sequence.read_color(entry)))

@@ -24,6 +24,7 @@ from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_v
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.engine.core.validation import QUIETLY
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
@@ -94,6 +95,7 @@ class Diagnosis:
         return "faults" if self.faults else "fits" if self.compared else "unknown"
 
 
+@QUIETLY
 def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     """Examine the rendered frames of `clip` and return the diagnosis. Raises GffeError if it has none, or if a file
     cannot be read."""

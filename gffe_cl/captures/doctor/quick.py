@@ -21,7 +21,7 @@ from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.engine.core.errors import printable
-from gffe_cl.engine.core.validation import require_array, require_exposure, require_kind, require_list
+from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure, require_kind, require_list
 from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, described_arrays, host_arrays
 
@@ -61,6 +61,7 @@ class _Fit:
         return self.share + float(np.nan_to_num(self.along)) + self.edges
 
 
+@QUIETLY
 def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameFormat | None = None) -> str | None:
     """Return a sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras,
     motion vectors and colors, camera jitter in the vectors, or a buffer that is upside down; or if the color contains a
@@ -110,6 +111,7 @@ class _InMemory:
         return self._frames[entry.file]
 
 
+@QUIETLY
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     """Return a sentence if the first rendered frames of `clip` do not fit, else None: motion vectors and depth with
     cameras, motion vectors and colors, or a buffer that is upside down; or if the color contains a user interface, or

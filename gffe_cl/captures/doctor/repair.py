@@ -286,7 +286,7 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
     named = {"generator": "gffe-cl check", "attributes": sequence.attributes}
     with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         for entry, frame in repair.frames():
-            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            writer.add_frame(entry, frame)
             on_frame()
         repair.refuse_harm()
         for entry in sequence.ground_truth:

@@ -21,7 +21,7 @@ from gffe_cl.captures.formats.numbering import mark_gaps
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
 from gffe_cl.captures.sequence.exr import decoded, require_parts, view_note
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, HeaderReader, read_header
-from gffe_cl.captures.sequence.header_attributes import carried, reported
+from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -50,12 +50,14 @@ def open_blender(folder: Path) -> Sequence:
     """Open the capture in `folder` and return it: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
-    reader, headers = HeaderReader(), []
+    reader, headers, remarks = HeaderReader(), [], Remarks(description.fps)
     for entry in description.frames:
         header = reader.read(folder / entry.place, entry.file)
         passes = _passes(header, entry)
         if entry.kind == "rendered":
             headers[1:] = [(header, passes, entry.file)]
+            exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
+            remarks.add(header, entry.file, exact)
         parts = {part for places in filter(None, passes) for part, _ in places}
         require_parts(header, parts, None, entry.file)
         windows = {header.parts[part].data_window for part in parts}
@@ -67,9 +69,8 @@ def open_blender(folder: Path) -> Sequence:
     pixels = BlenderPixels(folder)
     pixels.notes += [f"{folder}: {gaps}"] if gaps else []
     if headers:
-        (first, color, _), (last, passes, file) = headers[0], headers[-1]
-        exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
-        pixels.notes += view_note(last, file) + reported(last, file, exact, description.fps)
+        (first, color, _), (last, _, file) = headers[0], headers[-1]
+        pixels.notes += view_note(last, file) + remarks.sentences
         pixels.attributes = carried(first, color.color[0][0], last)
     return Sequence(folder, description, pixels)
 

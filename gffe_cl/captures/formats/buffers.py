@@ -12,7 +12,10 @@ import numpy as np
 from gffe_cl.captures.formats.cameras import UNITS, FoundCamera
 from gffe_cl.captures.formats.images import Size, check_planes, read_planes
 from gffe_cl.captures.formats.json_schema import Keys
+from gffe_cl.captures.formats.layers import Place
+from gffe_cl.captures.formats.numbering import with_ending
 from gffe_cl.captures.sequence.description import reference
+from gffe_cl.captures.sequence.exr_layout import ExrHeader
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_bool, shown
 from gffe_cl.engine.frame.conventions import DIRECTIONS, decides_depth_range, depth_from_device, depth_from_distance
@@ -52,11 +55,13 @@ class Buffer:
         return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
 
     def path(self, folder: Path, number: int) -> Path:
-        return folder / self.file(number)
+        """Return the path of the file, whose ending may be in capital letters."""
+        return with_ending(folder / self.file(number))
 
-    def check(self, folder: Path, number: int, size: Size) -> None:
-        """Raise GffeError if the file cannot be read, judged by its headers."""
-        check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
+    def check(self, folder: Path, number: int, size: Size) -> tuple[ExrHeader, list[Place]] | None:
+        """Check the file by its headers, and return that of an EXR file with the places of the channels. Raises
+        GffeError if it cannot be read."""
+        return check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
 
     @property
     def _planes(self) -> tuple[str, ...]:

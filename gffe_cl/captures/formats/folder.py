@@ -25,12 +25,13 @@ from gffe_cl.captures.formats.buffers import (
 )
 from gffe_cl.captures.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json, whole_number
-from gffe_cl.captures.formats.images import Size, header_attributes, header_notes, views_of
+from gffe_cl.captures.formats.images import Size, header_attributes, views_of
 from gffe_cl.captures.formats.json_schema import Keys
 from gffe_cl.captures.formats.motion_conversion import inverted_flow
 from gffe_cl.captures.formats.numbering import mark_gaps
 from gffe_cl.captures.formats.png import read_png_colors
 from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry
+from gffe_cl.captures.sequence.header_attributes import Remarks
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -86,17 +87,23 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     "optional" none need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
     notes = _settle_view(folder, made) + _settle_colors(folder, made)
+    remarks = Remarks(description.fps)
+
+    def check(buffer: Buffer, frame: _Frame, is_exact: bool) -> None:
+        if found := buffer.check(folder, frame.number, made.size):
+            header, places = found
+            remarks.add(header, buffer.file(frame.number), places if is_exact else ())
+
     for frame in made.frames.values():
         if frame.entry.kind == "ground_truth":
             made.truth.buffer.check(folder, frame.number, made.size)
             continue
-        made.color.buffer.check(folder, frame.number, made.size)
-        made.depth.buffer.check(folder, frame.number, made.size)
+        check(made.color.buffer, frame, False)
+        check(made.depth.buffer, frame, True)
         if frame.before:
-            source = frame.before if made.motion.to_next else frame
-            made.motion.buffer.check(folder, source.number, made.size)
+            check(made.motion.buffer, frame.before if made.motion.to_next else frame, True)
     pixels = FolderPixels(folder, made)
-    pixels.notes += notes + _header_notes(folder, made, description.fps)
+    pixels.notes += notes + remarks.sentences
     pixels.attributes = _attributes(folder, made)
     return Sequence(folder, description, pixels)
 
@@ -123,20 +130,6 @@ def _first(made: FolderSettings) -> list[_Frame]:
     """Return a rendered frame with motion, if there is one, and the last rendered frame."""
     rendered = [one for one in made.frames.values() if one.entry.kind == "rendered"]
     return [next((one for one in rendered if one.before), rendered[0]), rendered[-1]] if rendered else []
-
-
-def _header_notes(folder: Path, made: FolderSettings, fps: float) -> list[str]:
-    notes = []
-    for frame in _first(made)[:1]:
-        for name in _BUFFERS:
-            buffer: Buffer = getattr(made, name).buffer
-            exact = buffer.channels if name != "color" else ()
-            for text in header_notes(
-                buffer.path(folder, frame.number), buffer.file(frame.number), exact, buffer.view, fps
-            ):
-                if text not in notes:
-                    notes.append(text)
-    return notes
 
 
 def _attributes(folder: Path, made: FolderSettings) -> dict[str, Any]:

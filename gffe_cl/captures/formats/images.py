@@ -17,7 +17,7 @@ from gffe_cl.captures.formats.png import MAGIC as PNG_MAGIC
 from gffe_cl.captures.formats.png import read_png, read_png_colors, read_png_header
 from gffe_cl.captures.sequence.exr import decoded, place_of, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
-from gffe_cl.captures.sequence.header_attributes import carried, reported
+from gffe_cl.captures.sequence.header_attributes import carried
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import open_regular, require_moderate
 
@@ -41,22 +41,16 @@ def read_planes(
 
 def check_planes(
     path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
-) -> None:
-    """Check an image as `read_planes` does, by headers only: no pixel is decoded."""
-    _read(path, names, label, size, array, view, decode=False)
+) -> tuple[ExrHeader, list[Place]] | None:
+    """Check an image as `read_planes` does, by headers only: no pixel is decoded. Return the header of an EXR file and
+    the places of the channels in it; None for other files."""
+    return _read(path, names, label, size, array, view, decode=False)
 
 
 def views_of(path: Path, label: str) -> list[str]:
     """Return the views of an EXR file, those with most channels first; nothing of files of other kinds or without."""
     header = _exr_header(path, label)
     return header.views if header else []
-
-
-def header_notes(path: Path, label: str, exact: Ordered[str], view: str | None, fps: float) -> list[str]:
-    """Return sentences about contents of the header that are not supported. `exact`: channels that hold depth or
-    motion; `fps`: as in the description."""
-    header = _exr_header(path, label)
-    return reported(header, label, _places(header, exact, label, view), fps) if header else []
 
 
 def header_attributes(first: Path, last: Path, names: Ordered[str], view: str | None) -> dict[str, Any]:
@@ -101,7 +95,7 @@ def _exr(path, names, label, size, view, decode):
     header = read_header(path, label)
     places = _places(header, names, label, view)
     require_parts(header, {part for part, _ in places}, size, label)
-    return np.stack(decoded(path, header, places, label), -1) if decode else None
+    return np.stack(decoded(path, header, places, label), -1) if decode else (header, places)
 
 
 def _places(header: ExrHeader, names, label, view) -> list[Place]:

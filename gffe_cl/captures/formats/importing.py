@@ -69,8 +69,7 @@ def import_capture(
         for entry, frame, stays in _thinned(sequence, every, encoding):
             entry = _fitted(entry, encoding)
             if stays:
-                entry = replace(entry, geometry_size=frame.geometry_size, geometry_jitter=frame.geometry_jitter)
-                writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+                writer.add_frame(entry, frame)
             else:
                 truth = encoding.truth(frame.color, sequence.exposure)
                 _add_truth(writer, replace(entry, file=_truth_name(entry.file, names)), truth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -48,6 +49,14 @@ def visible_files(folder: Path, ending: str = "") -> list[Path]:
     except FileNotFoundError:
         return []
     return [path for path in found if not path.name.startswith(".") and path.name.lower().endswith(ending)]
+
+
+def with_ending(path: Path) -> Path:
+    """Return `path`, or where there is no such file, the one whose ending is in capital letters, or in small ones."""
+    if os.path.lexists(path):
+        return path
+    endings = path.suffix.upper(), path.suffix.lower()
+    return next((other for ending in endings if os.path.lexists(other := path.with_suffix(ending))), path)
 
 
 def number_of(text: str) -> int | None:

@@ -18,7 +18,7 @@ from gffe_cl.captures.formats.numbering import missing_numbers, number_of, visib
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.exr import decoded, require_parts, view_note
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, HeaderReader, read_header
-from gffe_cl.captures.sequence.header_attributes import carried, frame_rate, reported
+from gffe_cl.captures.sequence.header_attributes import Remarks, carried, frame_rate
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -58,12 +58,13 @@ def open_unreal(folder: Path) -> Sequence:
     """Open the frames in `folder` and return them as a sequence. The headers of all files are checked, and a few frames
     are read to determine the meaning of motion and depth. Raises GffeError."""
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
-    headers = []
+    headers, remarks = [], Remarks()
     size = fps = before = None
     for number, file in numbered:
         header = reader.read(folder / file, file)
         places = _places(header, file)
         headers[1:] = [(header, places, file)]
+        remarks.add(header, file, places[3:])
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
         if size is None:
@@ -77,8 +78,8 @@ def open_unreal(folder: Path) -> Sequence:
         before = number
     assert size is not None  # of the first frame
     pixels = UnrealPixels(folder)
-    (first, color, _), (last, places, file) = headers[0], headers[-1]
-    pixels.notes += view_note(last, file) + reported(last, file, places[3:])
+    (first, color, _), (last, _, file) = headers[0], headers[-1]
+    pixels.notes += view_note(last, file) + remarks.sentences
     pixels.attributes = carried(first, color[0][0], last)
     if fps is None:
         pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")

@@ -85,7 +85,7 @@ def run_sequence(
     size = (source.width, source.height)
     writing = SequenceWriter(
         output, *size, source.fps, source.exposure, generator="gffe-cl run", compression=compression,
-        attributes=source.attributes,
+        attributes=source.attributes, format=source.format,
     )  # fmt: skip
     frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
@@ -148,10 +148,10 @@ def run_sequence(
 
 def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
     """Return entry and channels of an upscaled rendered frame: as displayed, with motion between displayed images."""
-    entry = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
+    plain = FrameEntry(entry.file, entry.time, reset=entry.reset, render_camera=shown.camera)
     dtype = np.float32 if color_dtype == np.float32 else np.float16
     color = shown.numpy("color").astype(dtype, copy=False)
-    return entry, named_channels(color, shown.numpy("depth"), _rounded(shown.numpy("motion")))
+    return plain, named_channels(color, shown.numpy("depth"), _rounded(shown.numpy("motion")))
 
 
 def _network_warnings(pipeline: Pipeline) -> list[str]:

@@ -14,7 +14,6 @@ from gffe_cl.captures.sequence import (
     FrameEntry,
     Sequence,
     SequenceWriter,
-    named_channels,
     refuse_same_folder,
     require_clean,
 )
@@ -22,6 +21,7 @@ from gffe_cl.captures.sequence.description import rendered_entry
 from gffe_cl.captures.sequence.read_ahead import read_ahead, usable_cores
 from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, display_camera_of, host_arrays
 from gffe_cl.engine.frame.window import WindowChooser
@@ -33,7 +33,8 @@ class Source(Protocol):
     """Source of rendered frames by number, and of what is known about the times between them.
 
     `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
-    `resets`: numbers of those that are known to be one, in order; `attributes`: of EXR headers, which new frames get.
+    `resets`: numbers of those that are known to be one, in order; `attributes`: of EXR headers, which new frames get;
+    `format`: the description of stored frames, None where `store` writes them in our conventions.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Source(Protocol):
     count: int
     resets: tuple[int, ...] = (0,)
     attributes: dict[str, Any]
+    format: FrameFormat | None = None
 
     def rendered(self, k: int) -> RenderedFrame:
         """Return frame `k`. A frame of a built-in scene follows frame `k` − 1 if that was the last one asked for;
@@ -82,8 +84,8 @@ class Source(Protocol):
         is known: predicted and known cameras do not mix within an interval."""
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
-        """Write a rendered frame to an output."""
-        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+        """Write a rendered frame to an output whose writer has the `format`."""
+        writer.add_frame(entry, frame)
 
     def number_of(self, entry: FrameEntry) -> str:
         """Return a text that identifies a rendered frame in names of files: the number in its own file's name, or its
@@ -140,6 +142,7 @@ class Recorded(Source):
             )
         before, self._window, self._cut = self._cut, window, window == "off" and self.windowed
         self.render_size = (self.width, self.height) if self._cut else self._stored
+        self.format = None if self._cut or self._upscale else self.sequence.format
         return self._cut != before
 
     def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
@@ -203,7 +206,7 @@ class Recorded(Source):
         return self.entries[k].time
 
     def store(self, writer, entry, frame):
-        own = None if self._cut or self.sequence.format else self.sequence.exr_file(entry)
+        own = None if self._cut else self.sequence.exr_file(entry)
         if own is None:
             super().store(writer, entry, frame)
         else:

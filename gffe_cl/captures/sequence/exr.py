@@ -18,7 +18,7 @@ from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
 from gffe_cl.captures.sequence.openexr_stderr import quietly
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import require_moderate
-from gffe_cl.engine.core.validation import require_choice
+from gffe_cl.engine.core.validation import as_float32, require_choice
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
 _BYTES = {"uint32": 4, "float16": 2, "float32": 4}
@@ -115,6 +115,12 @@ def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -
     """Raise GffeError unless parts, given by their numbers, have one place and the size `size`, as `require_size` does
     for channels."""
     indices = set(indices)
+    for part in header.parts:  # the library decodes all of them
+        if part.compression >= int(OpenEXR.NUM_COMPRESSION_METHODS):
+            raise GffeError(
+                f"{label}: compression number {part.compression} is unknown to OpenEXR {OpenEXR.OPENEXR_VERSION}"
+                " (expected zip, piz or none)"
+            )
     if len({header.parts[index].data_window for index in indices}) > 1 and size is not None:
         windows = ", ".join(_one_line(header.parts[index].name or index) for index in sorted(indices))
         if len({header.parts[index].size for index in indices}) == 1:
@@ -135,7 +141,7 @@ def stored_type(name: str, array, copy: bool = True) -> np.ndarray:
     if not floats and array.dtype in (np.uint8, np.bool_):
         return _HALVES.take(array.view(np.uint8))  # several times as fast as a conversion
     kept = not floats and array.dtype in (np.float16, np.uint32)
-    made = np.ascontiguousarray(array, array.dtype if kept else np.float32)
+    made = np.ascontiguousarray(array) if kept else as_float32(array)
     return made.copy() if copy and np.may_share_memory(made, array) else made
 
 
@@ -188,7 +194,9 @@ def write_channels(
             contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
             with _counted():
                 OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
-        except (RuntimeError, ValueError, TypeError) as error:
+        except OSError:
+            raise
+        except Exception as error:  # whatever the library throws
             code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
             raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None
         try:  # the library does not notice when the last bytes do not reach the disk

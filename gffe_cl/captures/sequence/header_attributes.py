@@ -6,7 +6,7 @@ Attributes about the storage of pixels (windows, compression, tiles, views, came
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -67,30 +67,48 @@ def _is_sound(name: str, value: Any) -> bool:
     return bool(np.isfinite(value).all())
 
 
-def reported(
-    header: ExrHeader, label: str, exact: Iterable[tuple[int, str]] = (), fps: float | None = None
-) -> list[str]:
-    """Return sentences about contents of a header that are not supported: `exact` channels, which hold depth or motion,
-    that were approximated, pixels that are not square, panoramas, and another frame rate than `fps`."""
-    exact = list(exact)
+class Remarks:
+    """Sentences about contents of headers that are not supported, each with the first file of a sequence that has them.
+    `fps`: of the description."""
+
+    def __init__(self, fps: float | None = None):
+        self._fps = fps
+        self._files: dict[str, str] = {}  # by sentence
+        self._layouts: set[object] = set()  # of the headers so far
+
+    def add(self, header: ExrHeader, file: str, exact: Iterable[tuple[int, str]] = ()) -> None:
+        """Examine the header of `file`, whose `exact` channels hold depth or motion."""
+        if header.layout in self._layouts:
+            return
+        if header.layout is not None:
+            self._layouts.add(header.layout)
+        for text in _unsupported(header, list(exact), self._fps):
+            self._files.setdefault(printable(text), file)
+
+    @property
+    def sentences(self) -> list[str]:
+        return [f"{printable(file)}: {text}" for text, file in self._files.items()]
+
+
+def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | None) -> Iterator[str]:
+    """Yield sentences about `exact` channels that were approximated, pixels that are not square, panoramas, and another
+    frame rate than `fps`."""
     lossy = [(header.parts[index], name) for index, name in exact if _is_approximated(header.parts[index], name)]
-    found = []
     if lossy:
         part, names = lossy[0][0], ", ".join(dict.fromkeys(name for _, name in lossy))
-        found.append(
-            f"{label}: compression {_COMPRESSIONS[part.compression]} approximates {names}, which holds depth or motion"
-            " (expected zip, piz or none)"
+        yield (
+            f"compression {_COMPRESSIONS[part.compression]} approximates {names}, which holds depth or motion (expected"
+            " zip, piz or none)"
         )
     first = header.parts[exact[0][0] if exact else 0]
     aspect = first.attributes.get("pixelAspectRatio")
     if isinstance(aspect, float) and not abs(aspect - 1) < _SQUARE:
-        found.append(f"{label}: pixels are not square, pixelAspectRatio is {aspect:g}: cameras are taken as given")
+        yield f"pixels are not square, pixelAspectRatio is {aspect:g}: cameras are taken as given"
     if "envmap" in first.attributes:
-        found.append(f"{label}: the header says envmap, a panorama: it is taken for a picture through a pinhole")
+        yield "the header says envmap, a panorama: it is taken for a picture through a pinhole"
     rate = frame_rate(first)
     if fps and rate and abs(rate / fps - 1) > _SAME_RATE:
-        found.append(f"{label}: framesPerSecond is {rate:g} in the header, {fps:g} in the description, which is used")
-    return [printable(text) for text in found]
+        yield f"framesPerSecond is {rate:g} in the header, {fps:g} in the description, which is used"
 
 
 def frame_rate(part: ExrPart, name: str = "framesPerSecond") -> float | None:

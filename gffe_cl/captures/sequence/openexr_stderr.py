@@ -74,7 +74,10 @@ def _own_descriptors() -> tuple[int | None, int | None]:
     # All others are closed, so that files closed by the process are really closed, locks and pipes above all.
     if ctypes.CDLL(None).syscall(_CLOSE_RANGE, _FIRST, ctypes.c_uint(_LAST), _UNSHARE):
         return None, None
-    out, err = os.memfd_create("gffe-exr"), os.memfd_create("gffe-exr")
+    try:
+        out, err = os.memfd_create("gffe-exr"), os.memfd_create("gffe-exr")
+    except OSError:  # in sandboxes, and on old kernels
+        return None, None
     os.dup2(out, 1)
     os.dup2(err, 2)
     return out, err

@@ -84,16 +84,14 @@ class OutputFolder:
             raise GffeError(f"{path}: is written twice (expected a different file for each frame)")
         if Path(name).parts[0] in (STAGING, _JOURNAL) or not self._is_inside(path):
             raise GffeError(f"{path}: cannot be written there (expected another folder)")
-        if path.is_dir() or (name not in self._own and os.path.lexists(path)):
+        if os.path.isdir(path) or (name not in self._own and os.path.lexists(path)):
             raise GffeError(f"{path}: exists and was not written by gffe-cl (expected an empty folder)")
         self._claimed.add(name)
         return self._place(name)
 
     def folder(self, name: str) -> Path:
         """Return the folder for files that are not frames and go into the folder `name` with them."""
-        path = self._place(name)
-        path.mkdir(exist_ok=True)
-        return path
+        return self._place(f"{name}/any").parent
 
     def keep(self, document: str, files: list[str], interrupted: bool) -> Path:
         """Finish the output, and return the folder of the sequence. Own files are replaced or removed, and
@@ -182,7 +180,8 @@ class OutputFolder:
 
     def _release(self) -> None:
         if self._journal is not None:
-            self._journal.close()
+            with contextlib.suppress(OSError):  # what a full disk did not take was told of before
+                self._journal.close()
             self._journal = None
 
     def _note(self, values: list) -> TextIO:

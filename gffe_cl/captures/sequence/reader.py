@@ -26,7 +26,7 @@ from gffe_cl.captures.sequence.description import (
     without_collections,
 )
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, HeaderReader
-from gffe_cl.captures.sequence.header_attributes import carried, reported
+from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.captures.sequence.matching import Timeline
 from gffe_cl.captures.sequence.output_folder import why_unfinished
@@ -311,7 +311,8 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
 
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()
-    rendered: list[tuple[ExrHeader, str]] = []  # the headers of rendered frames, and their files
+    rendered: list[tuple[ExrHeader, str]] = []  # the first and the last header of rendered frames, and their files
+    remarks = Remarks(description.fps)
     for index, entry in enumerate(description.frames):
         header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
         if entry.kind == "rendered":
@@ -325,13 +326,13 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
             exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
             if entry.kind == "rendered":
                 require_whole_overlays(header, entry.file, size == (description.width, description.height))
+                remarks.add(header, entry.file, filter(None, map(header.find, ("Z", *MOTION))))
         if header.layout:
             passed.add(alike)
     pixels = OwnPixels(folder)
     if rendered:
         (first, _), (last, file) = rendered[0], rendered[-1]
-        exact = [place for name in ("Z", *MOTION) if (place := last.find(name))]
-        pixels.notes += exr.view_note(last, file) + reported(last, file, exact, description.fps)
+        pixels.notes += exr.view_note(last, file) + remarks.sentences
         color = first.find("R")
         assert color is not None  # as checked
         pixels.attributes = carried(first, color[0], last)

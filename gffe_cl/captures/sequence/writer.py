@@ -41,13 +41,20 @@ from gffe_cl.engine.core.validation import (
     require_positive,
     require_size,
     require_whole,
+    scalar,
+    shown,
 )
 from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
-from gffe_cl.engine.frame.rendered_frame import Overlays
+from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame
 
 _WAITING = 2  # frames, besides those that are being compressed
 _MOST_THREADS = 1024
 _MOST_BYTES = 2 << 30  # of frames under way
+_MOST_NAME = 256  # characters of an attribute's name, with the zero at its end
+_OF_STORAGE = (
+    "channels", "chunkCount", "compression", "dataWindow", "displayWindow", "lineOrder", "maxSamplesPerPixel", "name",
+    "tiles", "type", "version",
+)  # fmt: skip
 
 
 class SequenceWriter:
@@ -67,7 +74,8 @@ class SequenceWriter:
     generator : str
         Name of the writing program; only an earlier output of the same generator is replaced.
     attributes : dict or None
-        Further attributes of the EXRs' headers, such as `Sequence.attributes`.
+        Further attributes of the EXRs' headers, such as `Sequence.attributes`: texts, numbers (integers of 32 bits) and
+        small arrays of numbers by name.
     format : FrameFormat or None
         Description of depth and motion of the rendered frames, if these are stored as an engine has them.
     compression : str
@@ -113,7 +121,7 @@ class SequenceWriter:
         )
         self._pool: ThreadPoolExecutor | None = None
         self._kept: str | None = None
-        self._further = dict(require_kind(attributes or {}, dict, "writer: attributes", "a dict or None"))
+        self._further = {} if attributes is None else _checked_attributes(attributes)
         self._size, self._first = size, None  # of the display; the first rendered frame
 
     def __enter__(self) -> SequenceWriter:
@@ -126,8 +134,8 @@ class SequenceWriter:
         `owned` the writer takes over the dict and its arrays, copies them later, and empties the dict.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` become float32. (H, W) is the entry's
-        render size, else the display size; of these two, the entry's geometry size, else that of the `format`. Raises
-        GffeError for another shape or type, and entries that could not be read again.
+        render size, else the display size; of these two in rendered frames, the entry's geometry size, else that of the
+        `format`. Raises GffeError for another shape or type, and entries that could not be read again.
         """
         entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
         require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
@@ -136,10 +144,11 @@ class SequenceWriter:
         if entry.kind == "rendered" and entry.render_camera is None:
             raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
         width, height = self._size_of(entry)
+        geometry = (width, height)
         if entry.kind == "rendered":
             self._first = self._first or entry
             require_one_size((self._first, entry), self._size, str(self.path))
-        geometry = require_render_size(self._description.format, (width, height), entry.geometry_size)
+            geometry = require_render_size(self._description.format, geometry, entry.geometry_size)
         padded: dict[str, np.ndarray] = {}
         for name, array in channels.items():
             side, rows = geometry if name in GEOMETRY else (width, height)
@@ -161,6 +170,14 @@ class SequenceWriter:
             exr.write_channels(path, stored, attributes, self._compression)
 
         self._submit(entry, write, nbytes)
+
+    def add_frame(self, entry: FrameEntry, frame: RenderedFrame) -> None:
+        """Write the rendered frame `frame`, of arrays, with its overlays. Size and jitter of its geometry replace those
+        of `entry`. Raises GffeError as `add` does."""
+        require_kind(entry, FrameEntry, "entry")
+        require_kind(frame, RenderedFrame, "frame")
+        entry = replace(entry, geometry_size=frame.geometry_size, geometry_jitter=frame.geometry_jitter)
+        self.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
         """Add the existing EXR file `source_path` as the frame `entry`: a hard link, or else a copy."""
@@ -299,6 +316,23 @@ def named_channels(
             halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
             channels |= dict(zip(names, halves, strict=True))
     return channels
+
+
+def _checked_attributes(given: dict[str, Any]) -> dict[str, Any]:
+    """Return attributes for headers, with Python's numbers. Raises GffeError unless names are texts that the library
+    takes, and integers fit into 32 bits; it refuses other types itself."""
+    attributes = {}
+    for name, value in require_kind(given, dict, "writer: attributes", "a dict or None").items():
+        if not isinstance(name, str) or not 0 < len(name) < _MOST_NAME or "\0" in name or name in _OF_STORAGE:
+            raise GffeError(
+                f"writer: attributes: names must be texts up to {_MOST_NAME - 1} characters, and not about how pixels"
+                f" are stored, got {shown(name)}"
+            )
+        value = scalar(value)
+        if isinstance(value, int) and not isinstance(value, bool):
+            require_whole(value, f"writer: attribute {shown(name)}", -(2**31), 2**31 - 1)
+        attributes[name] = value
+    return attributes
 
 
 def _undisturbed(work: Callable[[], None]) -> None:

@@ -12,13 +12,13 @@ _LONG_NUMBER = re.compile(r"(\d{12})\d{48,}")
 class GffeError(Exception):
     """Error for a structural fault in the caller's input: bad file, size, camera, device, option.
 
-    The message is one line with the fault, its place, and the expected input; control characters in it, for example
-    from file names, are escaped, and numbers of 60 digits and more are cut. The command line prints it and exits with
-    code 2. Bad *pixels* never raise it, except in strict mode.
+    The message is one line of at most `MOST` characters with the fault, its place, and the expected input; control
+    characters in it, for example from file names, are escaped, and numbers of 60 digits and more are cut. The command
+    line prints it and exits with code 2. Bad *pixels* never raise it, except in strict mode.
     """
 
     def __init__(self, message: str):
-        super().__init__(printable(_LONG_NUMBER.sub(r"\1…", message)))
+        super().__init__(shortened(printable(_LONG_NUMBER.sub(r"\1…", message))))
 
 
 MOST = 1000  # characters of a message
@@ -26,14 +26,17 @@ _MOST_WORD = 200
 
 
 def shortened(text: str) -> str:
-    """Return `text` in at most `MOST` characters. First, long words (paths, values) lose their middle, so that the
-    problem and the expected values stay readable. Then the end is cut."""
+    """Return `text` in at most `MOST` characters. First, long words (paths, values) lose their middle, then the whole
+    text does, so that the problem and the expected values stay readable."""
     if len(text) <= MOST:
         return text
-    half = _MOST_WORD // 2
-    words = [word if len(word) <= _MOST_WORD else f"{word[:half]}…{word[-half:]}" for word in text.split(" ")]
-    text = " ".join(words)
-    return text if len(text) <= MOST else f"{text[: MOST - 1]}…"
+    text = " ".join(_without_middle(word, _MOST_WORD) for word in text.split(" "))
+    return _without_middle(text, MOST)
+
+
+def _without_middle(text: str, most: int) -> str:
+    end = (most - 1) // 2
+    return text if len(text) <= most else f"{text[: most - 1 - end]}…{text[-end:]}"
 
 
 def printable(text: str) -> str:

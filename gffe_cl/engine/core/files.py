@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 try:
@@ -99,20 +100,42 @@ def _require_regular(status: os.stat_result) -> None:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path that replaces the file `path` when the block ends. After an exception `path` is unchanged.
+    OSErrors name `path`.
 
-    A pipe or a device (`/dev/stdout`) is written to directly.
+    What is written for a pipe or a device (`/dev/stdout`, wherever it leads) is copied into it then. Raises GffeError
+    for a named pipe that nobody reads, which would be waited for forever.
     """
-    path = Path(os.path.realpath(path))
-    if path.exists() and not path.is_file():
-        yield path
-        return
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    target = Path(os.path.realpath(path))
+    is_file = not os.path.abspath(path).startswith("/dev/") and (target.is_file() or not target.exists())
+    with ExitStack() as stack:
+        folder = target.parent if is_file else Path(stack.enter_context(TemporaryDirectory(prefix="gffe-")))
+        part = folder / f".{target.stem}.part{target.suffix}"
+        try:
+            yield part
+            if is_file:
+                os.replace(part, target)
+            else:
+                _pour(part, path)
+        except OSError as error:
+            if error.filename in (None, str(part)):
+                error.filename, error.filename2 = str(path), None
+            raise
+        finally:
+            with suppress(OSError):
+                part.unlink()
+
+
+def _pour(part: Path, target: Path) -> None:
+    """Append a file to a pipe, a device, or a file that is already open."""
     try:
-        yield part
-        os.replace(part, path)
-    finally:
-        with suppress(OSError):
-            part.unlink()
+        descriptor = os.open(target, os.O_WRONLY | os.O_APPEND | _OPENING)
+    except OSError as error:
+        if error.errno == errno.ENXIO:
+            raise GffeError(f"{target}: cannot be written to (expected a program that reads it)") from None
+        raise
+    os.set_blocking(descriptor, True)
+    with open(descriptor, "wb") as file:
+        file.write(part.read_bytes())
 
 
 def write_text(path: Path, text: str) -> None:
@@ -185,8 +208,11 @@ def lock(file, shared: bool = False) -> bool:
 def require_output_file(path: Path, option: str) -> Path:
     """Return `path`. Raises a GffeError that names the `option` unless a report or picture may be written there: into a
     folder that exists, and not over a file of a sequence."""
-    if path.is_dir() or not path.absolute().parent.is_dir():
+    folder = path.absolute().parent
+    if path.is_dir() or path.is_socket() or not folder.is_dir():
         raise GffeError(f"{option} {path}: must be a file in a folder that exists")
+    if not os.access(folder if path.is_file() or not path.exists() else path, os.W_OK):
+        raise GffeError(f"{option} {path}: cannot be written to (expected a folder with permission)")
     if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _is_exr(path):
         raise GffeError(f"{option} {path}: is a file of a sequence (expected another file)")
     return path

@@ -3,6 +3,7 @@ messages have one form: the name, the expected value, and the actual one."""
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -20,26 +21,29 @@ MOST_SEED = 2**32 - 1
 MOST_SIDE = 1 << 16  # pixels
 SIDES = (1e-9, 1e9)  # where they need not be whole
 LARGEST = 1e300
+QUIETLY = np.errstate(all="ignore")  # for functions whose results say where arithmetic failed: NumPy warns nobody
 NUMBERS = (int, float, np.integer, np.floating)
+TIMES = (np.timedelta64, np.datetime64)  # NumPy's timedelta64 is one of its integers
 
 
 def scalar(value: Any) -> Any:
-    """Return `value`. NumPy scalars and arrays without dimensions become Python numbers."""
+    """Return `value`. NumPy scalars and arrays without dimensions become Python numbers, but for times, which are none:
+    depending on their unit they would become one."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
-    return value.item() if isinstance(value, np.generic) else value
+    return value.item() if isinstance(value, np.generic) and not isinstance(value, TIMES) else value
 
 
 def is_number(value: Any) -> bool:
     """Return whether `value` is a finite number: no bool, no text, nothing over 1e300."""
     value = scalar(value)
-    return isinstance(value, NUMBERS) and not isinstance(value, bool) and bool(-LARGEST < value < LARGEST)
+    return isinstance(value, NUMBERS) and not isinstance(value, (bool, *TIMES)) and bool(-LARGEST < value < LARGEST)
 
 
 def require_number(value: Any, what: str, *, infinite: bool = False) -> float:
     """Return `value` as a float. Raises a GffeError that begins with `what` unless it is a finite number, or
     `infinite` and +inf."""
-    if is_number(value) or (infinite and isinstance(scalar(value), NUMBERS) and scalar(value) == math.inf):
+    if is_number(value) or (infinite and isinstance(scalar(value), float | np.floating) and scalar(value) == math.inf):
         return float(value)
     bounds = f" from {-LARGEST:g} to {LARGEST:g}" if _is_finite(value) else ""
     raise GffeError(f"{what} must be a {'' if infinite else 'finite '}number{bounds}, got {_shown_number(value)}")
@@ -100,6 +104,17 @@ def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tupl
         raise GffeError(f"{what} must be (width, height) in {kind}, got {shown(value)}") from None
 
 
+def environment_number(name: str, choices: tuple[int, ...]) -> int | None:
+    """Return the environment variable `name`, None if it is not set or empty. Raises GffeError unless it is one of the
+    numbers `choices`."""
+    value = os.environ.get(name)
+    if not value:
+        return None
+    if value in map(str, choices):
+        return int(value)
+    raise GffeError(f"{name} must be {' or '.join(map(str, choices))}, got {shown(value)}")
+
+
 def require_seed(value: Any, what: str = "seed") -> int:
     """Return the seed of a random variation. Raises GffeError unless it is a whole number from 0 to 2³² − 1."""
     return require_whole(value, what, 0, MOST_SEED)
@@ -130,9 +145,17 @@ def require_kind(value: Any, kind: Any, what: str, expected: str = "") -> Any:
 
 def require_path(value: Any, what: str) -> Path:
     """Return `value` as a path. Raises GffeError unless it is a text or path-like, and one that a file can have."""
-    if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and "\0" not in os.fspath(value):
-        return Path(value)
-    raise GffeError(f"{what} must be a path, got {shown(value)}")
+    reason = ""
+    if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str):
+        try:
+            os.lstat(value)
+        except OSError as error:
+            reason = f" ({error.strerror})" if error.errno == errno.ENAMETOOLONG else ""
+        except ValueError as error:  # a null character, or half of a surrogate pair
+            reason = f" ({error})"
+        if not reason:
+            return Path(value)
+    raise GffeError(f"{what} must be a path, got {shown(value)}{reason}")
 
 
 def require_list(value: Any, kind: type, what: str, expected: str) -> list:
@@ -172,7 +195,7 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
 
 def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
     """Return `value` as an array (count,) float64. Raises GffeError unless it holds so many finite numbers."""
-    array = require_array(value, what, count).astype(np.float64)
+    array = as_float64(require_array(value, what, count))
     if not (np.abs(array) < LARGEST).all():
         bounds = f" from {-LARGEST:g} to {LARGEST:g}" if np.isfinite(array).all() else ""
         raise GffeError(f"{what} must be {count} finite numbers{bounds}, got {shown(array.tolist())}")
@@ -181,9 +204,22 @@ def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
 
 def as_float32(array: np.ndarray) -> np.ndarray:
     """Return `array` as C-contiguous float32, without a copy if it is that already. Values that are too large become
-    infinite."""
-    with np.errstate(over="ignore"):
-        return np.asarray(array, np.float32, order="C")
+    infinite. Raises GffeError without memory for it."""
+    try:
+        with np.errstate(over="ignore"):
+            return np.asarray(array, np.float32, order="C")
+    except MemoryError:
+        raise GffeError(f"no memory for an array of shape {array.shape} (expected a smaller one)") from None
+
+
+def as_float64(array: np.ndarray) -> np.ndarray:
+    """Return a copy of `array` as float64. Check its shape before: an array of another size may be a view of a single
+    number. Raises GffeError without memory for it."""
+    try:
+        with np.errstate(all="ignore"):
+            return array.astype(np.float64)
+    except MemoryError:
+        raise GffeError(f"no memory for an array of shape {array.shape} (expected a smaller one)") from None
 
 
 def _shape_words(shape: tuple) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
-from gffe_cl.engine.frame import camera, camera_prediction, frame_format, window
+from gffe_cl.engine.frame import camera, camera_prediction, frame_format, intervals, window
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.engine.inference.model_interface import MULTIPLE
 from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
@@ -81,7 +81,7 @@ def config(options: Options) -> str:
         "MOST_EXPOSURE": validation.EXPOSURES[1],
         "LEAST_SIDE": validation.SIDES[0],
         "MOST_SIDE": validation.SIDES[1],
-        "MOST_ALPHA": camera.MOST_ALPHA,
+        "MOST_ALPHA": intervals.MOST_ALPHA,
         "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,
         "MOST_FOCAL": camera.MOST_FOCAL,
         "MOST_DISTANCE": camera.MOST_DISTANCE,
@@ -281,7 +281,7 @@ class _Buffers:
         specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
         specs = {name: spec for name, spec in specs.items() if name not in layers}
         self.memory = {whole for name, spec in specs.items() if (whole := _whole(name, spec)) and whole not in specs}
-        self.specs = specs | {name: plan.buffers[name] for name in self.memory}
+        self.specs = specs | {name: plan.buffers[name] for name in sorted(self.memory)}
         self.names = [*GIVEN, *sorted(self.specs, key=self._depth)]
 
     def reference(self, name: str) -> str:

@@ -18,13 +18,12 @@ from numpy.typing import ArrayLike
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame import conventions, vectors
+from gffe_cl.engine.frame.intervals import MOST_ALPHA
 
 RIGIDITY_TOLERANCE = 1e-3
 MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
-MOST_ALPHA = 1e6  # intervals
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
-_QUIETLY = np.errstate(all="ignore")  # cameras that overflow are reported as invalid
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
 
@@ -66,6 +65,8 @@ class Camera:
         """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy), faster than one by one. Raises GffeError if
         any is invalid, without naming it."""
         try:
+            if not (isinstance(world_to_views, list) and isinstance(intrinsics, list)):
+                raise TypeError
             types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
             types |= set(map(type, chain.from_iterable(intrinsics)))
             if not types <= {int, float}:
@@ -94,7 +95,7 @@ class Camera:
     __hash__ = None  # pyright: ignore[reportAssignmentType]  # how Python says that it has none
 
     @classmethod
-    @_QUIETLY
+    @validation.QUIETLY
     def look_at(
         cls, position: ArrayLike, target: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
@@ -106,7 +107,7 @@ class Camera:
         )
 
     @classmethod
-    @_QUIETLY
+    @validation.QUIETLY
     def from_pose(
         cls, position: ArrayLike, direction: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
@@ -205,7 +206,7 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
     @classmethod
-    @_QUIETLY
+    @validation.QUIETLY
     def from_unreal_pose(
         cls, location: ArrayLike, rotation: ArrayLike, fov: float, size: tuple[float, float]
     ) -> Camera:
@@ -260,23 +261,24 @@ class Camera:
         matrix[:3, :3], matrix[:3, 3] = vectors.view_inverse(self.world_to_view.tolist())
         return matrix
 
-    @_QUIETLY
+    @validation.QUIETLY
     def project(self, world_pos: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return pixel positions (..., 2) and view depths (...) of world positions (..., 3). Raises GffeError for
         another shape."""
-        world_pos = validation.require_array(world_pos, "camera: world_pos", ..., 3).astype(np.float64)
+        world_pos = validation.as_float64(validation.require_array(world_pos, "camera: world_pos", ..., 3))
         view_pos = world_pos @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
         depth = view_pos[..., 2]
         x = self.fx * view_pos[..., 0] / depth + self.cx
         y = self.fy * view_pos[..., 1] / depth + self.cy
         return np.stack([x, y], -1), depth
 
-    @_QUIETLY
+    @validation.QUIETLY
     def unproject(self, px: ArrayLike, depth: ArrayLike) -> np.ndarray:
         """Return the world positions (..., 3) of pixel positions (..., 2) and view depths (...). Raises GffeError for
         other shapes."""
-        px = validation.require_array(px, "camera: px", ..., 2).astype(np.float64)
-        depth = validation.require_array(depth, "camera: depth", *px.shape[:-1]).astype(np.float64)
+        px = validation.require_array(px, "camera: px", ..., 2)
+        depth = validation.as_float64(validation.require_array(depth, "camera: depth", *px.shape[:-1]))
+        px = validation.as_float64(px)
         view_pos = np.stack(
             [(px[..., 0] - self.cx) / self.fx * depth, (px[..., 1] - self.cy) / self.fy * depth, depth], -1
         )

@@ -13,7 +13,9 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
+    QUIETLY,
     as_float32,
+    as_float64,
     require_array,
     require_bool,
     require_choice,
@@ -40,6 +42,7 @@ class Pinhole(NamedTuple):
     cy: float
 
 
+@QUIETLY
 def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, view_up: bool = False) -> Pinhole:
     """Return the camera of an API whose normalized device coordinates go up (`ndc_up`) or down, on an image of `size`
     pixels. Raises GffeError for matrices that are no rigid view and pinhole.
@@ -62,10 +65,9 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
         p[1] *= -1
     down = -1.0 if ndc_up else 1.0
     axes = np.diag([np.sign(p[0, 0]), down * np.sign(p[1, 1]), forward, 1.0])
-    with np.errstate(over="ignore"):  # `Camera` refuses non-finite values
-        focal = np.abs(p[[0, 1], [0, 1]]) * (width / 2, height / 2)
-        middle = (1 + p[:2, 2] * (forward, down * forward)) * (width / 2, height / 2)
-        return Pinhole(axes @ v, *focal.tolist(), *middle.tolist())
+    focal = np.abs(p[[0, 1], [0, 1]]) * (width / 2, height / 2)
+    middle = (1 + p[:2, 2] * (forward, down * forward)) * (width / 2, height / 2)
+    return Pinhole(axes @ v, *focal.tolist(), *middle.tolist())  # `Camera` refuses non-finite values
 
 
 def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarray, np.ndarray]:
@@ -137,9 +139,10 @@ def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
 def square(given: Any, name: str) -> np.ndarray:
     """Return the matrix (4, 4) float64 of rows or of 16 numbers. Raises a GffeError with `name` unless it is that, and
     finite."""
-    array = require_array(given, f"camera: {name}", ...).astype(np.float64)
+    array = require_array(given, f"camera: {name}", ...)
     if array.shape not in ((4, 4), (16,)):
         raise GffeError(f"camera: {name} must have shape (4, 4), or be 16 numbers, got shape {array.shape}")
+    array = as_float64(array)
     if not np.isfinite(array).all():
         raise GffeError(f"camera: {name} must be finite")
     return array.reshape(4, 4)
@@ -182,6 +185,7 @@ def unreal_view(location: Any, pitch: float, yaw: float, roll: float) -> np.ndar
     return matrix
 
 
+@QUIETLY
 def depth_from_device(
     z: Any, projection: Any, *, layout: str = "auto", opengl_buffer: bool = False, sky: bool = True
 ) -> np.ndarray:
@@ -217,7 +221,7 @@ def depth_from_device(
         layout, [_is_projection(p), _is_projection(p.T)], np.array_equal(p, p.T), "entries of projection"
     )
     p = _perspective(p.T if chosen == 1 else p) if chosen is not None else _refuse_projection([p, p.T])
-    device = require_array(z, "depth: z", ...).astype(np.float64)
+    device = as_float64(require_array(z, "depth: z", ...))
     opengl_buffer, sky = require_bool(opengl_buffer, "depth: opengl_buffer"), require_bool(sky, "depth: sky")
     a, b = _depth_terms(p)
     if b == 0:
@@ -226,8 +230,7 @@ def depth_from_device(
     if opengl_buffer:
         device = 2 * device - 1
     far = 1.0 if b < 0 else -1.0 if opengl_buffer or a <= -1 + _SLACK else 0.0
-    with np.errstate(all="ignore"):
-        depth = b / (device - a)
+    depth = b / (device - a)
     depth = np.where(np.isnan(device), np.nan, np.where((depth > 0) & np.isfinite(depth), depth, np.inf))
     if sky:
         depth = np.where(device == far, np.inf, depth)
@@ -267,6 +270,7 @@ def _reversed_to_zero(a: float, b: float) -> bool:
     return b > 0 and -1 + _SLACK < a < _SLACK
 
 
+@QUIETLY
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
     """Return planar depth (H, W) float32 from distances along the rays, as ray tracers write them, in the same unit.
 
@@ -278,7 +282,7 @@ def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
         raise GffeError(f"distance: camera must be a Camera, got {shown(camera)}")
     y, x = (np.arange(n) + 0.5 for n in distance.shape)
     across = 1 + ((x - camera.cx) / camera.fx) ** 2
-    return as_float32(distance / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
+    return as_float32(as_float64(distance) / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
 
 
 def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: str = "up") -> np.ndarray:
@@ -299,6 +303,7 @@ def motion_from_uv(motion: Any, size: Any, direction: str = "to_previous", y: st
     return _scaled(motion, size, 1.0, direction, y)
 
 
+@QUIETLY
 def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     """Return motion in pixels (H, W, 2) float32 from the red and green channels (H, W, 2) of Movie Render Queue's
     motion vectors, around ½.
@@ -312,6 +317,7 @@ def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     return as_float32((rg - 0.5) * (-scale * width, scale * height))
 
 
+@QUIETLY
 def _scaled(motion, size, factor, direction, y) -> np.ndarray:
     sign = DIRECTIONS[require_choice(direction, DIRECTIONS, "motion: direction")]
     down = require_choice(y, ("up", "down"), "motion: y") == "down"
@@ -320,7 +326,7 @@ def _scaled(motion, size, factor, direction, y) -> np.ndarray:
 
 
 def _vectors(motion) -> np.ndarray:
-    return require_array(motion, "motion", ..., 2).astype(np.float64)
+    return as_float64(require_array(motion, "motion", ..., 2))
 
 
 def _is_view(m: np.ndarray) -> bool:

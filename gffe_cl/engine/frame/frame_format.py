@@ -45,6 +45,11 @@ MOTION_TYPES = ("float32", "float16", "unorm16", "snorm16")
 DEPTHS = ("linear", "device")
 MOTION_UNITS = ("pixels", "color_pixels", "uv", "ndc")
 CAMERA_MOTIONS = ("included", "movers_only", "excluded")  # numbered as in kernels/upload.cl
+CHOICES: dict[str, tuple[str, ...]] = {  # of fields of `FrameFormat`
+    "color_type": COLOR_TYPES, "depth_type": DEPTH_TYPES, "depth": DEPTHS, "motion_type": MOTION_TYPES,
+    "motion_unit": MOTION_UNITS, "motion_direction": tuple(DIRECTIONS), "motion_y": ("down", "up"),
+    "camera_motion": CAMERA_MOTIONS,
+}  # fmt: skip
 MOST_JITTER = 16.0  # pixels
 MOST_RATIO = 3  # of the sides of color and geometry
 
@@ -139,12 +144,7 @@ class FrameFormat:
             name: None if getattr(self, name) is None else require_size(getattr(self, name), _what(name), whole=True)
             for name in ("color_size", "geometry_size")
         }
-        choices = {
-            "color_type": COLOR_TYPES, "depth_type": DEPTH_TYPES, "depth": DEPTHS, "motion_type": MOTION_TYPES,
-            "motion_unit": MOTION_UNITS, "motion_direction": DIRECTIONS, "motion_y": ("down", "up"),
-            "camera_motion": CAMERA_MOTIONS,
-        }  # fmt: skip
-        for name, allowed in choices.items():
+        for name, allowed in CHOICES.items():
             require_choice(getattr(self, name), allowed, _what(name))
         for name, least in (("color_channels", 3), ("motion_channels", 2)):
             checked[name] = require_whole(getattr(self, name), _what(name), least, 4)

@@ -8,6 +8,7 @@ its last two layers, the head, whose weights are in the model's metadata: "head"
 from __future__ import annotations
 
 import hashlib
+import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -41,7 +42,7 @@ __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "loa
 
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
-_loaded: dict[tuple, tuple] = {}  # (path, the CPU's, requested provider) → (stamp of the file, Network)
+_loaded: dict[tuple, tuple] = {}  # (path, the CPU's, requested provider) → (stamp of the file and the process, Network)
 _asked_for: list[Network] = []  # since remarks were last taken
 
 
@@ -65,8 +66,8 @@ def scn_missing() -> str | None:
 def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Network:
     """Return the network of the ONNX file `path` (None: of the package, on the CPU in 8-bit integers) on a provider of
     onnxruntime: a key of `PROVIDERS`, onnxruntime's own name, or "auto". One that is not the CPU is compared with it in
-    a child process first, once per machine. A network is loaded once as long as the file stays the same. Raises
-    NetworkError."""
+    a child process first, once per machine. A network is loaded once as long as the file stays the same, and again in a
+    forked child, where the threads of the parent's session are not. Raises NetworkError."""
     packaged = path is None
     path = default_model() if path is None else Path(path)
     if path is None:
@@ -78,7 +79,7 @@ def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Ne
     state = path.stat()
     wanted = next((each.name for each in PROVIDERS.values() if provider in (each.name, each.ort)), provider)
     on_cpu = cpu_model(path) if packaged else path
-    key, stamp = (path.resolve(), on_cpu, wanted), (state.st_mtime_ns, state.st_size)
+    key, stamp = (path.resolve(), on_cpu, wanted), (state.st_mtime_ns, state.st_size, os.getpid())
     if key not in _loaded or _loaded[key][0] != stamp:
         _loaded[key] = stamp, Network(path, wanted, on_cpu)
     network = _loaded[key][1]

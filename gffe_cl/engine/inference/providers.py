@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from weakref import WeakSet
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import model_source
@@ -79,6 +81,19 @@ _KNOWN = (
 )
 PROVIDERS: dict[str, Provider] = {provider.name: provider for provider in _KNOWN}
 
+_sessions: WeakSet[Any] = WeakSet()  # of this process and those from which it was forked
+
+
+def _leave_sessions() -> None:
+    """Keep the sessions of the parent in a forked child for ever: releasing one waits for its threads, which are not
+    there."""
+    for session in _sessions:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(session))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_sessions)
+
 
 @cache
 def load_onnxruntime() -> ModuleType:
@@ -120,8 +135,9 @@ def cpu_model(path: Path) -> Path:
 
 
 def open_session(path: Path, provider: Provider = CPU, sizes: Mapping[str, int] | None = None):
-    """Return an onnxruntime.InferenceSession of the ONNX file `path`. `sizes`: free dimensions of the model by name;
-    with them, computations on sizes are folded, so that no node remains for the CPU. Raises NetworkError."""
+    """Return an onnxruntime.InferenceSession of the ONNX file `path`; no other function makes any. `sizes`: free
+    dimensions of the model by name; with them, computations on sizes are folded, so that no node remains for the CPU.
+    Raises NetworkError."""
     onnxruntime = load_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
@@ -144,6 +160,7 @@ def open_session(path: Path, provider: Provider = CPU, sizes: Mapping[str, int] 
         raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {one_line(error)}") from None
     if provider.ort not in session.get_providers():
         raise NoDeviceError(f"provider {provider.name}: does not work here (expected its libraries and a device)")
+    _sessions.add(session)
     return session
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError, how_to_install
-from gffe_cl.engine.core.validation import require_bool, require_kind, require_whole, shown
+from gffe_cl.engine.core.validation import environment_number, require_bool, require_kind, require_whole, shown
 from gffe_cl.engine.opencl import device_cache
 from gffe_cl.engine.opencl.handles import adopted
 from gffe_cl.engine.opencl.malloc_tuning import ask_for_huge_pages
@@ -38,6 +38,7 @@ __all__ = [
     "Device",
     "DeviceInfo",
     "best_of",
+    "known_devices",
     "list_devices",
     "open_device",
     "open_info",
@@ -80,6 +81,8 @@ _process = os.getpid()  # kept up to date: asking the system before every comman
 def _note_process() -> None:
     global _process
     _process = os.getpid()
+    for opened in (*_opened.values(), *_adopted.values()):
+        opened.lock = threading.RLock()  # another thread of the parent may have it
 
 
 if hasattr(os, "register_at_fork"):
@@ -96,7 +99,9 @@ class Opened:
     int64_atomics: bool | None = None  # None: not tried yet
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
     process: int | None = None  # that has the driver's threads, which do not live on in forked children; None: no one
-    lock: threading.Lock = field(default_factory=threading.Lock)  # for making the context
+    # For making the context, mapping a buffer (PoCL 3.1 crashes where two threads map the same one), and for reading
+    # buffers that another thread may release.
+    lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self):
         if self.context is not None:
@@ -233,7 +238,7 @@ class Device:
         """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`. Mesa's
         llvmpipe itself runs a work-item in each lane, as GPUs do: for 8 pixels each it would compile for minutes."""
         is_wide = self.info.kind == "cpu" and self.info.platform != "rusticl"
-        return int(os.environ.get("GFFE_LANES") or (8 if is_wide else 1))
+        return environment_number("GFFE_LANES", (1, 8)) or (8 if is_wide else 1)
 
     @cached_property
     def exact_division(self) -> bool:
@@ -267,8 +272,8 @@ class Device:
     def shares_memory(self) -> bool:
         """Whether host and device share memory, so that mapping copies nothing: as the driver reports, or
         `GFFE_SHARED_MEMORY` (0 or 1)."""
-        forced = os.environ.get("GFFE_SHARED_MEMORY")
-        return bool(int(forced) if forced else self.cl_device.host_unified_memory)
+        forced = environment_number("GFFE_SHARED_MEMORY", (0, 1))
+        return bool(self.cl_device.host_unified_memory if forced is None else forced)
 
     def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
         """Return a new NumPy array, not initialized, that begins at a multiple of `alignment`, so that
@@ -320,11 +325,11 @@ def list_devices(refresh: bool = False) -> list[DeviceInfo]:
     """Return every OpenCL device with the result of probing it. Probing happens with `refresh`, or if no result is
     stored for the installed drivers. Never raises for a broken driver: its devices have `works == False`. A driver
     that crashes or hangs while its devices are listed is one entry with the name of its `.icd` file."""
-    return _list_devices(require_bool(refresh, "list_devices: refresh"))[0]
+    return known_devices(require_bool(refresh, "list_devices: refresh"))[0]
 
 
-def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
-    """Return the devices, and whether their results were known without probing."""
+def known_devices(refresh: bool = False) -> tuple[list[DeviceInfo], float | None]:
+    """Return what `list_devices` does, and how many seconds ago the devices were probed; None if just now."""
     prepare_runtimes()
     key = device_cache.fingerprint()
     known = None if refresh else device_cache.recall(key)
@@ -334,7 +339,7 @@ def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
     elif probed.crashing:
         hide_vendors(set(probed.crashing))
     _crashing.update(probed.crashing)
-    return probed.devices + list(_crashing.values()), known is not None
+    return probed.devices + list(_crashing.values()), probed.age
 
 
 def open_device(wanted: str | None = None) -> Device:
@@ -344,24 +349,25 @@ def open_device(wanted: str | None = None) -> Device:
     """
     if wanted is not None:
         require_kind(wanted, str, "open_device: wanted", 'a text such as "0:1", "gpu" or "intel"')
+    origin = "" if wanted else "GFFE_DEVICE: "
     wanted = wanted or os.environ.get("GFFE_DEVICE") or None
-    infos, known = _list_devices(refresh=False)
+    infos, age = known_devices()
     try:
-        return open_info(_choose(infos, wanted))
+        return open_info(_choose(infos, wanted, origin))
     except GffeError:
-        if not known or any(opened.process not in (None, _process) for opened in _opened.values()):
+        if age is None or any(opened.process not in (None, _process) for opened in _opened.values()):
             raise
-    return open_info(_choose(list_devices(refresh=True), wanted))
+    return open_info(_choose(list_devices(refresh=True), wanted, origin))
 
 
-def _choose(infos: list[DeviceInfo], wanted: str | None) -> DeviceInfo:
+def _choose(infos: list[DeviceInfo], wanted: str | None, origin: str) -> DeviceInfo:
     working = [info for info in infos if info.works]
     if not working:
         raise none_works(infos)
     chosen = working if wanted is None else select(working, wanted)
     if not chosen:
         raise GffeError(
-            f"no working device matches '{wanted}' (there is: "
+            f"{origin}no working device matches '{wanted}' (there is: "
             + ", ".join(f"{info.index} {info.platform} / {info.name}" for info in working)
             + ")"
         )

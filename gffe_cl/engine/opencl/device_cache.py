@@ -60,6 +60,7 @@ def recall(key: str) -> Probed | None:
         found = Probed(
             [_device(device) for device in document["devices"]],
             {str(icd): _device(device) for icd, device in document["crashing"].items()},
+            age,
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

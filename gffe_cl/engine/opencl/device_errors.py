@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import wraps
 
 import pyopencl as cl
 
@@ -36,15 +35,3 @@ def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> It
             f"{device.info.name}: {work} failed: {reason}; {footprint()}: the device {advice};"
             " open the device and a new pipeline to go on"
         ) from error
-
-
-def telling_device_faults(method: Callable) -> Callable:
-    """Return `method`, of an object with `device` and `_footprint()`, decorated with `device_faults`."""
-
-    @wraps(method)
-    def wrapped(self, *arguments, **more):
-        self.device.require_process()
-        with device_faults(self.device, method.__name__.strip("_"), self._footprint):
-            return method(self, *arguments, **more)
-
-    return wrapped

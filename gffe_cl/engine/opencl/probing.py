@@ -54,10 +54,11 @@ class DeviceInfo:
 @dataclass
 class Probed:
     """Result of probing: `devices` that can be listed once the vendors `crashing`, by the names of their `.icd`
-    files, are hidden."""
+    files, are hidden. `age`: seconds since then; None if it was just now."""
 
     devices: list[DeviceInfo] = field(default_factory=list)
     crashing: dict[str, DeviceInfo] = field(default_factory=dict)
+    age: float | None = None
 
 
 def probe() -> Probed:

@@ -20,6 +20,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import shown
 from gffe_cl.engine.opencl.device import Device, quiet_builds
 from gffe_cl.engine.opencl.probing import build_log, rounding_options
 from gffe_cl.engine.opencl.program_cache import built_program
@@ -137,8 +138,13 @@ def build(device: Device, name: str, **variant: int) -> Program:
 
 
 def kernel_folder() -> Path:
-    """Return the folder of the kernel sources: `GFFE_KERNELS`, else the one in the installed package."""
-    return Path(os.environ.get("GFFE_KERNELS") or str(files("gffe_cl.kernels")))
+    """Return the folder of the kernel sources: `GFFE_KERNELS`, else the one in the installed package. Raises GffeError
+    unless it is one."""
+    if not (chosen := os.environ.get("GFFE_KERNELS")):
+        return Path(str(files("gffe_cl.kernels")))
+    if not os.path.isfile(os.path.join(chosen, "common.h")):
+        raise GffeError(f"GFFE_KERNELS must be a folder of kernels with common.h, got {shown(chosen)}")
+    return Path(chosen)
 
 
 def constants(name: str) -> dict[str, Any]:

@@ -64,16 +64,18 @@ class MadeFrame:
         is copied; on other devices the driver may copy. Leave the block before the next frame is made; the array must
         not be used afterwards. Raises GffeError as `numpy` does."""
         spec: Any = self._spec(name)
+        queue, lock = self._device.queue, self._device.opened.lock
         with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
-            array, _ = cl.enqueue_map_buffer(
-                self._device.queue, getattr(self, name), cl.map_flags.READ, 0, self._shape(spec), spec.dtype
-            )
+            buffer = getattr(self, name)
+            with lock:
+                array, _ = cl.enqueue_map_buffer(queue, buffer, cl.map_flags.READ, 0, self._shape(spec), spec.dtype)
         memory = array.base
         array.flags.writeable = False
         try:
             yield array[..., :3] if spec.components == RGBA else array
         finally:
-            memory.release(self._device.queue)
+            with lock:
+                memory.release(queue)
 
     def _spec(self, name: str) -> BufferSpec:
         names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]

@@ -1,4 +1,14 @@
-"""Pacing: when frames are shown, and for which time they are made."""
+"""Pacing: when frames are shown, and for which time they are made.
+
+Three numbers decide. None of them lets a stall last longer than it did:
+
+- the usual interval of rendered frames: the shorter of the last two, as one of them may have been a stall, and at most
+  4/fps;
+- the time to make a frame: the second longest of the last eight, so that a single one does not count. What took longer
+  than an interval was a stall, and is left out;
+- the delay from a rendered frame's time to its display: the least of the last thirty, so that frames which come
+  unevenly are shown evenly. It begins anew with a frame that is over an interval later than that.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +18,13 @@ from collections import deque
 from dataclasses import dataclass
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import require_frame_rate, require_within
-from gffe_cl.engine.frame.camera import MOST_ALPHA
+from gffe_cl.engine.core.validation import require_bool, require_frame_rate, require_within
+from gffe_cl.engine.frame.intervals import FAR_ALPHA, HELD_ALPHA, interval_of
 
 _RECENT = 120  # refreshes over which jitter is measured
-_COMPARED = 120  # rendered frames, whose fastest gives the least delay from a frame's time to its display
-_LASTING = 16  # frames whose slowest gives the time to make one
+_COMPARED = 30  # rendered frames, whose quickest gives the delay
+_STALLED = 4.0  # times 1/fps: what takes longer is a stall, however often it does
+_MADE = 8  # frames, whose second longest making time counts
 _SAME = 1e-3  # of a refresh: times closer than that are one
 _LEAST_ALPHA = 1e-6
 _MOST_SECONDS = 1e12  # of a clock: beyond, numbers cannot tell tenths of a millisecond apart
@@ -25,7 +36,7 @@ class Plan:
 
     `refresh`: when it is, seconds of the caller's clock; `time`: of the frame, on the renderer's clock, for
     `Pipeline.extrapolate`; `alpha`: the same in intervals from the last rendered frame on, 0 for that one itself;
-    `held`: keep showing the present frame.
+    `held`: keep showing the present frame, whose `time` and `alpha` these are.
     """
 
     refresh: float
@@ -56,7 +67,7 @@ class Pacer:
         while playing:
             if frame := newest_rendered_frame():
                 pipeline.submit(frame)
-                pacer.rendered(frame.time)
+                pacer.rendered(frame.time, frame.reset)
             plan = pacer.plan(clock())
             if not plan.held:
                 picture = pipeline.extrapolate(camera_at(plan.time), plan.time) if plan.alpha else frame
@@ -66,14 +77,21 @@ class Pacer:
     Times are displayed with a delay: that of the quickest of the last rendered frames, from its time to the refresh
     that can show it. Where others come later, more is extrapolated, so that the steps of time stay even. Where the next
     rendered frame is missing, time continues until `most_alpha` intervals after the last one, and is held there. It
-    never goes back.
+    never goes back, but at a reset.
+
+    After a stall every refresh has its frame again from the second rendered frame on, at the latest: a pause is neither
+    taken for an interval nor for the time to make a frame.
 
     Parameters
     ----------
     display_rate : float
         Refreshes per second, 1e-6 to 1e6.
     most_alpha : float
-        Largest extrapolation, in intervals of rendered frames, up to a million.
+        Largest extrapolation, up to 16 intervals of rendered frames: of `Pipeline.interval`, or of the one before where
+        that was shorter.
+    fps : float
+        Rendered frames per second, as of the `Pipeline`: used until two frames are known. What takes longer than four
+        such frames is a stall.
 
     Raises
     ------
@@ -81,74 +99,93 @@ class Pacer:
         For arguments out of range, for times beyond ±1e12 s, and for times that go back.
     """
 
-    def __init__(self, display_rate: float, most_alpha: float = 2.0):
+    def __init__(self, display_rate: float, most_alpha: float = HELD_ALPHA, fps: float = 30.0):
         self._period = 1.0 / require_frame_rate(display_rate, "pacer: display_rate")
-        self._most_alpha = require_within(most_alpha, "pacer: most_alpha", _LEAST_ALPHA, MOST_ALPHA)
+        self._most_alpha = require_within(most_alpha, "pacer: most_alpha", _LEAST_ALPHA, FAR_ALPHA)
+        self._fps = require_frame_rate(fps, "pacer: fps")
+        self._longest = _STALLED / self._fps
         self._now = -_MOST_SECONDS
-        self._newest: float | None = None  # time of the last rendered frame
-        self._interval = 0.0
-        self._delays: deque[float] = deque(maxlen=_COMPARED)  # from a rendered frame's time to its first refresh
+        self._times: list[float] = []  # of up to three rendered frames since the last reset, newest first
         self._is_new = False  # nothing was planned since the last rendered frame came
+        self._delays: deque[float] = deque(maxlen=_COMPARED)  # from a rendered frame's time to its first refresh
+        self._making: deque[float] = deque(maxlen=_MADE)  # seconds
         self._last: Plan | None = None
         self._began = 0.0  # when the last plan was asked for
-        self._making: deque[float] = deque(maxlen=_LASTING)  # seconds
-        self._steps: deque[float] = deque(maxlen=_RECENT)  # of time, seconds
+        self._shown = -math.inf  # time of the frame on display; -inf: of before the last reset
+        self._steps: deque[float] = deque(maxlen=_RECENT)  # of time, less those of refreshes, seconds
         self._counts = dict.fromkeys(("rendered", "extrapolated", "held", "late", "dropped"), 0)
 
-    def rendered(self, time: float) -> None:
-        """Note that a rendered frame of this `time`, on the renderer's clock, is here."""
+    def rendered(self, time: float, reset: bool = False) -> None:
+        """Note that a rendered frame of this `time`, on the renderer's clock, is here. `reset`: no frame before it may
+        be used, as of `RenderedFrame`; then its time may be any."""
         time = require_within(time, "pacer: time", -_MOST_SECONDS, _MOST_SECONDS)
-        if self._newest is not None:
-            if time <= self._newest:
-                raise GffeError(
-                    f"pacer: time {time:g} s must be after the rendered frame's before ({self._newest:g} s)"
-                )
-            self._counts["dropped"] += self._is_new
-            self._interval = time - self._newest
-        self._newest, self._is_new = time, True
+        if require_bool(reset, "pacer: reset"):
+            self._times.clear()
+            self._delays.clear()
+            self._shown = -math.inf
+        elif self._times and time <= self._times[0]:
+            raise GffeError(f"pacer: time {time:g} s must be after the rendered frame's before ({self._times[0]:g} s)")
+        self._counts["dropped"] += self._is_new
+        self._times = [time, *self._times[:2]]
+        self._is_new = True
 
     def plan(self, now: float) -> Plan:
         """Return the frame to show at the next refresh for which one can be ready. Raises GffeError before the first
         rendered frame."""
         now = self._advanced(now)
-        if self._newest is None:
+        if not self._times:
             raise GffeError("pacer: nothing to show (expected a rendered frame first)")
         self._began = now
-        refresh = self._refresh_after(now + max(self._making, default=0.0))
+        newest, interval = self._times[0], self._usual_interval
+        refresh = self._refresh_after(now + self._usual_making)
         if self._is_new or not self._delays:
-            self._delays.append(refresh - self._newest)
-        most = self._newest + self._most_alpha * self._interval
-        time = max(min(refresh - min(self._delays), most), self._newest)
-        if time - self._newest < _SAME * self._period:
-            time = self._newest
-        last = self._last
-        held = False
-        if last is not None and time <= last.time + _SAME * self._period:
-            time, held = last.time, True
-        alpha = (time - self._newest) / self._interval if self._interval else 0.0
-        if last is not None:
-            self._steps.append((time - last.time) - (refresh - last.refresh))
-        self._counts["held" if held else "extrapolated" if alpha else "rendered"] += 1
+            delay = refresh - newest
+            if delay - min(self._delays, default=delay) > interval:  # the renderer's clock may have stood still
+                self._delays.clear()
+            self._delays.append(delay)
+        ahead = min(max(refresh - min(self._delays) - newest, 0.0), self._most_alpha * interval)
+        time = newest + ahead if ahead >= _SAME * self._period else newest
+        alpha = (time - newest) / interval_of(self._times, self._fps)
+        plan = Plan(refresh, time, alpha)
+        if self._last and time <= self._shown + _SAME * self._period:
+            plan = Plan(self._refresh_after(now), max(self._shown, newest), self._last.alpha, held=True)
+        if self._last and self._shown > -math.inf:
+            self._steps.append((plan.time - self._shown) - (plan.refresh - self._last.refresh))
+        self._counts["held" if plan.held else "extrapolated" if alpha else "rendered"] += 1
         self._is_new = False
-        self._last = Plan(refresh, time, alpha, held)
-        return self._last
+        self._last, self._shown = plan, plan.time
+        return plan
 
     def ready(self, now: float) -> None:
         """Note that the frame planned last is ready `now`: made and passed to the display."""
         now = self._advanced(now)
         if self._last is None:
             raise GffeError("pacer: nothing was planned")
-        if not self._making:
-            self._delays.clear()  # of a refresh that was too early
-        if not self._last.held:
-            self._making.append(max(now - self._began, 0.0))
         self._counts["late"] += now > self._last.refresh
+        if not self._last.held:
+            if len(self._making) < 2:
+                self._delays.clear()  # of a refresh that was too early, as the time to make a frame was not known
+            self._making.append(now - self._began)
 
     @property
     def statistics(self) -> PacingStatistics:
         """Counts since the beginning, and the jitter of recent steps."""
         jitter = 1e3 * statistics.pstdev(self._steps) if len(self._steps) > 1 else 0.0
         return PacingStatistics(**self._counts, jitter=jitter)
+
+    @property
+    def _usual_interval(self) -> float:
+        """The shorter of the last two intervals of rendered frames, seconds, unless both were stalls."""
+        last, before = (interval_of(self._times[k:], self._fps) for k in range(2))
+        return min(last, before, self._longest)
+
+    @property
+    def _usual_making(self) -> float:
+        """The second longest of the last making times without stalls, seconds; 0 before the first. It is the shortest
+        where all took longer than an interval."""
+        if within := [seconds for seconds in self._making if seconds <= self._usual_interval]:
+            return sorted(within)[-2:][0]
+        return min(*self._making, self._longest) if self._making else 0.0
 
     def _advanced(self, now: float) -> float:
         """Return `now`, the latest time of the caller's clock so far. Raises GffeError if it goes back."""

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,10 @@ from gffe_cl.engine.core.validation import (
     require_size,
     shown,
 )
-from gffe_cl.engine.frame.camera import MOST_ALPHA, Camera
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, jitter_in_color, require_render_size
+from gffe_cl.engine.frame.intervals import FAR_ALPHA, MOST_ALPHA, interval_of
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
@@ -35,10 +37,10 @@ from gffe_cl.engine.frame.rendered_frame import (
     is_shown_whole,
 )
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.device_errors import telling_device_faults
 from gffe_cl.engine.opencl.handles import adopted_events
 from gffe_cl.engine.options import MAX_ORDER, Options
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
+from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
 from gffe_cl.engine.pipeline.watching import Watcher
 from gffe_cl.engine.stages.acceleration import Acceleration
 from gffe_cl.engine.stages.background import Background
@@ -95,8 +97,6 @@ STAGES: tuple[type[Stage], ...] = (
     Sharpening,
 )
 
-_FAR_ALPHA = 16  # intervals
-
 
 def stages_of(options: Options) -> list[type[Stage]]:
     """Return the stages that the options ask for, in order."""
@@ -146,6 +146,9 @@ class Pipeline:
     submitted, or the events of their writers must be in `wait_for`. Do not submit a released buffer: it cannot be
     detected, and drivers crash on it.
 
+    One thread at a time uses a pipeline, and may hand it over to another one between calls: a call during that of
+    another thread raises GffeError. Frames that were made may be read on any thread, until the next one is made.
+
     `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
     device's context: the work of the call begins when they are complete. Other queues can wait for the event that
     `submit` returns and for `event` of the frames made: the device's queue has been flushed by then.
@@ -164,6 +167,7 @@ class Pipeline:
         int64_atomics: bool | None = None,
     ):
         self.device = require_kind(device, Device, "pipeline: device", "an open Device (open_device())")
+        self.turns = Turns()
         target = require_size((width, height), "pipeline: size", whole=True)
         source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
         self.sizes = Sizes(source, target, max(LEAST_ALIGNMENT, device.alignment))
@@ -205,7 +209,7 @@ class Pipeline:
         self._rest = {"number": 0, "rests": 0, "coded": 0}
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
-    @telling_device_faults
+    @pipeline_call
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
         """Return all stages on a new board with their buffers, and how many bytes these are."""
         before = self.device.allocated
@@ -227,6 +231,7 @@ class Pipeline:
         if board := getattr(self, "board", None):
             board.let_go()
 
+    @pipeline_call
     def change_options(self, options: Options) -> None:
         """Work with other options from the next `submit` on, which must come before the next `extrapolate`.
 
@@ -272,7 +277,7 @@ class Pipeline:
         self._format = value
 
     @property
-    @telling_device_faults
+    @pipeline_call
     def bad_pixels(self) -> BadPixels:
         """Bad pixels of all NumPy arrays, and of buffers that were converted from a `format`, submitted so far. Waits
         for the device, which counts them."""
@@ -289,7 +294,7 @@ class Pipeline:
 
     # ---- rendered frames -------------------------------------------------------------------------------
 
-    @telling_device_faults
+    @pipeline_call
     def submit(
         self,
         frame: RenderedFrame,
@@ -403,14 +408,14 @@ class Pipeline:
                 self._take_rendered()
 
     @property
-    @telling_device_faults
+    @pipeline_call
     def is_cut(self) -> bool:
         """Whether the last submitted frame was detected as an unmarked cut, and so is treated as a reset. Waits until
         the device has compared it with the frame before."""
         self._decide_cut()
         return bool(self._is_cut)
 
-    @telling_device_faults
+    @pipeline_call
     def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
         """Return the last submitted frame as displayed. It is resampled where it was rendered through a window, or
         where the frame before was and motion must be converted. Returns at once. Raises GffeError before the first
@@ -546,18 +551,29 @@ class Pipeline:
         return self._times[: MAX_ORDER + 1]
 
     @property
+    @pipeline_call
     def interval(self) -> float:
         """Seconds between the last two rendered frames; 1/fps after a reset."""
         self._decide_cut()
-        return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
+        return self._last_interval
 
+    @property
+    def _last_interval(self) -> float:
+        return interval_of(self._times, self.fps)
+
+    @pipeline_call
     def predict_camera(self, alpha: float) -> Camera:
         """Return the predicted camera C̄ at t + α, from the last display cameras (`predict_camera_at`); after a reset
         the last one itself. Raises GffeError before the first `submit`, or if `alpha` is not a finite number."""
-        time = self._need_frame().time + require_number(alpha, "predict_camera: alpha") * self.interval
+        self._need_frame()
+        self._decide_cut()
+        return self._predicted_camera(require_number(alpha, "predict_camera: alpha"))
+
+    def _predicted_camera(self, alpha: float) -> Camera:
+        time = self._times[0] + alpha * self._last_interval
         return predict_camera_at(time, self._path, self._times, self.options.camera_order)
 
-    @telling_device_faults
+    @pipeline_call
     def extrapolate(
         self,
         camera: Camera | None = None,
@@ -587,21 +603,22 @@ class Pipeline:
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
         source = self._need_frame()
         self._decide_cut()
-        time = source.time + self.interval / 2 if time is None else require_number(time, "extrapolate: time")
-        alpha = (time - source.time) / self.interval
+        interval = self._last_interval
+        time = source.time + interval / 2 if time is None else require_number(time, "extrapolate: time")
+        alpha = (time - source.time) / interval
         if alpha < 0:
             raise GffeError(f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)")
         if not alpha <= MOST_ALPHA:
             raise GffeError(
                 f"extrapolate: time {time:g} s is more than {MOST_ALPHA:g} intervals after {source.time:g} s"
             )
-        if alpha > _FAR_ALPHA:  # a program may have stalled: it must not fail
+        if alpha > FAR_ALPHA:  # a program may have stalled: it must not fail
             warnings.warn(
                 f"extrapolate: time {time:g} s is {alpha:.0f} intervals after the last rendered frame's (expected up to"
-                f" {_FAR_ALPHA}, in seconds on the clock of the rendered frames)",
+                f" {FAR_ALPHA:g}, in seconds on the clock of the rendered frames)",
                 stacklevel=3,
             )
-        camera = self.predict_camera(alpha) if camera is None else camera
+        camera = self._predicted_camera(alpha) if camera is None else camera
         require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
         if target_position is not None:
             shape = (*reversed(self.sizes.source), 4)
@@ -652,7 +669,7 @@ class Pipeline:
     def _unfinished(self) -> Callable[[], None] | None:
         """Function that makes the final image of the last frame, if that still waits for the network; else None."""
         correction = self._correction
-        return correction.finish if correction and correction.is_begun else None
+        return partial(self.turns.read, correction.finish) if correction and correction.is_begun else None
 
     @property
     def _correction(self) -> ShadingCorrection | None:
@@ -693,24 +710,26 @@ class Pipeline:
 
     # ---- looking inside --------------------------------------------------------------------------------
 
+    @pipeline_call
     def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
-        """Yield every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`.
-        It is called "<owner.name>.<spec.name>". Waits for the network.
+        """Return every named buffer that holds the present frame, with its owner: `owner.read(spec.name)` reads it, and
+        its name is "<owner.name>.<spec.name>". Waits for the network.
 
         A stage's own result in the buffers of the extrapolated frame ("warp.color": before the background filled
         anything) is among them once `keep` asked for it.
         """
         self._decide_cut()
         self._finish()
-        yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
+        held: list[tuple[Owner, BufferSpec]] = [(self.board.frame, spec) for spec in self.board.frame.buffers]
         for stage in self.stages.values():
-            yield from ((stage, spec) for spec in stage.buffers if not spec.scratch)
+            held += ((stage, spec) for spec in stage.buffers if not spec.scratch)
             if output := self._outputs.get(stage.name):
-                yield from ((output, output.spec(name)) for name in output.buffer)
+                held += ((output, output.spec(name)) for name in output.buffer)
         if self.presentation and self._needs_presentation:
-            yield from ((self.presentation, spec) for spec in self.presentation.buffers)
+            held += ((self.presentation, spec) for spec in self.presentation.buffers)
         if composition := self._overlaid:
-            yield from ((composition, spec) for spec in composition.held())
+            held += ((composition, spec) for spec in composition.held())
+        return iter(held)
 
     def conversions(self) -> Iterator[tuple[Owner, BufferSpec, tuple[int, int]]]:
         """Yield the buffers in which depth and motion of the last rendered frame were before they got the size of
@@ -733,6 +752,7 @@ class Pipeline:
                 spec = self.board.frame.spec(name)
                 yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
 
+    @pipeline_call
     def keep(self, names: Iterable[str] | None = None) -> None:
         """Keep the outputs `names`, such as "warp.color" (None: all), from the next frame on, and no others. Outputs
         that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of other
@@ -749,12 +769,14 @@ class Pipeline:
             if chosen or stage in self._outputs:
                 self._outputs.setdefault(stage, Output(self.stages[stage], specs)).choose(chosen)
 
+    @pipeline_call
     def take_timings(self) -> dict[str, float]:
         """Return milliseconds of kernel time per stage since the last call (waits for the device). With shading
         correction "network" is the wall time in the network, "network copies" that of copies to its provider and back.
         Where the queue has no profiling (`Device.profiles`) only "network" is there."""
         return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
 
+    @pipeline_call
     def take_kernel_timings(self) -> dict[str, dict[str, float]]:
         """Return milliseconds of kernel time by stage and kernel since the last call (waits for the device), as
         `take_timings` does by stage."""

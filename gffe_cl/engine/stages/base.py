@@ -191,7 +191,8 @@ class Board:
         for stage in self.stages.values():
             stage.let_go()
         self.stages.clear()
-        self.memory.let_go()
+        with self.device.opened.lock:
+            self.memory.let_go()
         self.__dict__.pop("blocks", None)
 
     def buffer(self, owner: str, name: str) -> cl.Buffer:

@@ -270,10 +270,14 @@ class Owner:
         return next(spec for spec in self.buffers if spec.name == name)
 
     def read(self, name: str) -> np.ndarray:
-        """Copy a named buffer to the host and return its values."""
+        """Copy a named buffer to the host and return its values. Raises GffeError if it was dropped."""
         spec = self.spec(name)
         stored, flat = spec.host_array(spec.size(self.sizes))
-        cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
+        queue = self.device.queue
+        with self.device.opened.lock:
+            if name not in self.buffer:
+                raise GffeError(f"{self.name}.{name}: the pipeline has dropped this buffer (expected a new one's)")
+            cl.enqueue_copy(queue, flat, self.buffer[name])
         known = None
         if spec.known_where:
             telling = self.spec(spec.known_where[0])

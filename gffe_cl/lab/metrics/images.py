@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gffe_cl.engine.core.validation import require_array, require_exposure
+from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure
 from gffe_cl.engine.frame.transfer_function import to_display as to_display  # inputs of metrics
 from gffe_cl.engine.stages.shading import FOCUS_SMAPE, SMAPE_EPSILON
 
@@ -156,6 +156,7 @@ METRICS = {
 }
 
 
+@QUIETLY
 def psnr(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Return the peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
 
@@ -165,6 +166,7 @@ def psnr(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     return METRICS["psnr"].measure(*_pair(a, b, mask))
 
 
+@QUIETLY
 def ssim(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Return the structural similarity, mean over pixels: Wang et al., Image Quality Assessment, TIP 2004, over 7×7
     pixels.

@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import model_source
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
-from gffe_cl.engine.inference.network import load_onnxruntime
+from gffe_cl.engine.inference.providers import NetworkError, one_line, open_session
 from gffe_cl.lab.table.datasets import Moment, Shot
 
 _MULTIPLE = 32
@@ -33,15 +32,10 @@ class OnnxModel:
         self.path = Path(path)
         if not self.path.is_file():
             raise GffeError(f"--onnx {path}: no such file (expected an ONNX model)")
-        runtime = load_onnxruntime()
-        options = runtime.SessionOptions()
-        options.log_severity_level = 4  # failures raise
-        for kind in ("intra_op", "inter_op"):
-            options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
         try:
-            self._session = runtime.InferenceSession(model_source(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's classes have no common base
-            raise GffeError(f"--onnx {path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
+            self._session = open_session(self.path)
+        except NetworkError as error:
+            raise GffeError(f"--onnx {error}") from None
         shapes = {value.name: value.shape for value in self._session.get_inputs()}
         outputs = [value.name for value in self._session.get_outputs()]
         channels = shapes.get("previous", [0, 0])[1]
@@ -85,7 +79,7 @@ class OnnxModel:
         try:
             (frame,) = self._session.run(["frame"], feed)
         except Exception as error:
-            raise GffeError(f"--onnx {self.path}: the network failed: {_one_line(error)}") from None
+            raise GffeError(f"--onnx {self.path}: the network failed: {one_line(error)}") from None
         if frame.shape != (1, 3, *size):
             raise GffeError(f"--onnx {self.path}: frame must be (1, 3, {size[0]}, {size[1]}), got {frame.shape}")
         return np.clip(frame[0, :, :height, :width].transpose(1, 2, 0), 0, 1)
@@ -112,7 +106,3 @@ class OnnxRunner:
             after = to_display(self._following.color[..., :3], self._exposure)
         made = self._model.run([self._frames[0]] * missing + self._frames, after, moment.alpha)
         return linear_values(made, self._exposure)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -25,7 +25,7 @@ from gffe_cl.engine.inference.model_interface import (
     head_weights,
     shapes_at,
 )
-from gffe_cl.engine.inference.network import load_onnxruntime
+from gffe_cl.engine.inference.providers import open_session
 from gffe_cl.engine.stages.shading_trend import TREND_PLANES
 from gffe_cl.lab.training.channels import pad_file
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork
@@ -107,7 +107,7 @@ def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
 def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, float]:
     """Return two differences between the outputs of onnxruntime and PyTorch: the largest, and the root of the mean
     square."""
-    session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = open_session(path)
     found = []
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
         inputs = example_inputs(height, width)

@@ -40,6 +40,28 @@ def test_plain(tmp_path):
     assert open_capture(tmp_path / "sequence.json").read_color(open_capture(tmp_path).frames[0]).dtype == np.float16
 
 
+@pytest.mark.parametrize("ending", [".NPY", ".npy"])
+def test_endings_may_be_in_capital_letters(gffe, tmp_path, ending):
+    """Of files of buffers and cameras, described with either ending."""
+    (tmp_path / "in").mkdir()
+    write(tmp_path / "in", color={"file": f"c%d{ending}"}, also=with_capitals)
+    edit_json(tmp_path / "in/sequence.json", lambda d: split_cameras(tmp_path / "in", d))
+    same(open_capture(tmp_path / "in"))
+    assert gffe("import", tmp_path / "in", tmp_path / "out")[0] == 0
+
+
+def with_capitals(folder, number, shot):
+    np.save(folder / "saved.npy", shot.color)
+    (folder / "saved.npy").rename(folder / f"c{number}.{'npy' if number == 4 else 'NPY'}")
+
+
+def split_cameras(folder, document):
+    """Move the cameras to files with endings in capital letters."""
+    for number, camera in enumerate(document["camera"].pop("list"), 3):
+        (folder / f"camera{number}.JSON").write_text(json.dumps(camera))
+    document["camera"]["file"] = "camera%d.json"
+
+
 # Depth
 
 

@@ -11,7 +11,7 @@ from folder_captures import rendered, write
 from foreign import FPS, H, W, blender_layers, edit_json, shots, write_blender, write_exr
 from png_files import chunk, png
 
-from gffe_cl import SequenceWriter, named_channels, open_capture, open_sequence
+from gffe_cl import GffeError, SequenceWriter, named_channels, open_capture, open_sequence
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.sequence import FrameEntry
 
@@ -108,6 +108,46 @@ def test_depth_that_a_compression_approximates_is_reported(tmp_path, compression
 
     sequence = write(tmp_path, also=also, depth={"file": "d%d.exr", "channels": list(names)})
     assert [f"approximates {names[0]}" in text for text in sequence.notes] == [True] * lossy
+
+
+def mixed(folder, form, compression):
+    """A capture of a form; only its middle frame has this compression."""
+    if form == "gffe-sequence":
+        rewrite(own(folder) / "frame_1.exr", compression=compression)
+        return "frame_1.exr"
+    folder.mkdir()
+    if form == "gffe-folder":
+
+        def also(folder, number, shot):
+            method = compression if number == 4 else OpenEXR.ZIP_COMPRESSION
+            write_exr(folder / f"d{number}.exr", {"Z": shot.depth}, compression=method)
+
+        write(folder, also=also, depth={"file": "d%d.exr", "channels": ["Z"]})
+        return "d4.exr"
+    write_blender(folder, shots(), False)
+    middle = shots().index(rendered()[1])
+    held = {f"{layer}.{n}": c for layer, passes in blender_layers(shots()[middle]).items() for n, c in passes.items()}
+    write_exr(folder / f"frame_{middle:04d}.exr", held, compression=compression)
+    return f"frame_{middle:04d}.exr"
+
+
+FORMS = ("gffe-sequence", "gffe-folder", "blender")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_compression_in_the_middle_is_reported(tmp_path, form):
+    file = mixed(tmp_path / "in", form, OpenEXR.PXR24_COMPRESSION)
+    (said,) = [text for text in open_capture(tmp_path / "in").notes if "approximates" in text]
+    assert said.startswith(f"{file}: compression pxr24 approximates ")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_compression_that_the_library_cannot_read_is_refused_on_opening(tmp_path, form):
+    file = mixed(tmp_path / "in", form, OpenEXR.ZIP_COMPRESSION)
+    path, attribute = tmp_path / "in" / file, b"compression\0compression\0\1\0\0\0"
+    path.write_bytes(path.read_bytes().replace(attribute + b"\3", attribute + b"\xc8"))
+    with pytest.raises(GffeError, match=rf"^{file}: compression number 200 is unknown to OpenEXR .* \(expected zip"):
+        open_capture(tmp_path / "in")
 
 
 def png_colors(folder, *chunks, **said):

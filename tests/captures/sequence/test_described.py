@@ -23,8 +23,8 @@ from gffe_cl import (
 from gffe_cl.captures.doctor.opening import open_for_check
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.offline.run import run_sequence
-from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.sequence.encoding import Encoding
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 
 W, H = 40, 26
 FORMAT = FrameFormat(
@@ -183,14 +183,30 @@ def test_the_quick_check_takes_a_description():
         check(stored, format=replace(right, color_size=(9, 9), geometry_size=(9, 9)))
 
 
-def test_run_leaves_our_conventions_behind(device, tmp_path):
+def test_the_display_part_of_a_run_is_in_our_conventions(device, tmp_path):
+    """The frames as they were rendered keep their description; their display parts are converted, and say so."""
     stored, expected = zip(*as_engine_has_them(plain_frames(), MOVERS), strict=True)
-    source = Recorded(write(tmp_path / "engine", stored, MOVERS), device)
-    run_sequence(source, tmp_path / "out", device, Options(shading_correction=False), [0.5])
-    made = open_sequence(tmp_path / "out")
-    assert made.format is None and len(made.extrapolated) == 3
-    for frame, ours in zip(made, expected, strict=True):
-        np.testing.assert_allclose(frame.motion, ours.motion, atol=1e-3)
+    width, height, left, top = W - 8, H - 6, 4, 2
+    with SequenceWriter(tmp_path / "wide", width, height, 30, format=MOVERS) as writer:
+        for k, frame in enumerate(stored):
+            shown = replace(frame.camera, cx=frame.camera.cx - left, cy=frame.camera.cy - top)
+            cameras = {"render_camera": frame.camera, "display_camera": shown}
+            entry = FrameEntry(f"frame_{k}.exr", frame.time, render_size=(W, H), **cameras)
+            writer.add_frame(entry, frame)
+    sequence = open_sequence(tmp_path / "wide")
+    for window, format in ((None, MOVERS), ("off", None)):
+        source = RecordedSource(sequence, device, window)
+        run_sequence(source, tmp_path / "out", device, Options(shading_correction=False), [0.5])
+        made = open_sequence(tmp_path / "out")
+        assert made.format == source.format == format and (source.stored(1) is None) == (window == "off")
+        for k, (frame, ours) in enumerate(zip(made, expected, strict=True)):
+            depth, motion = ours.depth, ours.motion
+            if window == "off":
+                depth, motion = (image[top : top + height, left : left + width] for image in (depth, motion))
+            np.testing.assert_allclose(frame.depth, depth, rtol=1e-6)
+            if k:
+                np.testing.assert_allclose(frame.motion, motion, atol=1e-3)
+        source.close()
 
 
 @pytest.mark.parametrize(

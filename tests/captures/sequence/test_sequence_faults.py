@@ -418,3 +418,15 @@ def test_signaling_nan_in_motion_is_taken_as_nan():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert zero_motion_warning(motion, depth, camera, camera) is None
+
+
+def test_systems_without_memfd_read_all_the_same(tmp_path, monkeypatch):
+    """Sandboxes and old kernels refuse `memfd_create`; the library's messages are then where they always were."""
+
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    write(tmp_path / "in")
+    monkeypatch.setattr(os, "memfd_create", refuse, raising=False)
+    sequence = open_sequence(tmp_path / "in")
+    assert np.isfinite(sequence.read(sequence.frames[0]).color).all()

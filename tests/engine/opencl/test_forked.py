@@ -7,9 +7,12 @@ import sys
 
 import numpy as np
 import pytest
+from scn_models import constant_model
 
 import gffe_cl
 from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame
+from gffe_cl.engine.inference.model_interface import shapes_at
+from gffe_cl.engine.inference.network import load_network
 
 pytestmark = [
     pytest.mark.device,
@@ -108,3 +111,48 @@ def test_a_parent_that_only_opened_the_device(device):
 
 def test_other_things_work_in_a_fork():
     assert in_a_fork(lambda: Camera(np.eye(4), 30, 30, 16, 9).fx) == ("made", "30.0")
+
+
+LEAVES = """
+import os, sys
+import numpy as np
+import gffe_cl
+device = gffe_cl.open_device(sys.argv[1])
+camera = gffe_cl.Camera(np.eye(4), 30, 30, 16, 9)
+images = np.full((18, 32, 3), 0.5, np.float16), np.full((18, 32), 10, np.float32), np.zeros((18, 32, 2), np.float32)
+pipeline = gffe_cl.Pipeline(device, 32, 18, gffe_cl.Options(scn_model=sys.argv[3]))
+pipeline.submit(gffe_cl.RenderedFrame(*images, camera, 0.0, reset=True))
+made = pipeline.extrapolate(time=0.01)
+child = os.fork()
+if not child:
+    if sys.argv[2] == "drops":
+        del pipeline, made
+        gffe_cl.engine.inference.network._loaded.clear()
+    sys.exit(3)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+print(made.numpy("color").mean())
+"""
+
+
+@pytest.mark.parametrize("leaves", ["keeps", "drops"])
+def test_children_of_a_pipeline_with_the_network_end(device, leaves, tmp_path):
+    """onnxruntime would wait for the threads of its session, which are the parent's."""
+    if device.info.kind != "cpu":
+        pytest.skip("drivers of GPUs may crash where they are unloaded in a child")
+    command = [sys.executable, "-c", LEAVES, device.info.index, leaves, constant_model(tmp_path / "model.onnx")]
+    said = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=True).stdout
+    assert said == "0.5\n"
+
+
+def test_networks_are_loaded_again_in_a_fork(tmp_path):
+    """The parent's session would wait forever for its threads."""
+    model = constant_model(tmp_path / "model.onnx")
+    parent = load_network(model)
+
+    def run():
+        network = load_network(model)
+        network.run(*(np.zeros(shape[1:], np.float32) for shape in shapes_at(16, 16).values()))
+        return network is not parent
+
+    assert in_a_fork(run) == ("made", "True")
+    assert load_network(model) is parent

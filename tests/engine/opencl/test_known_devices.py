@@ -241,6 +241,27 @@ def test_the_command_refreshes(cache, probes, tmp_path, capsys):
     assert "--refresh" in said and re.search(r"^ *\* +1:0 .* yes +4 +nothing", said, re.MULTILINE), said
 
 
+def test_the_command_says_how_old_a_rank_is(cache, probes, tmp_path, capsys):
+    """It may have been measured while other programs were busy."""
+    from gffe_cl.cli.commands import invoke
+
+    def told(*arguments):
+        assert invoke(["devices", *arguments, "--json", str(tmp_path / "report.json")]) == 0
+        report = json.loads((tmp_path / "report.json").read_text())
+        return capsys.readouterr().out, report["age_seconds"], [info["default"] for info in report["devices"]]
+
+    probes.found = [replace(POCL, megapixels_per_second=2.0), replace(INTEL, megapixels_per_second=1.0)]
+    said, seconds, default = told()
+    assert "tested just now; " in said and seconds == 0 and default == [True, False]
+    probes.found = [POCL, INTEL]
+    age(cache, 3 * 86400)
+    said, seconds, default = told()
+    assert "tested 3 days ago; other programs slow the test down: --refresh repeats it" in said
+    assert 3 * 86400 <= seconds < 3 * 86400 + 60 and default == [True, False]
+    said, seconds, default = told("--refresh")
+    assert "tested just now; " in said and seconds == 0 and default == [False, True]
+
+
 def test_probing_is_in_a_child(monkeypatch):
     """This process runs no kernel of a device that it does not know."""
     monkeypatch.setattr(probing, "_run_probe_kernel", None)

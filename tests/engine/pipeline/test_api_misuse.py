@@ -5,6 +5,9 @@ read-only and strided arrays."""
 import inspect
 import warnings
 from dataclasses import dataclass, replace
+from datetime import timedelta
+from decimal import Decimal
+from pathlib import Path
 from types import FunctionType
 
 import numpy as np
@@ -30,18 +33,21 @@ from gffe_cl import (
 from gffe_cl.captures.sequence.description import checked_entry
 from gffe_cl.engine.options import OPTIONS
 
-MOST_MESSAGE = 600  # characters
+MOST_MESSAGE = 1000  # characters
 CAMERA, TURNED = camera(W, H), camera(W, H, (0.1, 0, 0), yaw=0.2)
 VIEW, PROJECTION = CAMERA.view_matrix("opengl"), CAMERA.projection_matrix("opengl", W, H, near=0.1)
 DEPTH = np.full((H, W), 4.0, np.float32)
 MOTION = np.zeros((H, W, 2), np.float32)
 COLOR = np.full((H, W, 3), 0.5, np.float16)
 FRAME = RenderedFrame(COLOR, DEPTH, MOTION, CAMERA, 0.0, reset=True)
+HUGE = 1 << 20, 1 << 20  # pixels, which no memory holds; they are views of a single number
 WRONG = (
     None, "", "1", b"1", float("nan"), float("inf"), -1, 0, 1.5, 1e299, 2**70, 10**5000, 1j, True, [], [1, None],
     [[1], [1, 2]], {}, {"a": 1}, object(), np.array(None), np.array([1, "x"], object), np.zeros(3, complex),
     np.zeros((2, 0)), np.ones((3, 5, 7), np.float32), np.array("now", "datetime64[s]"), np.array(["a"]), print, CAMERA,
-    Options(), FRAME,
+    Options(), FRAME, np.timedelta64(3, "ns"), np.timedelta64("NaT"), timedelta(1), np.zeros(3, "i4, f4"), Decimal(1),
+    1e308, np.longdouble(2), "x" * 5000, "a b " * 25000, Path("x" * 5000), "a\ud800", np.broadcast_to(np.float16(1),
+    HUGE), np.broadcast_to(np.float32(1), (*HUGE, 2)), np.broadcast_to(np.uint8(1), (*HUGE, 3)),
 )  # fmt: skip
 # What needs a device, or a fake driver (tests/engine/opencl/test_graphics_sharing.py); plain records, checked where
 # they are used; what is made by others only.
@@ -63,8 +69,8 @@ class Call:
     good: dict
 
     def wrong(self):
-        for name in self.good:
-            for value in WRONG:
+        for name, good in self.good.items():
+            for value in (*WRONG, *extremes(good)):
                 yield name, value, self.good | {name: value}
 
     def alike(self):
@@ -86,6 +92,19 @@ def alike(value):
         fixed.setflags(write=False)
         return [strided, np.asfortranarray(value), fixed, value.astype(value.dtype.newbyteorder())]
     return []
+
+
+def extremes(value):
+    """Arrays like `value` of numbers with which arithmetic fails."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind != "f":
+        return []
+    return [
+        np.where(np.arange(value.size).reshape(value.shape) % step, value, number).astype(dtype)
+        for dtype in dict.fromkeys((value.dtype, np.dtype(float)))
+        for ends in [np.finfo(dtype)]
+        for number in (np.inf, -np.inf, np.nan, ends.max, ends.min, ends.smallest_normal)
+        for step in (1, 3)
+    ]
 
 
 def paced(planned=False):
@@ -128,9 +147,13 @@ def host_calls():
         "to_display": Call(gffe_cl.to_display, {"color": COLOR, "exposure": 1.0}),
         "psnr": Call(gffe_cl.psnr, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
         "ssim": Call(gffe_cl.ssim, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
+        "check, pixels": Call(
+            lambda **images: gffe_cl.check([replace(FRAME, **images), replace(FRAME, **images, time=1.0, reset=False)]),
+            {"color": COLOR, "depth": DEPTH, "motion": MOTION},
+        ),
         "check": Call(gffe_cl.check, {"frames": [FRAME, FRAME], "exposure": 1.0, "format": gffe_cl.FrameFormat()}),
-        "Pacer": Call(gffe_cl.Pacer, {"display_rate": 60.0, "most_alpha": 2.0}),
-        "Pacer.rendered": Call(lambda time: gffe_cl.Pacer(60).rendered(time), {"time": 0.0}),
+        "Pacer": Call(gffe_cl.Pacer, {"display_rate": 60.0, "most_alpha": 2.0, "fps": 30.0}),
+        "Pacer.rendered": Call(lambda **given: gffe_cl.Pacer(60).rendered(**given), {"time": 0.0, "reset": False}),
         "Pacer.plan": Call(lambda now: paced().plan(now), {"now": 0.2}),
         "Pacer.ready": Call(lambda now: paced(planned=True).ready(now), {"now": 0.2}),
         "predict_camera": Call(gffe_cl.predict_camera, {"previous": TURNED, "current": CAMERA, "alpha": 0.5}),
@@ -231,6 +254,10 @@ def file_calls(folder):
 
         return write
 
+    def started(**given):
+        with SequenceWriter(**given) as writer:
+            writer.add(entry, channels)
+
     writing = {"path": folder / "written", "width": W, "height": H, "fps": 30.0, "exposure": 1.0, "threads": 2}
     return {
         "named_channels": Call(
@@ -255,6 +282,10 @@ def file_calls(folder):
         ),
         "SequenceWriter": Call(
             SequenceWriter, writing | {"generator": "gffe-cl", "compression": "zip", "format": None}
+        ),
+        "SequenceWriter, used": Call(started, writing | {"attributes": {"owner": "me"}}),
+        "SequenceWriter, an attribute": Call(
+            lambda value: started(**writing, attributes={"own": value}), {"value": 1.5}
         ),
         "SequenceWriter.add": Call(written("add"), {"entry": entry, "channels": channels, "owned": False}),
         "SequenceWriter.add, Z": Call(
@@ -443,6 +474,30 @@ def test_numbers_out_of_range_are_called_that():
         Camera.look_at((1e308, 0, 0), (0, 0, 0), (0, 1, 0), 1, 1, 1, 1)
 
 
+def test_times_of_numpy_are_no_numbers():
+    """Of nanoseconds they would become Python's integers."""
+    for value in (np.timedelta64(3, "ns"), np.array(3, "m8[ns]"), np.datetime64(3, "ns"), np.timedelta64(3, "s")):
+        with pytest.raises(GffeError, match=r"camera: fx must be a finite number, got a (timedelta64|datetime64)"):
+            Camera(np.eye(4), value, 1.0, 1.0, 1.0)
+        with pytest.raises(GffeError, match="jitter: length must be a whole number"):
+            Jitter(value)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "told"),
+    [
+        ({"own": 2**31}, 'attribute "own" must be a whole number from -2147483648 to 2147483647, got 2147483648'),
+        ({"": 1}, "names must be texts up to 255 characters"),
+        ({"x" * 256: 1}, "names must be texts up to 255 characters"),
+        ({"tiles": 1}, "and not about how pixels are stored"),
+        ({3: 1}, "names must be texts"),
+    ],
+)
+def test_attributes_that_no_header_takes(tmp_path, attributes, told):
+    with pytest.raises(GffeError, match=told):
+        SequenceWriter(tmp_path / "out", W, H, 30.0, attributes=attributes)
+
+
 def test_messages_print_no_endless_numbers():
     assert str(GffeError(f"size {'7' * 400}x5")) == f"size {'7' * 12}…x5"
     assert str(GffeError("digest " + "1a" * 32)) == "digest " + "1a" * 32
@@ -450,3 +505,6 @@ def test_messages_print_no_endless_numbers():
         with pytest.raises(GffeError) as refused:
             gffe_cl.Jitter.parse("halton:" + "9" * digits)
         assert len(str(refused.value)) < 150
+    for text in ("x" * 100_000, "a b " * 25_000):
+        told = str(GffeError(f"in {text} there is something wrong (expected something right)"))
+        assert len(told) < 1001 and told.startswith("in ") and told.endswith(" (expected something right)")

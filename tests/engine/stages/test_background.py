@@ -1,5 +1,7 @@
 """What the background promises, where the exact answer is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyopencl as cl
 import pytest
@@ -8,8 +10,13 @@ from synthetic import Rect, Rects, camera
 from twin_cases import assert_close, read_levels
 
 from gffe_cl import Options, Pipeline
+from gffe_cl.captures.scenes import load_scene
+from gffe_cl.captures.scenes.renderer import SceneRenderer
+from gffe_cl.captures.scenes.sequences import SceneFrames
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.stages.background import EDGE, REMEMBERED, SHOWN
-from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING
 from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
 
@@ -260,6 +267,32 @@ def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
 
     expected = made(0)
     assert all(made(filler) == expected for filler in (0xA5, 0xFF))
+
+
+def test_parts_that_reappear_are_not_mixed_with_the_background(device):
+    """Also at edges, where the background shows through other pixels of movers: whatever lies in lent memory."""
+    size, render_size = (83, 61), (47, 33)
+    renderer = SceneRenderer(device, load_scene("plaza", 1), *render_size)
+    frames = list(SceneFrames(renderer, WindowChooser("off", size, [0.5]), size).sequence(3, 15.0))
+    frames = [replace(frame, camera=Jitter(8).camera(frame.camera, k)) for k, frame in enumerate(frames)]
+
+    def made(depth):
+        pipeline, seen = (
+            Pipeline(device, *size, Options(upscale=2.0, shading_correction=False), render_size=render_size),
+            [],
+        )
+        for frame in frames:
+            pipeline.submit(frame)
+            new = pipeline.extrapolate(None, frame.time + 0.75 * pipeline.interval)
+            seen.append(new.numpy("filled_by"))
+            memory = pipeline.stages["background"].own("memory'")
+            cl.enqueue_fill_buffer(device.queue, memory, np.float32(depth), 0, memory.size // 4 * 4)
+        return np.array(seen)
+
+    expected = made(np.nan)
+    assert (expected == BY_REAPPEARING).any()
+    for depth in (1.0, 5.0, 20.0):
+        assert np.array_equal(made(depth), expected)
 
 
 @pytest.mark.parametrize("int64", [None, False])

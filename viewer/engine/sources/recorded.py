@@ -48,7 +48,7 @@ class RecordedSource(Recorded, FrameSource):
         self._rewritten.watch(folder / entry.place for entry in entries)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
-        self.has_truth, self.format = bool(truths), sequence.format
+        self.has_truth = bool(truths)
 
     @property
     def changed_on_disk(self):
@@ -84,11 +84,7 @@ class RecordedSource(Recorded, FrameSource):
 
     def stored(self, k):
         entry = self.entries[k]
-        if (
-            self._cut
-            or self._upscale
-            or not (self.sequence.format or entry.geometry_size or any(entry.geometry_jitter))
-        ):
+        if self._cut or not (self.format or entry.geometry_size or any(entry.geometry_jitter)):
             return None
         return self._cache.get(("stored", k), lambda: self.sequence.read_stored(entry))
 

@@ -11,6 +11,7 @@ import numpy as np
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.read_ahead import read_ahead
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import QUIETLY
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, wrong_geometry
 
@@ -104,6 +105,7 @@ def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int
     entries = clip.rendered
     wanted = sorted(set(indices))
 
+    @QUIETLY  # on threads of its own
     def look(index: int) -> Look:
         return _look(clip.read(entries[index]), index, entries[index], samples, index in images, exposure)
 

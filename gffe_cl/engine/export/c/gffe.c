@@ -24,26 +24,23 @@ gffe_options gffe_default_options(int width, int height) {
 
 static gffe_status decide_cut(gffe *g);
 
-static int is_side(int n) { return n >= 1 && n <= GFFE_MOST_PIXELS; }
-
 static gffe_status check_options(gffe *g) {
     const gffe_options *options = &g->options;
-    if (!is_side(options->width) || !is_side(options->height))
-        return gffe_fail(g, GFFE_INVALID, "options: width and height must be 1 to %d, got %d and %d", GFFE_MOST_PIXELS,
-                         options->width, options->height);
-    if (!is_side(g->step.source[0]) || !is_side(g->step.source[1]))
+    const double least = GFFE_LEAST_FRAME_RATE, most = GFFE_MOST_FRAME_RATE;
+    gffe_status status = gffe_need_whole(g, "options: width", options->width, 1, GFFE_MOST_PIXELS);
+    if (!status) status = gffe_need_whole(g, "options: height", options->height, 1, GFFE_MOST_PIXELS);
+    if (!status) status = gffe_need_whole(g, "options: render_width", options->render_width, 0, GFFE_MOST_PIXELS);
+    if (!status) status = gffe_need_whole(g, "options: render_height", options->render_height, 0, GFFE_MOST_PIXELS);
+    if (!status) status = gffe_need_number(g, "options: fps", options->fps, least, most);
+    if (!status) status = gffe_need_whole(g, "options: int64_atomics", options->int64_atomics, -1, 1);
+    if (!status) status = gffe_need_whole(g, "options: shared_memory", options->shared_memory, -1, 1);
+    if (status) return status;
+    if (!options->render_width != !options->render_height)
         return gffe_fail(g, GFFE_INVALID,
-                         "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
-                         GFFE_MOST_PIXELS, options->render_width, options->render_height);
-    if (!(options->fps >= GFFE_LEAST_FRAME_RATE && options->fps <= GFFE_MOST_FRAME_RATE))
-        return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, %g to %g, got %g", GFFE_LEAST_FRAME_RATE,
-                         GFFE_MOST_FRAME_RATE, options->fps);
+                         "options: render_width and render_height must be 0 both or neither, got %d and %d",
+                         options->render_width, options->render_height);
     if (options->lanes != 0 && options->lanes != 1 && options->lanes != 8)
         return gffe_fail(g, GFFE_INVALID, "options: lanes must be 0, 1 or 8, got %d", options->lanes);
-    if (options->int64_atomics < -1 || options->int64_atomics > 1)
-        return gffe_fail(g, GFFE_INVALID, "options: int64_atomics must be -1, 0 or 1, got %d", options->int64_atomics);
-    if (options->shared_memory < -1 || options->shared_memory > 1)
-        return gffe_fail(g, GFFE_INVALID, "options: shared_memory must be -1, 0 or 1, got %d", options->shared_memory);
     if (options->network && !GFFE_CORRECTS_SHADING)
         return gffe_fail(g, GFFE_INVALID,
                          "options: there is a network, but it was exported without (gffe export --scn)");
@@ -127,18 +124,10 @@ double gffe_interval(gffe *g) {
 }
 
 gffe_status gffe_set_exposure(gffe *g, double exposure) {
-    const gffe_status status = gffe_need(g, g, "gffe");
-    if (status) return status;
-    if (!(exposure >= GFFE_LEAST_EXPOSURE && exposure <= GFFE_MOST_EXPOSURE))
-        return gffe_fail(g, GFFE_INVALID, "exposure must be %g to %g, got %g", GFFE_LEAST_EXPOSURE, GFFE_MOST_EXPOSURE,
-                         exposure);
-    g->step.exposure = exposure;
-    return GFFE_OK;
-}
-
-static gffe_status check_time(gffe *g, double time, const char *call) {
-    if (fabs(time) < GFFE_LARGEST) return GFFE_OK;
-    return gffe_fail(g, GFFE_INVALID, "%s: time %g s must be finite, and below %g s", call, time, GFFE_LARGEST);
+    gffe_status status = gffe_need(g, g, "gffe");
+    if (!status) status = gffe_need_number(g, "exposure", exposure, GFFE_LEAST_EXPOSURE, GFFE_MOST_EXPOSURE);
+    if (!status) g->step.exposure = exposure;
+    return status;
 }
 
 /* ---- rendered frames ---------------------------------------------------------------------------------- */
@@ -160,7 +149,7 @@ static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motio
     gffe_status status;
     if (!fault) fault = gffe_camera_fault(display);
     if (fault) return gffe_fail(g, GFFE_INVALID, "frame: %s", fault);
-    status = check_time(g, time, "frame");
+    status = gffe_need_number(g, "frame: time", time, -GFFE_LARGEST, GFFE_LARGEST);
     if (status) return status;
     if (g->step.time_count && !reset && time <= g->step.times[0])
         return gffe_fail(g, GFFE_INVALID, "frame: time %g s must be after the previous rendered frame's (%g s)", time,
@@ -352,8 +341,9 @@ static gffe_status need_frame(gffe *g, const void *made) {
 }
 
 gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
-    const gffe_status status = need_frame(g, made);
+    gffe_status status = need_frame(g, made);
     const char *fault;
+    if (!status) status = gffe_need_number(g, "predict_camera: alpha", alpha, -GFFE_LARGEST, GFFE_LARGEST);
     if (status) return status;
     fault = gffe_predict_camera_at(g->step.times[0] + alpha * gffe_interval(g), g->path, g->path_times, g->path_count,
                                    GFFE_CAMERA_ORDER, made);
@@ -394,7 +384,7 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     int occasion, corrected;
     if (done) *done = NULL;
     if (status) return status;
-    status = check_time(g, time, "extrapolate");
+    status = gffe_need_number(g, "extrapolate: time", time, -GFFE_LARGEST, GFFE_LARGEST);
     if (status) return status;
     step = &g->step;
     alpha = (time - step->times[0]) / gffe_interval(g);

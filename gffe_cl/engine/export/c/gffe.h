@@ -8,7 +8,8 @@
    gffe_set_format takes buffers of other formats and conventions. One gffe serves one
      in-order queue; calls on one gffe come from one thread at a time. NULL where a pointer is needed, and a gffe
      that gffe_create failed to make: functions that return a gffe_status return GFFE_INVALID, others do nothing and
-     return NULL or zeros. Which pointers may be NULL stands at each function. */
+     return NULL or zeros. Which pointers may be NULL stands at each function. Numbers that are not finite or out of
+     range are refused, as Python refuses them. Flags are C's: 0 is no, everything else yes. */
 #ifndef GFFE_H
 #define GFFE_H
 
@@ -45,7 +46,7 @@ typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, c
 
 typedef struct gffe_options {
     int width, height;               /* of the display, and so of extrapolated frames, pixels */
-    int render_width, render_height; /* of rendered frames; 0: as the display */
+    int render_width, render_height; /* of rendered frames; both 0: as the display */
     double fps;                      /* rendered frames per second, 1e-6 to 1e6, until two of them are known */
     int lanes;                       /* pixels per work-item: 1, 8, or 0: as suits the device */
     int int64_atomics; /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
@@ -112,8 +113,9 @@ typedef enum gffe_type {
     GFFE_UNORM24
 } gffe_type;
 
-/* Units of motion: pixels of the motion image, 0 to 1 across the image, or -1 to 1 across it. */
-enum { GFFE_PIXELS, GFFE_UV, GFFE_NDC };
+/* Units of motion: pixels of the motion image, 0 to 1 across the image, -1 to 1 across it, or pixels of the color
+   image. */
+enum { GFFE_PIXELS, GFFE_UV, GFFE_NDC, GFFE_COLOR_PIXELS };
 
 /* What motion vectors have of the camera's motion: all of it; all of it, but only movers have vectors, and the camera's
    own motion is taken where both components hold `motion_invalid`; nothing, it is added. */
@@ -122,7 +124,7 @@ enum { GFFE_CAMERA_INCLUDED, GFFE_CAMERA_MOVERS_ONLY, GFFE_CAMERA_EXCLUDED };
 /* Describes buffers of rendered frames in an engine's own formats. Color has the render size; depth and motion have it,
    too, or are up to three times smaller, each way, by another size in every frame. */
 typedef struct gffe_format {
-    int geometry_width, geometry_height; /* of depth and motion, pixels; 0: as color */
+    int geometry_width, geometry_height; /* of depth and motion, pixels; both 0: as color */
     int color_type, color_channels; /* float16, float32, unorm16 or unorm8, linear; 3 or 4 channels */
     int depth_type; /* float32, unorm16 or unorm24 */
     int depth_is_device; /* whether depth is that of a depth buffer, in which 1/z is linear, instead of planar depth */

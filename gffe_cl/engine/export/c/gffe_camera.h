@@ -44,12 +44,13 @@ const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *
                                  const gffe_window_options *options, gffe_window *made);
 
 /* Returns the off-center pinhole to render through, in pixels of an image of `render_width` x `render_height`;
-   `display` is in pixels of one of `width` x `height`. */
+   `display` is in pixels of one of `width` x `height`. Zeros, which no call takes for a camera, where a size is not
+   positive, the window is empty, or a camera is invalid. */
 gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *display, double width, double height,
                                double render_width, double render_height);
 
 /* Returns a `distance` for windows: the lower 5% quantile of a depth image, world units; infinite without any depth.
-   Negative if there is no memory for it. */
+   Negative if there is no memory for it, 0 without an image: no window takes these. */
 double gffe_nearest_depth(const float *depth, int width, int height);
 
 /* Predicts the camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds;

@@ -1,4 +1,5 @@
 /* Errors of calls: status and message. */
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 
@@ -7,6 +8,16 @@
 gffe_status gffe_need(gffe *g, const void *argument, const char *name) {
     if (!g || !g->is_ready) return GFFE_INVALID;
     return argument ? GFFE_OK : gffe_fail(g, GFFE_INVALID, "%s must not be NULL", name);
+}
+
+gffe_status gffe_need_number(gffe *g, const char *name, double value, double low, double high) {
+    if (fabs(value) < GFFE_LARGEST && value >= low && value <= high) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s must be a finite number from %g to %g, got %g", name, low, high, value);
+}
+
+gffe_status gffe_need_whole(gffe *g, const char *name, int value, int low, int high) {
+    if (value >= low && value <= high) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s must be a whole number from %d to %d, got %d", name, low, high, value);
 }
 
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {

@@ -72,49 +72,83 @@ static int is_geometry_ours(const gffe_step *step) {
            && format->camera_motion == GFFE_CAMERA_INCLUDED;
 }
 
-static int is_one_of(int value, const int *allowed, int count) {
-    int k;
-    for (k = 0; k < count; ++k)
-        if (value == allowed[k]) return 1;
-    return 0;
+static gffe_status need_finite(gffe *g, const char *name, double value) {
+    return gffe_need_number(g, name, value, -GFFE_LARGEST, GFFE_LARGEST);
 }
 
-static int is_finite_pair(const double pair[2]) { return fabs(pair[0]) < GFFE_LARGEST && fabs(pair[1]) < GFFE_LARGEST; }
+static gffe_status need_pair(gffe *g, const char *name, const double pair[2]) {
+    const gffe_status status = need_finite(g, name, pair[0]);
+    return status ? status : need_finite(g, name, pair[1]);
+}
 
-/* Returns the fault of a description, NULL if it has none. */
-static const char *fault_of(const gffe_format *format) {
+/* Refuses a plane unless it is finite or, of device depth, infinitely far. */
+static gffe_status need_plane(gffe *g, const char *name, double z, int is_device) {
+    return is_device && z == HUGE_VAL ? GFFE_OK : need_finite(g, name, z);
+}
+
+static gffe_status check_numbers(gffe *g, const gffe_format *f) {
+    gffe_status status = gffe_need_whole(g, "format: geometry_width", f->geometry_width, 0, GFFE_MOST_PIXELS);
+    if (!status) status = gffe_need_whole(g, "format: geometry_height", f->geometry_height, 0, GFFE_MOST_PIXELS);
+    if (!status) status = gffe_need_whole(g, "format: color_channels", f->color_channels, 3, 4);
+    if (!status) status = gffe_need_whole(g, "format: motion_channels", f->motion_channels, 2, 4);
+    if (!status) status = gffe_need_whole(g, "format: motion_unit", f->motion_unit, GFFE_PIXELS, GFFE_COLOR_PIXELS);
+    if (!status)
+        status =
+            gffe_need_whole(g, "format: camera_motion", f->camera_motion, GFFE_CAMERA_INCLUDED, GFFE_CAMERA_EXCLUDED);
+    if (!status) status = need_plane(g, "format: near_z", f->near_z, f->depth_is_device);
+    if (!status) status = need_plane(g, "format: far_z", f->far_z, f->depth_is_device);
+    if (!status) status = need_pair(g, "format: depth_range", f->depth_range);
+    if (!status) status = need_pair(g, "format: motion_scale", f->motion_scale);
+    if (!status) status = need_pair(g, "format: motion_offset", f->motion_offset);
+    if (!status && !isnan(f->motion_invalid)) status = need_finite(g, "format: motion_invalid", f->motion_invalid);
+    return status;
+}
+
+static gffe_status check_type(gffe *g, const char *name, int type, const int *allowed, int count) {
+    int k;
+    for (k = 0; k < count; ++k)
+        if (type == allowed[k]) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "format: %s_type must be one that such buffers can have (gffe.h), got %d", name,
+                     type);
+}
+
+static gffe_status check_format(gffe *g, const gffe_format *format) {
     static const int colors[4] = {GFFE_FLOAT16, GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM8};
     static const int depths[3] = {GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM24};
     static const int motions[4] = {GFFE_FLOAT32, GFFE_FLOAT16, GFFE_UNORM16, GFFE_SNORM16};
-    const double nearer = format->near_z < format->far_z ? format->near_z : format->far_z;
-    const int finite = fabs(format->near_z) < GFFE_LARGEST && fabs(format->far_z) < GFFE_LARGEST;
-    if (!is_one_of(format->color_type, colors, 4) || !is_one_of(format->depth_type, depths, 3)
-        || !is_one_of(format->motion_type, motions, 4))
-        return "color_type, depth_type or motion_type is none that such buffers can have";
-    if (format->color_channels < 3 || format->color_channels > 4 || format->motion_channels < 2
-        || format->motion_channels > 4)
-        return "color_channels must be 3 or 4, and motion_channels 2 to 4";
-    if (!(format->near_z != format->far_z) || !(format->depth_range[0] != format->depth_range[1]))
-        return "near_z and far_z must differ, and so must depth_range";
-    if (format->depth_is_device ? !(nearer > 0 && nearer < GFFE_LARGEST) : !finite)
-        return "near_z and far_z must be finite or, of device depth, greater than 0, one of them perhaps infinite";
-    if (!is_finite_pair(format->depth_range) || !is_finite_pair(format->motion_offset)
-        || !is_finite_pair(format->motion_scale) || format->motion_scale[0] == 0 || format->motion_scale[1] == 0)
-        return "depth_range, motion_scale and motion_offset must be finite, and motion_scale not 0";
-    if (format->motion_unit < GFFE_PIXELS || format->motion_unit > GFFE_NDC
-        || format->camera_motion < GFFE_CAMERA_INCLUDED || format->camera_motion > GFFE_CAMERA_EXCLUDED)
-        return "motion_unit and camera_motion must be one of their constants";
+    const double near_z = format->near_z, far_z = format->far_z;
+    gffe_status status = check_type(g, NAMES[COLOR], format->color_type, colors, 4);
+    if (!status) status = check_type(g, NAMES[DEPTH], format->depth_type, depths, 3);
+    if (!status) status = check_type(g, NAMES[MOTION], format->motion_type, motions, 4);
+    if (!status) status = check_numbers(g, format);
+    if (status) return status;
+    if (!format->geometry_width != !format->geometry_height)
+        return gffe_fail(g, GFFE_INVALID,
+                         "format: geometry_width and geometry_height must be 0 both or neither, got %d and %d",
+                         format->geometry_width, format->geometry_height);
+    if (near_z == far_z || format->depth_range[0] == format->depth_range[1])
+        return gffe_fail(g, GFFE_INVALID,
+                         "format: near_z and far_z must differ, and so must depth_range, got near_z %g, far_z %g",
+                         near_z, far_z);
+    if (format->depth_is_device && !(near_z > 0 && far_z > 0))
+        return gffe_fail(g, GFFE_INVALID,
+                         "format: device depth needs near_z and far_z greater than 0, got near_z %g, far_z %g", near_z,
+                         far_z);
+    if (format->motion_scale[0] == 0 || format->motion_scale[1] == 0)
+        return gffe_fail(g, GFFE_INVALID, "format: motion_scale must not contain 0, got %g and %g",
+                         format->motion_scale[0], format->motion_scale[1]);
     if (format->camera_motion == GFFE_CAMERA_MOVERS_ONLY && isnan(format->motion_invalid))
-        return "GFFE_CAMERA_MOVERS_ONLY needs motion_invalid, the value of pixels without motion";
-    return NULL;
+        return gffe_fail(
+            g, GFFE_INVALID,
+            "format: camera_motion GFFE_CAMERA_MOVERS_ONLY needs motion_invalid, the value without a vector");
+    return GFFE_OK;
 }
 
 gffe_status gffe_set_format(gffe *g, const gffe_format *format) {
-    const char *fault = format ? fault_of(format) : NULL;
     gffe_status status = gffe_need(g, g, "gffe");
     int size[2], k;
+    if (!status && format) status = check_format(g, format);
     if (status) return status;
-    if (fault) return gffe_fail(g, GFFE_INVALID, "format: %s", fault);
     if (format) geometry_of(format, g->step.source, size);
     for (k = 0; k < 2 && format; ++k)
         if (size[k] < g->step.source[k] / GFFE_MOST_RATIO || size[k] > g->step.source[k])
@@ -129,11 +163,10 @@ gffe_status gffe_set_format(gffe *g, const gffe_format *format) {
 }
 
 gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y) {
-    const gffe_status status = gffe_need(g, g, "gffe");
+    gffe_status status = gffe_need(g, g, "gffe");
+    if (!status) status = gffe_need_number(g, "geometry jitter: x", x, -GFFE_MOST_JITTER, GFFE_MOST_JITTER);
+    if (!status) status = gffe_need_number(g, "geometry jitter: y", y, -GFFE_MOST_JITTER, GFFE_MOST_JITTER);
     if (status) return status;
-    if (!(fabs(x) <= GFFE_MOST_JITTER && fabs(y) <= GFFE_MOST_JITTER))
-        return gffe_fail(g, GFFE_INVALID, "geometry jitter must be in pixels, up to %g, got %g and %g",
-                         GFFE_MOST_JITTER, x, y);
     g->jitter[0] = x;
     g->jitter[1] = y;
     return GFFE_OK;
@@ -182,7 +215,8 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     for (k = 0; k < 2; ++k) {
         const double side = step->source[k], scale = side / geometry[k];
         const double shift = is_small(step) ? step->jitter[k] : 0;
-        const double unit = format->motion_unit == GFFE_UV ? side : format->motion_unit == GFFE_NDC ? side / 2 : scale;
+        const double units[] = {scale, side, side / 2, 1}; /* GFFE_PIXELS, GFFE_UV ... */
+        const double unit = units[format->motion_unit];
         const double factor = sign * unit * (k && format->motion_y_up ? -1 : 1);
         const double jitter = format->motion_jittered ? step->jitter[k] - step->previous_jitter[k] : 0;
         block->given_motion.s[k] = (float)(factor * format->motion_scale[k] / most);

@@ -252,6 +252,9 @@ void gffe_drop_overlays(gffe *g);
 /* gffe_errors.c */
 /* Returns GFFE_INVALID unless `g` was created without error and `argument`, of that name, is not NULL. */
 gffe_status gffe_need(gffe *g, const void *argument, const char *name);
+/* Return GFFE_INVALID unless the value of that name is a number below GFFE_LARGEST, from `low` to `high`. */
+gffe_status gffe_need_number(gffe *g, const char *name, double value, double low, double high);
+gffe_status gffe_need_whole(gffe *g, const char *name, int value, int low, int high);
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 

@@ -165,11 +165,16 @@ gffe_status gffe_check_bytes(gffe *g, cl_mem buffer, const char *name, const int
     const size_t wanted = texel * (size_t)sides[0] * (size_t)sides[1];
     size_t size = 0;
     cl_context context = NULL;
+    cl_mem_object_type type = CL_MEM_OBJECT_BUFFER;
     cl_int error;
     if (!buffer) return gffe_fail(g, GFFE_INVALID, "frame: there is no %s buffer", name);
-    error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
+    error = clGetMemObjectInfo(buffer, CL_MEM_TYPE, sizeof type, &type, NULL);
+    if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
     if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_CONTEXT, sizeof context, &context, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, name);
+    if (type != CL_MEM_OBJECT_BUFFER)
+        return gffe_fail(g, GFFE_INVALID, "frame: %s is an image (expected a buffer: clEnqueueCopyImageToBuffer)",
+                         name);
     if (size < wanted)
         return gffe_fail(g, GFFE_INVALID, "frame: %s buffer must hold %lu bytes (%dx%d), got %lu", name,
                          (unsigned long)wanted, sides[0], sides[1], (unsigned long)size);

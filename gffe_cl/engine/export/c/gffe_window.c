@@ -17,6 +17,8 @@ static double larger(double a, double b) { return b > a ? b : a; }
 
 static double smaller(double a, double b) { return b < a ? b : a; }
 
+static int is_side(double n) { return n >= GFFE_LEAST_SIDE && n <= GFFE_MOST_SIDE; }
+
 gffe_window_options gffe_default_window_options(double width, double height) {
     gffe_window_options made;
     made.width = width;
@@ -117,6 +119,7 @@ const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *
     int i, k, clamped = 0;
     const char *fault = gffe_camera_fault(current);
     if (!options || !made || (!predicted && count > 0)) return "window: predicted, options and made must not be NULL";
+    if (count < 0) return "window: count must not be negative";
     size[0] = options->width;
     size[1] = options->height;
     if (!(options->max_enlargement >= 1 && options->max_enlargement <= GFFE_MOST_OF_WINDOW))
@@ -126,9 +129,8 @@ const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *
     if (!(options->margin >= 0 && options->margin <= GFFE_MOST_OF_WINDOW))
         return "window: the margin must be from 0 to 1e6 pixels";
     if (!(options->least >= 0 && options->least <= 1)) return "window: least must be from 0 to 1";
-    for (k = 0; k < 2; ++k)
-        if (!(size[k] >= GFFE_LEAST_SIDE && size[k] <= GFFE_MOST_SIDE))
-            return "window: the size of the display must be positive, 1e-9 to 1e9 pixels";
+    if (!is_side(size[0]) || !is_side(size[1]))
+        return "window: the size of the display must be positive, 1e-9 to 1e9 pixels";
     for (i = 0; i < count && !fault; ++i) fault = gffe_camera_fault(&predicted[i]);
     if (fault) return fault;
     for (i = 0; i < count; ++i) clamped |= cover(current, &predicted[i], options, low, high);
@@ -151,8 +153,10 @@ gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *dis
                                double render_width, double render_height) {
     double scale_x, scale_y, left, top;
     gffe_camera made;
-    memset(&made, 0, sizeof made);
-    if (!window || !display) return made;
+    const gffe_camera none = {{{0}}, 0, 0, 0, 0};
+    if (!window || gffe_camera_fault(display)) return none;
+    if (!is_side(width) || !is_side(height) || !is_side(render_width) || !is_side(render_height)) return none;
+    if (!(window->u0 < window->u1 && window->v0 < window->v1)) return none;
     scale_x = render_width / (width * ((window->u1 - window->u0) / 2));
     scale_y = render_height / (height * ((window->v1 - window->v0) / 2));
     left = (window->u0 + 1) / 2 * width;
@@ -162,7 +166,7 @@ gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *dis
     made.fy = display->fy * scale_y;
     made.cx = (display->cx - left) * scale_x;
     made.cy = (display->cy - top) * scale_y;
-    return made;
+    return gffe_camera_fault(&made) ? none : made;
 }
 
 static int by_size(const void *a, const void *b) {

@@ -1,0 +1,387 @@
+"""Sequences that are stored as engines have them, through the command line: every encoding of `gffe render --encode`,
+every key of a `frame_format` and of a frame's geometry, each through every command that reads or writes sequences."""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pytest
+from engine_buffers import stored
+from PIL import Image
+
+from gffe_cl import FrameFormat, Overlays, SequenceWriter, named_channels, open_sequence
+from gffe_cl.captures.sequence.description import FrameEntry
+from gffe_cl.captures.sequence.encoding import PARTS, PRESETS
+from gffe_cl.captures.sequence.exr import read_channels
+from gffe_cl.cli import main
+from gffe_cl.engine.frame.frame_format import CHOICES
+from gffe_cl.engine.frame.transfer_function import to_display
+from gffe_cl.engine.timing import bench
+
+GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()"]
+XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
+W, H, FRAMES = 96, 54, 5
+HALF, THIRD = (W // 2, H // 2), (W // 3, H // 3)
+JITTERS = [(0.0, 0.0), (0.25, -0.5), (-0.375, 0.125), (0.5, 0.25), (-0.25, -0.25)]  # pixels of color
+DEVICE = {"depth": "device", "near_z": 0.1, "far_z": 100.0}
+INVALID = -7.0
+
+# Values to try of each field of FrameFormat that is no choice between texts, together with what they need.
+VALUES = {
+    "color_size": [{"color_size": (W, H)}],
+    "geometry_size": [{"geometry_size": HALF}, {"geometry_size": THIRD}],
+    "color_channels": [{"color_channels": 3}],
+    "near_z": [{"near_z": 0.5, "far_z": 40.0}],
+    "far_z": [DEVICE | {"far_z": math.inf}, DEVICE | {"near_z": math.inf, "far_z": 0.1}],
+    "depth_range": [DEVICE | {"depth_range": (1, 0)}, {"depth_range": (0, 0.25)}],
+    "motion_channels": [{"motion_channels": 4}],
+    "motion_scale": [{"motion_scale": (2, -3)}],
+    "motion_offset": [{"motion_unit": "uv", "motion_scale": (2, 2), "motion_offset": (-1, -1)}],
+    "motion_dilated": [{"motion_dilated": True}],
+    "motion_jittered": [{"motion_jittered": True}],
+    "motion_invalid": [{"motion_invalid": INVALID}],
+}
+NEEDED = {"device": DEVICE, "movers_only": {"camera_motion": "movers_only", "motion_invalid": INVALID}}
+SDKS = {
+    "fsr3": FrameFormat.fsr3(
+        renderSize=HALF, displaySize=(W, H), motionVectorScale=HALF, cameraNear=0.1, flags=0b11100
+    ),
+    "streamline": FrameFormat.streamline(
+        mvecScale=(1 / W, 1 / H), cameraNear=0.1, cameraFar=100.0, depthInverted=True, cameraMotionIncluded=False,
+        motionVectorsJittered=True, color_size=(W, H), geometry_size=HALF,
+    ),
+    "xess": FrameFormat.xess(
+        projectionMatrix=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, -0.1, 0]], initFlags=0b1100
+    ),
+    "openxr": FrameFormat.openxr(nearZ=math.inf, farZ=0.1, motionVectorScale=(1, 1, 1, 0)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stored:
+    """Sequence to make: by `gffe render --encode`, or from the exact one as `format` describes it. `sizes`: of the
+    geometry, frame by frame; `jittered`: whether geometry is said to be jittered. `loss`: the most that its new frames
+    may be worse than those of the exact sequence, dB; `near`: what its pixels may differ by."""
+
+    encoding: str = ""
+    format: FrameFormat | None = None
+    sizes: tuple = ()
+    jittered: bool = False
+    loss: float = 0.05
+
+
+def described():
+    """Yield a name and a sequence for every field of FrameFormat, and for those of frames."""
+    for field in fields(FrameFormat):
+        choices = [value for value in CHOICES.get(field.name, ()) if value != field.default]
+        if field.name.endswith("_type"):
+            choices = choices[-1:]  # files have types of their own
+        tried = VALUES.get(field.name) or [NEEDED.get(value, {field.name: value}) for value in choices]
+        for keys in tried:
+            value = keys[field.name]
+            is_small, is_off = "geometry_size" in keys, bool({"motion_dilated", "motion_invalid"} & keys.keys())
+            loss = 0.6 if is_small or is_off else 0.05
+            text = "-".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            yield (
+                f"{field.name}={text}",
+                Stored(format=FrameFormat(**keys), jittered="jittered" in field.name, loss=loss),
+            )
+    for name, format in SDKS.items():
+        yield name, Stored(format=format, jittered=format.motion_jittered, loss=0.6)
+    own = {
+        "geometry_size": Stored(sizes=(HALF, (W, H), HALF, THIRD, None), loss=0.6),
+        "geometry_jitter": Stored(jittered=True),
+    }
+    for field in fields(FrameEntry):
+        if field.name.startswith("geometry_"):
+            yield f"frame.{field.name}", own[field.name]
+
+
+# How much worse than exact frames new ones may be, dB, where it is more than half a decibel: colors differ from truth.
+LOSSES = {"taa": 6, "game": 6, "noisy-camera": 1.5, "engine": 2, "grain": 1}
+ENCODED = {name: Stored(encoding=name, loss=LOSSES.get(name, 0.5)) for name in (*PRESETS, *PARTS)}
+INPUTS = ENCODED | dict(described())
+
+
+def call(*arguments):
+    """Run `gffe` in this process and return its exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["gffe", *map(str, arguments)])
+        try:
+            main()
+        except SystemExit as stop:
+            return stop.code or 0
+    return 0
+
+
+class Made:
+    """Sequences of `INPUTS` and results of commands on them, each made once, in `folder`."""
+
+    def __init__(self, folder):
+        self._folder = folder
+
+    def path(self, name, *parts):
+        return self._folder.joinpath("_".join((name, *parts)))
+
+    def sequence(self, name):
+        """Return the folder of the sequence `name`."""
+        folder, given = self.path(name), INPUTS[name]
+        if folder.exists():
+            return folder
+        if given.encoding:
+            size = ("--size", f"{W}x{H}", "--frames", FRAMES)
+            assert call("render", "railings", folder, *size, "--ground-truth", "--encode", given.encoding) == 0
+        else:
+            write_described(folder, given, open_sequence(self.sequence("exact")))
+        return folder
+
+    def run(self, name, *again):
+        """Return the folder of the new frames of the sequence `name`; with an argument of those of these."""
+        out = self.path(name, "run", *again)
+        if not out.exists():
+            source = self.run(name) if again else self.sequence(name)
+            assert call("run", source, out, "--no-scn", "--no-check", "--camera", "predicted") == 0
+        return out
+
+    def psnr(self, name):
+        """Return the mean PSNR of the new frames of the sequence `name`, dB."""
+        report = self.path(name, "psnr.json")
+        if not report.exists():
+            assert call("compare", self.run(name), self.sequence(name), "--json", report) == 0
+        return json.loads(report.read_text())["mean"]["psnr"]
+
+
+def write_described(folder, given, exact):
+    """Write the frames of the sequence `exact` as `given` says. The last one has overlays."""
+    format, before = given.format or FrameFormat(), None
+    with SequenceWriter(folder, W, H, exact.fps, exact.exposure, format=given.format) as writer:
+        for k, (entry, frame) in enumerate(zip(exact.rendered, exact, strict=True)):
+            jitters = (JITTERS[k], JITTERS[k - 1] if k else JITTERS[k]) if given.jittered else ()
+            size = given.sizes[k] if given.sizes else None
+            made = stored(frame, before, format, size, *jitters)
+            overlays = Overlays(fixed_mask=np.zeros((H, W), bool)) if k == FRAMES - 1 else None
+            motion = made.motion if k else None
+            keys = {"geometry_size": size, "geometry_jitter": made.geometry_jitter}
+            writer.add(replace(entry, **keys), named_channels(made.color, made.depth, motion, overlays))
+            before = frame
+        for entry in exact.ground_truth:
+            writer.add(entry, named_channels(exact.read_color(entry)))
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory):
+    return Made(tmp_path_factory.mktemp("stored"))
+
+
+def keys_of(folder):
+    """Return all keys of a sequence.json about how rendered frames are stored."""
+    document = json.loads((folder / "sequence.json").read_text())
+    kept = (
+        "file",
+        "time",
+        "reset",
+        "render_size",
+        "geometry_size",
+        "geometry_jitter",
+        "render_camera",
+        "display_camera",
+    )
+    rendered = [{name: frame.get(name) for name in kept} for frame in document["frames"] if frame["kind"] == "rendered"]
+    return document["version"], document.get("frame_format"), rendered
+
+
+def assert_same(one, other):
+    """Fields of two rendered frames."""
+    for name in ("color", "depth", "motion"):
+        a, b = getattr(one, name), getattr(other, name)
+        assert (a is None) == (b is None)
+        if a is not None:
+            np.testing.assert_array_equal(a, b, name)
+    for field in fields(Overlays):
+        a, b = (getattr(frame.overlays, field.name, None) for frame in (one, other))
+        assert np.array_equal(a, b) or (a is None and b is None), field.name
+    assert one.geometry_jitter == other.geometry_jitter and one.geometry_size == other.geometry_size
+
+
+INEXACT = {"unorm8", "noisy-camera", "engine"}
+FEW = {"exact", "game", "streamline", "frame.geometry_size"}  # the others take minutes
+every_input = pytest.mark.parametrize("name", INPUTS)
+some_inputs = pytest.mark.parametrize(
+    "name", [name if name in FEW else pytest.param(name, marks=pytest.mark.long) for name in INPUTS]
+)
+long_inputs = pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long) for name in INPUTS])
+
+
+@every_input
+def test_run(made, name):
+    """Rendered frames are as they were given, byte for byte, and described as before; new frames are in our
+    conventions, as good as those of the exact sequence."""
+    given, out = made.sequence(name), made.run(name)
+    assert keys_of(out) == keys_of(given)
+    for entry in open_sequence(given).rendered:
+        assert (out / entry.file).read_bytes() == (given / entry.file).read_bytes()
+    sequence = open_sequence(out)
+    assert len(sequence.extrapolated) == FRAMES
+    for entry in sequence.extrapolated:
+        channels = sequence.read_channels(entry, ["Z", "motion.x", "motion.y"])
+        assert {array.shape for array in channels.values()} == {(H, W)}
+    worse = made.psnr("exact") - made.psnr(name)
+    assert worse < INPUTS[name].loss, f"{worse:.3f} dB"
+
+
+@some_inputs
+def test_run_goes_on_from_its_output(made, name):
+    """The same rendered frames, the same new ones."""
+    first, again = made.run(name), made.run(name, "again")
+    assert keys_of(first) == keys_of(again)
+    for entry in open_sequence(first).frames:
+        assert (first / entry.file).read_bytes() == (again / entry.file).read_bytes(), entry.file
+
+
+@some_inputs
+def test_run_upscaled(made, name, tmp_path):
+    """Displayed frames are written, in our conventions."""
+    given, out = open_sequence(made.sequence(name)), tmp_path / "out"
+    assert call("run", given.path, out, "--no-scn", "--no-check", "--upscale", 2) == 0
+    version, format, entries = keys_of(out)
+    assert (version, format) == (1, None) and not any(entry["geometry_jitter"] for entry in entries)
+    for before, frame in zip(given, open_sequence(out), strict=True):
+        assert frame.depth.shape == (2 * H, 2 * W)
+        colors = [to_display(color, given.exposure) for color in (before.color, frame.color)]
+        means = colors[1].reshape(H, 2, W, 2, 3).mean((1, 3))
+        assert np.abs(means - colors[0]).mean() < 0.03
+
+
+@some_inputs
+def test_import(made, name, tmp_path):
+    """A copy is as it was given, value for value; where something is changed, all is in our conventions."""
+    given = open_sequence(made.sequence(name))
+    assert call("import", given.path, tmp_path / "copy") == 0
+    copy = open_sequence(tmp_path / "copy")
+    assert keys_of(copy.path) == keys_of(given.path)
+    for entry, mine in zip(given.rendered, copy.rendered, strict=True):
+        assert_same(given.read_stored(entry), copy.read_stored(mine))
+    for truth, mine in zip(given.ground_truth, copy.ground_truth, strict=True):
+        assert given.read_color(truth).tobytes() == copy.read_color(mine).tobytes()
+    assert call("import", given.path, tmp_path / "changed", "--encode", "half-depth") == 0
+    changed = open_sequence(tmp_path / "changed")
+    assert changed.format is None
+    for before, frame in zip(given, changed, strict=True):
+        depth = before.depth.astype(np.float16).astype(np.float32)
+        assert_same(replace(before, depth=depth), frame)
+    assert call("import", given.path, tmp_path / "thinned", "--every", 2) == 0
+    thinned, whole = open_sequence(tmp_path / "thinned"), list(given)
+    assert thinned.format is None and len(thinned.ground_truth) == len(given.ground_truth) + FRAMES // 2
+    for before, frame in zip(whole[::2], thinned, strict=True):
+        assert_same(before, replace(frame, motion=before.motion))
+
+
+@some_inputs
+def test_check(made, name, tmp_path):
+    """No faults, where vectors and cameras are exact enough for frames so small. Matrices are repaired, and nothing
+    else changes but that all is in our conventions."""
+    given, turned, back = open_sequence(made.sequence(name)), tmp_path / "turned", tmp_path / "back"
+    assert call("check", given.path, "--json", tmp_path / "report.json") == (name in INEXACT)
+    shutil.copytree(given.path, turned)
+    document = json.loads((turned / "sequence.json").read_text())
+    for frame in document["frames"]:
+        for camera in (frame.get("render_camera"), frame.get("display_camera")):
+            if camera:
+                camera["world_to_view"] = np.transpose(camera["world_to_view"]).tolist()
+    (turned / "sequence.json").write_text(json.dumps(document))
+    report = json.loads((tmp_path / "report.json").read_text())
+    others = [text for finding in report["findings"] if finding["fix"] for text in ("--except", finding["id"])]
+    assert call("check", turned, "--fix", back, *others) == 1
+    fixed = open_sequence(back)
+    assert fixed.format is None
+    for frame, mine in zip(given, fixed, strict=True):
+        assert_same(frame, mine)
+        assert frame.camera == mine.camera
+
+
+@some_inputs
+def test_calibrate(made, name, tmp_path, capsys):
+    """Cameras are recovered from converted depth and motion; files stay as they are."""
+    given, out = open_sequence(made.sequence(name)), tmp_path / "out"
+    view = 2 * np.degrees(np.arctan(W / 2 / given.rendered[0].render_camera.fx))
+    code = call("calibrate", given.path, out, "--fov", view)
+    if given.format and given.format.camera_motion != "included":
+        assert (
+            code == 2 and f"camera_motion is {given.format.camera_motion} (expected included" in capsys.readouterr().err
+        )
+        return
+    assert code == 0
+    assert [keys_of(folder)[:2] for folder in (given.path, out)] == [keys_of(given.path)[:2]] * 2
+    found = open_sequence(out)
+    start = np.linalg.inv(given.rendered[0].render_camera.world_to_view)
+    for before, entry in zip(given.rendered, found.rendered, strict=True):
+        assert (out / entry.file).read_bytes() == (given.path / entry.file).read_bytes()
+        off = entry.render_camera.world_to_view - before.render_camera.world_to_view @ start
+        assert np.abs(off).max() < (0.25 if INPUTS[name].encoding else 0.02)  # vectors may be rounded to pixels
+
+
+@some_inputs
+def test_export(made, name, tmp_path):
+    """Frames for the exported program are in our conventions."""
+    given = open_sequence(made.sequence(name))
+    assert call("export", tmp_path / "c", "--frames", given.path, "--count", FRAMES) == 0
+    for k, frame in enumerate(given):
+        read = {kind: (tmp_path / "c/frames" / f"{k:04}.{kind}").read_bytes() for kind in ("depth", "motion")}
+        assert np.frombuffer(read["depth"], np.float32).reshape(H, W).tobytes() == frame.depth.tobytes()
+        motion = np.zeros((H, W, 2), np.float32) if frame.motion is None else frame.motion
+        np.testing.assert_array_equal(np.frombuffer(read["motion"], np.float32).reshape(H, W, 2), motion)
+
+
+@some_inputs
+def test_bench(made, name, tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "_COPY_BYTES", 1 << 20)
+    report = tmp_path / "bench.json"
+    assert call("bench", made.sequence(name), "--repeats", 1, "--no-scn", "--json", report) == 0
+    assert report.exists()
+
+
+@long_inputs
+def test_eval(made, name, tmp_path):
+    """The table's pipeline is that of `gffe run`: as good, against the same truth."""
+    given, out, report = made.sequence(name), tmp_path / "out", tmp_path / "compare.json"
+    assert call("eval", given, "--methods", "gffe", "--out", tmp_path / "table") == 0
+    assert call("run", given, out, "--no-scn", "--no-check") == 0
+    assert call("compare", out, given, "--json", report) == 0
+    known = {round(frame["time"], 6): frame["psnr"] for frame in json.loads(report.read_text())["frames"]}
+    (cell,) = json.loads((tmp_path / "table/results.json").read_text())["cells"]
+    assert len(cell["frames"]) == FRAMES - 3
+    for frame in cell["frames"]:
+        assert frame["psnr"] == pytest.approx(known[round(frame["time"], 6)], abs=0.01)
+
+
+@long_inputs
+def test_view(made, name, tmp_path):
+    """The viewer reads the same frames, makes the same new one, and saves both as EXR."""
+    given, script, shot = open_sequence(made.sequence(name)), tmp_path / "steps.txt", tmp_path / "shot.png"
+    script.write_text(f"seek 2\ndo save_exr\nwait done\nseek 2+1/2\ndo save_exr\nwait done\nshot {shot}\n")
+    environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path), "LIBGL_ALWAYS_SOFTWARE": "1"}
+    child = subprocess.run(
+        [*XVFB, *GFFE, "view", given.path, "--script", script, "--no-scn", "--no-check"],
+        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=200,
+    )  # fmt: skip
+    assert child.returncode == 0 and not child.stderr, child.stderr
+    at_rendered, at_new = sorted(tmp_path.glob("*_layers"))
+    frame = given.read(given.rendered[1])
+    np.testing.assert_allclose(layer(at_rendered, "rendered.depth", "Y")[..., 0], frame.depth, rtol=1e-5)
+    np.testing.assert_allclose(layer(at_rendered, "rendered.motion", "xy"), frame.motion, atol=1e-3)
+    np.testing.assert_array_equal(layer(at_rendered, "rendered.color", "RGB"), frame.color)
+    assert call("run", given.path, tmp_path / "out", "--no-scn", "--no-check") == 0
+    run = open_sequence(tmp_path / "out")
+    colors = layer(at_new, "final", "RGB"), run.read_color(run.extrapolated[2])
+    off = np.abs(np.subtract(*(to_display(color, given.exposure) for color in colors)))
+    assert off.mean() < 1e-3 and Image.open(shot).size[0] > W
+
+
+def layer(folder, name, channels):
+    """Return a saved layer (H, W, C)."""
+    return np.stack([*read_channels(folder / f"{name}.exr", list(channels), name).values()], -1)

@@ -1,0 +1,74 @@
+"""Depth and motion as an engine stores them: the inverse of the conversion that a `FrameFormat` describes, without its
+code."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.captures.sequence.post_effects import nearest_motion
+
+FAR = 1e9  # stands for sky, which only turns
+
+
+def static_motion(frame, before):
+    """Return where points at rest were in `before`, less where they are: (H, W, 2) float64, pixels."""
+    height, width = frame.depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    px, z = np.stack([x, y], -1), np.where(np.isinf(frame.depth), FAR, frame.depth.astype(np.float64))
+    return before.camera.project(frame.camera.unproject(px, z))[0] - px
+
+
+def sampled(n, m):
+    """Return which of `n` pixels are the samples of `m`, and by how much of these the samples are shifted."""
+    ratio = n // m
+    first = (ratio - 1) // 2
+    return np.arange(m) * ratio + first, 0.5 - (first + 0.5) / ratio
+
+
+def stored(frame, before, format, size=None, jitter=(0.0, 0.0), jitter_before=(0.0, 0.0)):
+    """Return `frame`, in our conventions and after `before`, as `format` describes it, of `size` (width, height): every
+    pixel or every second or third one. `jitter`: of this frame and the one before, pixels of color, which motion
+    includes if `format` says so; samples that are no pixels' centers are jitter, too."""
+    height, width = frame.depth.shape
+    columns, rows = size or format.geometry_size or (width, height)
+    (x, shift_x), (y, shift_y) = sampled(width, columns), sampled(height, rows)
+    ratio = np.array((width / columns, height / rows))
+    shift = np.array((shift_x, shift_y)) * ratio  # of all frames alike
+    own = tuple(((shift + jitter) / ratio).tolist())
+    motion = None if frame.motion is None else _motion(frame, before, format, ratio, jitter, jitter_before)
+    made = replace(frame, depth=_depth(frame.depth, format)[np.ix_(y, x)], geometry_jitter=own)
+    return replace(made, motion=None if motion is None else motion[np.ix_(y, x)].astype(np.float32))
+
+
+def _depth(depth, format):
+    """Return stored depth (H, W) float32 of planar depth; depth buffers hold nothing beyond their range."""
+    (low, high), is_device = format.depth_range, format.depth == "device"
+    z, near, far = depth.astype(np.float64), format.near_z, format.far_z
+    if is_device:
+        with np.errstate(divide="ignore"):
+            z, near, far = (1 / np.float64(value) for value in (z, near, far))
+    made = low + (z - near) / (far - near) * (high - low)
+    return (np.clip(made, min(low, high), max(low, high)) if is_device else made).astype(np.float32)
+
+
+def _motion(frame, before, format, ratio, jitter, jitter_before):
+    """Return stored motion (H, W, 2) of motion in pixels of color."""
+    moved = frame.motion.astype(np.float64)
+    height, width = moved.shape[:2]
+    static = static_motion(frame, before) if before else np.zeros_like(moved)
+    rests = np.abs(moved - static).max(-1) < 1e-2
+    if format.camera_motion == "excluded":
+        moved = np.where(np.isinf(frame.depth)[..., None], 0, moved - static)
+    if format.motion_dilated:
+        moved = nearest_motion(moved, frame.depth)
+    if format.motion_jittered:
+        moved = moved - jitter + np.array(jitter_before)
+    unit = {"pixels": ratio, "color_pixels": 1, "uv": (width, height), "ndc": (width / 2, height / 2)}
+    vectors = moved / np.array(unit[format.motion_unit])
+    vectors = vectors * {"to_previous": 1, "from_previous": -1}[format.motion_direction]
+    vectors = vectors * (1, {"down": 1, "up": -1}[format.motion_y])
+    vectors = (vectors - format.motion_offset) / format.motion_scale
+    unwritten = {"included": np.arange(height)[:, None] < 2 * ratio[1], "movers_only": rests, "excluded": False}
+    if format.motion_invalid is not None:
+        vectors[np.broadcast_to(unwritten[format.camera_motion], rests.shape)] = format.motion_invalid
+    return vectors
