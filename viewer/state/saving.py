@@ -145,6 +145,7 @@ class LayersWork(Work):
             self.finished = True
         elif self.subject.settled() and self.layers <= self.subject.contents.asked:
             result = self.subject.contents.result
+            assert result is not None  # it is settled
             self.total = len(result.images)
             self._start(lambda: self._write(result))
 

@@ -211,8 +211,8 @@ def _behind(met: list[_Taken]) -> list[_Taken]:
 
 
 def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[float, float] | None) -> Step | None:
-    """Return where the frame before showed a part of a mover that reappears. It is at `source_px` of the rendered image,
-    behind what hides it, and moves as the mover beside that does."""
+    """Return where the frame before showed a part of a mover that reappears. It is at `source_px` of the rendered
+    image, behind what hides it, and moves as the mover beside that does."""
     if source_px is None:
         return None
     reach = max(_MOVERS["LEAST_REACH"], pipeline.sizes.target[0] // _MOVERS["REACH_SHARE"])
