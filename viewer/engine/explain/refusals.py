@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import MAX_LEVELS
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING
@@ -102,11 +103,10 @@ def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -
 
 def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px) -> Step | None:
     """Return what the background remembers where the pixel would be, which does not land in it; None without it."""
-    levels = [level for level in range(pipeline.options.levels) if "background" in pipeline.stages]
-    if not levels or source_px is None:
+    if source_px is None:
         return None
     layers, told, empty, links = device_layers(pipeline, shot), [], [], []
-    for level in levels:
+    for level in range(MAX_LEVELS):
         named = [names.background(name, level) for name in ("state", "depth", "px")]
         if not all(name in layers for name in named):
             continue
