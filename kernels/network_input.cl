@@ -7,11 +7,34 @@
 #include "mu_law.h"
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
-#define BINS 32768
+#define BINS 32768       /* SCANNERS * SCANNED */
 #define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
 #define STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
-#define SCANNERS 64       /* work-items of find_median */
+#define AT_ONCE 4         /* counted rows that are read before any is counted */
+#define SCANNERS 256      /* work-items of find_median */
+#define SCANNED 128       /* bins of each */
 #define MAX_INVERSE_DEPTH 8.0f
+
+/* Counts the first `count` of LANES depths, those that are finite: `run` of them, the last ones, are in `bin`. */
+INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, __global uint *histogram) {
+    const Ints counts = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
+    const Ints bins = counts ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
+    if (ALL(bins == *bin)) {
+        if (*bin >= 0) *run += LANES;
+        return;
+    }
+    int lane_bins[LANES];
+    store_ints(bins, 0, lane_bins);
+    for (int k = 0; k < LANES; ++k) {
+        if (lane_bins[k] < 0) continue;
+        if (lane_bins[k] != *bin) {
+            if (*run) atomic_add(histogram + *bin, *run);
+            *bin = lane_bins[k];
+            *run = 0;
+        }
+        ++*run;
+    }
+}
 
 /* Counts how often each bin of finite depth occurs in some of the rows. */
 WIDE __kernel void depth_histogram(__constant Frame *restrict frame, __global const float *depth,
@@ -19,27 +42,18 @@ WIDE __kernel void depth_histogram(__constant Frame *restrict frame, __global co
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
     if (dst_x >= target_width) return;
+    const int rows = min(STRIP, target_height - first);
     int bin = -1;
     uint run = 0;
-    for (int dst_y = first; dst_y < min(first + STRIP, target_height); dst_y += COUNTED_ROWS) {
-        const Floats z = load_some_floats(count, depth + dst_y * target_width + dst_x);
-        const Ints counts = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
-        const Ints bins = counts ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
-        if (ALL(bins == bin)) {
-            if (bin >= 0) run += LANES;
-            continue;
+    for (int row = 0; row < rows; row += AT_ONCE * COUNTED_ROWS) {
+        Floats z[AT_ONCE];
+#pragma unroll
+        for (int k = 0; k < AT_ONCE; ++k) {
+            const int counted = row + k * COUNTED_ROWS, dst_y = first + min(counted, rows - 1);
+            const Floats z_row = load_some_floats(count, depth + dst_y * target_width + dst_x);
+            z[k] = counted < rows ? z_row : (Floats)(0.0f);
         }
-        int lane_bins[LANES];
-        store_ints(bins, 0, lane_bins);
-        for (int k = 0; k < LANES; ++k) {
-            if (lane_bins[k] < 0) continue;
-            if (lane_bins[k] != bin) {
-                if (run) atomic_add(histogram + bin, run);
-                bin = lane_bins[k];
-                run = 0;
-            }
-            ++run;
-        }
+        for (int k = 0; k < AT_ONCE; ++k) count_depths(z[k], count, &bin, &run, histogram);
     }
     if (run) atomic_add(histogram + bin, run);
 }
@@ -47,19 +61,36 @@ WIDE __kernel void depth_histogram(__constant Frame *restrict frame, __global co
 /* The middle of the bin in which half of the depths is reached; 1 if there are none. One work-group. */
 __kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void find_median(__global const uint *histogram,
                                                                                 __global float *median_depth) {
-    const uint part = get_local_id(0);
-    __local uint sums[SCANNERS];
-    uint sum = 0;
-    for (uint bin = part * (BINS / SCANNERS); bin < (part + 1) * (BINS / SCANNERS); ++bin) sum += histogram[bin];
-    sums[part] = sum;
+    const uint item = get_local_id(0);
+    __local uint sums[SCANNERS], counts[SCANNED], found, found_below;
+    uint4 sum = (uint4)(0);
+    for (uint k = 0; k < SCANNED / 4; ++k) sum += vload4(item * (SCANNED / 4) + k, histogram);
+    sums[item] = (sum.x + sum.y) + (sum.z + sum.w);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (part) return;
-    uint total = 0, below = 0, bin = 0;
-    for (int k = 0; k < SCANNERS; ++k) total += sums[k];
+
+    /* The one whose bins lead from below the half to the half or beyond. */
+    uint total = 0, below = 0;
+    for (uint k = 0; k < SCANNERS; ++k) {
+        total += sums[k];
+        below += k < item ? sums[k] : 0;
+    }
     const uint half_way = (total + 1) / 2;
-    for (; bin < SCANNERS - 1 && below + sums[bin] < half_way; ++bin) below += sums[bin];
-    for (bin *= BINS / SCANNERS; bin < BINS - 1 && below + histogram[bin] < half_way; ++bin) below += histogram[bin];
-    *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
+    if (below < half_way && half_way <= below + sums[item]) {
+        found = item;
+        found_below = below;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    /* The same among its bins. */
+    if (total && item < SCANNED) counts[item] = histogram[found * SCANNED + item];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (total == 0 && item == 0) *median_depth = 1.0f;
+    if (total == 0 || item >= SCANNED) return;
+    below = found_below;
+    for (uint k = 0; k < item; ++k) below += counts[k];
+    const uint bin = found * SCANNED + item;
+    if (below < half_way && half_way <= below + counts[item])
+        *median_depth = as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1)));
 }
 
 /* Products of lifted colors, which stay below 1e28: of the left and of the right strips of two rows. */

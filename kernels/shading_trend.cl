@@ -19,7 +19,6 @@
 #define NOISE 1.033831f        /* factor of lifted color, 1/256 of encoded color, up to which nothing changed, ... */
 #define FEW 8                  /* ... and samples, of 64 in a tile, that may change more, as aliased edges do */
 #define TILE 4                 /* cells, each way, for which that is decided */
-#define SCANNERS 64            /* work-items of find_change */
 
 /* Rendered frames t and t-1. */
 typedef struct {
@@ -82,7 +81,7 @@ INLINE Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | 
 WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global const half *color,
                                    __global const float *depth, __global const uchar *dynamic_mask,
                                    __global const half *color_prev, __global const float *depth_prev,
-                                   __global float *changes, __global uchar *changed_samples) {
+                                   __global float *changes, __global uchar *changed_samples, __global int *changed) {
     const Frames frames = {.color = color,
                            .depth = depth,
                            .dynamic_mask = dynamic_mask,
@@ -92,9 +91,10 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
     const float4 law = frame->color_law;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
+    if (first_x == 0 && cell_y == 0) *changed = 0; /* for find_change */
     const int count = min(LANES, cells_width - first_x), plane = cells_width * cells_height;
     Floats factor[3] = {1.0f, 1.0f, 1.0f}, known = 0.0f;
-    Ints changed = 0;
+    Ints differing = 0;
     for (int y = 1; y < CELL; y += SAMPLE_STRIDE)
         for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
             Change c;
@@ -105,34 +105,26 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
             known += c.known ? (Floats)(1.0f) : (Floats)(0.0f);
             const Ints differs = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g)
                                  | is_more_than_noise(c.factor.b);
-            changed += differs ? (Ints)(1) : (Ints)(0);
+            differing += differs ? (Ints)(1) : (Ints)(0);
         }
     const float share = (float)(SAMPLE_STRIDE * SAMPLE_STRIDE) / (float)(CELL * CELL);
     const int cell = cell_y * cells_width + first_x;
     for (int c = 0; c < 3; ++c)
         store_some_floats(log_of(factor[c]) * (law.y * share), count, changes + c * plane + cell);
     store_some_floats(known * share, count, changes + 3 * plane + cell);
-    store_some_bytes(to_bytes(changed), count, changed_samples + cell);
+    store_some_bytes(to_bytes(differing), count, changed_samples + cell);
 }
 
-/* Whether more than a FEW samples change in any tile of TILE x TILE cells. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void
-find_change(__constant Frame *restrict frame, __global const uchar *changed_samples, __global int *changed) {
-    const int part = get_local_id(0), cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const int columns = (cells_width + TILE - 1) / TILE, rows = (cells_height + TILE - 1) / TILE;
-    __local int found[SCANNERS];
-    found[part] = 0;
-    for (int tile = part; tile < columns * rows; tile += SCANNERS) {
-        const int x0 = tile % columns * TILE, y0 = tile / columns * TILE;
-        int sum = 0;
-        for (int y = y0; y < min(y0 + TILE, cells_height); ++y)
-            for (int x = x0; x < min(x0 + TILE, cells_width); ++x) sum += changed_samples[y * cells_width + x];
-        found[part] |= sum > FEW;
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (part) return;
-    for (int k = 1; k < SCANNERS; ++k) found[0] |= found[k];
-    *changed = found[0];
+/* Whether more than a FEW samples change in any tile of TILE x TILE cells; measure_changes has set it to 0. */
+__kernel void find_change(__constant Frame *restrict frame, __global const uchar *changed_samples,
+                          __global int *changed) {
+    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
+    const int x0 = get_global_id(0) * TILE, y0 = get_global_id(1) * TILE;
+    if (x0 >= cells_width || y0 >= cells_height) return;
+    int sum = 0;
+    for (int y = y0; y < min(y0 + TILE, cells_height); ++y)
+        for (int x = x0; x < min(x0 + TILE, cells_width); ++x) sum += changed_samples[y * cells_width + x];
+    if (sum > FEW) atomic_or(changed, 1);
 }
 
 /* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond

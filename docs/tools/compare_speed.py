@@ -49,6 +49,7 @@ PARTS = {
     "shading": "SCN, inputs",
     "network_input": "SCN, inputs",
     "shading_flow": "SCN, flow",
+    "convolutions": "SCN, network",
     "correction": "SCN, kernels",
     "network": "SCN, network",
     "network copies": "SCN, network",

@@ -151,7 +151,7 @@ def _members(kind: type) -> list[str]:
 
 def _accessed(stage: type[Stage], kind: str) -> list[str]:
     """Buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
-    scratch = ("keys", "winners")
+    scratch = ("keys", "winners", ".l", ".weightsl", ".numbersl")  # the last three: of the network's layers
     names = [
         a.buffer.format_map(_Chosen(kernel.choices, k))
         for kernel in stage.kernels
@@ -160,8 +160,8 @@ def _accessed(stage: type[Stage], kind: str) -> list[str]:
         if which == kind
     ]
     names = [Background.of_level(0).get(name.strip("{}"), name) for name in names]
-    names = [re.sub(r"\{\w+\}", "l", name) for name in names if not name.rstrip("'").endswith(scratch)]
-    return list(dict.fromkeys(names))
+    names = [re.sub(r"\{\w+\}", "l", name) for name in names]
+    return list(dict.fromkeys(name for name in names if not name.rstrip("'").endswith(scratch)))
 
 
 class _Chosen(dict):

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import ClassVar
 
@@ -72,10 +73,10 @@ def forms(source: str) -> dict[str, dict[str, int]]:
     base = {name: 1 for name in ("LANES", "RUN") if name in source}
     atomics = {"64-bit atomics": {"INT64_ATOMICS": 1}, "32-bit atomics": {}} if "INT64_ATOMICS" in source else {"": {}}
     division = {"": {}, "exact division": {"EXACT_DIVISION": 1}} if "EXACT_DIVISION" in source else {"": {}}
+    sums = {"": {}, "float sums": {"FLOAT_SUMS": 1}} if "FLOAT_SUMS" in source else {"": {}}
     return {
-        ", ".join(filter(None, (width, rounding))): base | atomics[width] | division[rounding]
-        for width in atomics
-        for rounding in division
+        ", ".join(filter(None, names)): base | atomics[names[0]] | division[names[1]] | sums[names[2]]
+        for names in product(atomics, division, sums)
     }
 
 

@@ -295,6 +295,8 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     if last.provider:
         table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "", "")
     out.print(table)
+    if last.reason:
+        out.print(f"What runs the network: {plain(last.provider)}, {plain(last.reason)}.")
     if "misc" in last.milliseconds:
         out.print(
             "misc: choosing the adaptive window on the host and presenting. Here it is part of neither GAE nor the wall"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from gffe_cl.captures.doctor import Diagnosis
     from gffe_cl.captures.sequence import Sequence
 
-_STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
+_STYLES = {"fault": "bold red", "warning": "bold yellow", "note": "yellow", "cannot tell": "cyan"}
 
 
 @app.command()
@@ -59,7 +59,7 @@ def check(
 ) -> None:
     """Report faults of a sequence: in motion vectors, depth, cameras, colors and the order of frames.
 
-    Exit code 0: nothing, or notes only; 1: faults, which break results.
+    Exit code 0: nothing, warnings or notes; 1: faults, which break results.
     """
     from gffe_cl.captures.doctor import Finding, examine, open_for_check, require_findings, selected
     from gffe_cl.captures.doctor.choosing import fixed_by

@@ -32,6 +32,7 @@ def devices(
     network."""
     from dataclasses import asdict
 
+    from gffe_cl.engine.inference.network import RUNS_ON
     from gffe_cl.engine.opencl.device import best_of, known_devices, none_works
 
     every, age = known_devices(refresh)
@@ -56,6 +57,7 @@ def devices(
         out.print("choose another with --device or GFFE_DEVICE")
         when = "just now" if age is None else f"{duration(age)} ago"
         out.print(f"tested {when}; other programs slow the test down: --refresh repeats it")
+        out.print(f"the default runs the network {RUNS_ON['gpu' if default.kind == 'gpu' else 'cpu']} (--scn-provider)")
     verdicts = _provider_verdicts(refresh)
     for found in verdicts:
         out.print(plain(f"network's provider {found.provider}: {found.summary()}"))

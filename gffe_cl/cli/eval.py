@@ -72,8 +72,8 @@ def evaluate(
         Path | None, typer.Option(help="Shading correction network, an ONNX file, in place of the package's own.")
     ] = None,
     scn_provider: Annotated[
-        str, typer.Option(help="Execution provider of the shading correction network, as for `gffe run`.")
-    ] = "cpu",
+        str | None, typer.Option(help="Runner of the shading correction network, as for `gffe run`.")
+    ] = None,
     metrics: Annotated[
         str | None,
         typer.Option(help="Slow metrics to measure as well, separated by commas: fvvdp, cvvdp, lpips."),
@@ -202,7 +202,7 @@ def study(
     windows: Annotated[bool, typer.Option("--windows", help="Rendering windows: compare them.")] = False,
     shading: Annotated[bool, typer.Option("--shading", help="Shading correction: measure it.")] = False,
     scn_model: Annotated[Path | None, typer.Option(help="Shading correction network, an ONNX file.")] = None,
-    scn_provider: Annotated[str, typer.Option(help="Execution provider of the network, as for `gffe run`.")] = "cpu",
+    scn_provider: Annotated[str | None, typer.Option(help="Runner of the network, as for `gffe run`.")] = None,
     rate: Annotated[float, typer.Option(help="Turn rate of the camera for --windows, degrees per second.")] = 150.0,
     device: DeviceOption = None,
 ) -> None:

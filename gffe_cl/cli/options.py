@@ -80,6 +80,8 @@ def _parameters(option: Option) -> list[inspect.Parameter]:
 
 def _kind(option: Option) -> tuple[Any, Any]:
     """Return type and default of the command line's parameter."""
+    if option.spelled:
+        return str, "on" if option.default else "off"
     if option.kind is bool:
         return (bool | None, None) if option.automatic else (bool, False)
     if option.kind is str:
@@ -90,10 +92,12 @@ def _kind(option: Option) -> tuple[Any, Any]:
 
 
 def _help(option: Option) -> str:
-    if option.kind is bool and option.default is True:
+    if option.kind is bool and option.default is True and not option.spelled:
         return f"Switch off {option.label}: {option.sentence.partition('; off: ')[2]}"
     values = ""
-    if option.choices:
+    if option.spelled:
+        values = "on or off"
+    elif option.choices:
         values = ", ".join(option.choices)
     elif option.kind in (int, float) and not option.automatic:
         values = f"{option.low:g} to {option.high:g}"
@@ -131,6 +135,8 @@ def _options(
         value = values[option.name]
         if values.get(f"no_{option.name}"):
             value = option.off
+        elif option.spelled:
+            value = {"on": True, "off": False}.get(value, value)
         elif option.kind is bool and option.default is True:
             value = not value
         elif option.kind in (int, float) and isinstance(value, str):

@@ -26,6 +26,8 @@ from gffe_cl.cli.common import (
 )
 from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_choice
+from gffe_cl.engine.options import OPTIONS
 
 if TYPE_CHECKING:
     from gffe_cl.captures.offline.run import RunReport
@@ -38,7 +40,7 @@ _MANY_CUTS = 0.2  # of the rendered frames
 
 
 @app.command()
-@takes_options()
+@takes_options(*(name for name in OPTIONS if name != "ui_detection"))  # it has a third value here
 def run(
     sequence: Annotated[Path, typer.Argument(help="Folder of a capture (see `gffe formats`), or a built-in scene.")],
     output: Annotated[Path, typer.Argument(help="Folder for the result, which is a sequence.")],
@@ -84,6 +86,14 @@ def run(
         int | None, typer.Option(help="Random seed of a built-in scene's variation [dim](default: 0)[/].")
     ] = None,
     compression: CompressionOption = "zip",
+    ui_detection: Annotated[
+        str,
+        typer.Option(
+            "--ui-detection",
+            help="Detection of a user interface in the color, whose pixels keep their place: on, off, or auto, on where"
+            " the check of the first frames sees one.",
+        ),
+    ] = "auto",
     no_check: NoCheckOption = False,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
@@ -99,12 +109,13 @@ def run(
     alphas = alphas_for(n if n is not None else 1) if alpha is None else parse_numbers(alpha, "--alpha")
     if camera not in ("truth", "predicted"):
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
-    options = replace(options, shading_inputs=dump_stages)
+    require_choice(ui_detection, ("auto", "on", "off"), "--ui-detection")
+    options = replace(options, shading_inputs=dump_stages, ui_detection=ui_detection == "on")
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     keep_freed_memory()
     opened, source = open_source(sequence, window, device, live, options.upscale)
-    if not no_check:
-        _check_quickly(source, sequence)
+    if not no_check and _check_quickly(source, sequence, ui_detection):
+        options = replace(options, ui_detection=True)
     with progress_bars() as progress:
         report = run_sequence(
             source, output, opened, options, alphas,
@@ -115,13 +126,21 @@ def run(
     write_json(json_path, _report_json(report, opened.info))
 
 
-def _check_quickly(source: Recorded | Live, target: Path) -> None:
-    from gffe_cl.captures.doctor import quick_warning
+def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> bool:
+    """Print a warning if the first frames of a sequence do not fit. Return whether they show a user interface and
+    `ui_detection` is "auto"."""
+    from gffe_cl.captures.doctor import first_diagnosis, has_interface, warning_of
     from gffe_cl.captures.offline.source import Recorded
 
-    suspicion = quick_warning(source.sequence, source.exposure) if isinstance(source, Recorded) else None
+    if not isinstance(source, Recorded):
+        return False
+    diagnosis = first_diagnosis(source.sequence, source.exposure)
+    suspicion, detects = warning_of(diagnosis), ui_detection == "auto" and has_interface(diagnosis)
     if suspicion:
         warn(f"{suspicion}; `gffe check {target}` has details")
+    if detects:
+        out.print("user interface detection is on; `--ui-detection off` leaves it out", soft_wrap=True)
+    return detects
 
 
 def open_source(

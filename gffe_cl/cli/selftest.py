@@ -88,7 +88,7 @@ def _devices_table(results: list[DeviceResult]) -> Table:
 
 
 def _print_network(result: NetworkResult) -> None:
-    told = result.problem or f"largest difference {result.largest:.1e}"
+    told = result.problem or (f"largest difference {result.largest:.1e}" if result.largest else "bit for bit")
     out.print(f"network on {result.provider}: [{_COLORS[result.verdict]}]{result.verdict}[/], {plain(told)}")
 
 

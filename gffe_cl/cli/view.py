@@ -196,7 +196,7 @@ def view(
         shot = Shot(screenshot, read_place(frame, "--frame"), look, _pixel(pixel), overview)
     asked = options.shading_correction, options.scn_model, options.scn_provider
     remark = ""
-    if options.corrects_shading and asked != (None, None, "cpu"):
+    if options.corrects_shading and asked != (None, None, None):
         remark = load_network(options.scn_model, options.scn_provider).remark  # an explicit request must work
     require_display()
     by_hand = not alone

@@ -43,6 +43,7 @@ class Option:
     off : the value that switches a module off; False for a bool, None if it is no module
     off_label, off_sentence : of the module, where switching it off is an option beside this one
     flag : of the command line; of a bool that is on by default, the flag that switches it off
+    spelled : of a bool, whether its flag is followed by "on" or "off"
     off_flag : of the command line, short for the value `off`
     remembered : by the viewer, from one start to the next
     needs : another option, a module, without which it has no effect
@@ -63,6 +64,7 @@ class Option:
     off_label: str = ""
     off_sentence: str = ""
     flag: str | None = None
+    spelled: bool = False
     off_flag: str | None = None
     remembered: bool = True
     needs: str | None = None
@@ -76,6 +78,8 @@ class Option:
         """Return the command-line words for `value`; none for the default, or for an option without a flag."""
         if self.flag is None or value == self.default:
             return []
+        if self.spelled:
+            return [self.flag, "on" if value else "off"]
         if self.kind is bool:
             on, _, off = self.flag.partition("/")
             return [on if value or not off else off]
@@ -334,6 +338,7 @@ class Options:
         "Detection of a user interface in the color: pixels that stay although vectors move them keep their place;"
         " off: they are warped.",
         flag="--ui-detection",
+        spelled=True,
     )
     shading_inputs: bool = _option(
         False,
@@ -366,11 +371,13 @@ class Options:
         flag="--scn-model",
         remembered=False,
     )
-    scn_provider: str = _option(
-        "cpu",
+    scn_provider: str | None = _option(
+        None,
         "network's provider",
-        f"Execution provider of the network: {', '.join(network.PROVIDERS)}, or"
-        f" {network.AUTO}: the fastest whose results match the CPU's.",
+        f"Runner of the network: {network.OPENCL}, onnxruntime's {', '.join(network.PROVIDERS)},"
+        f" or {network.AUTO}: the fastest.",
+        kind=str,
+        automatic=f"auto: {network.OPENCL} on GPUs, else cpu",
         flag="--scn-provider",
         remembered=False,
     )

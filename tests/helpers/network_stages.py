@@ -10,6 +10,7 @@ from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.convolutions import Convolutions
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.network_input import NetworkInput
 from gffe_cl.engine.stages.shading import ShadingInputs
@@ -54,7 +55,7 @@ def made_stages(device, size, exposure=1.0, seed=1):
     put(frame, color=color, depth=depth, motion=motion[::-1])
     put(frame, dynamic=some[0].astype(np.uint8), disoccluded=some[1].astype(np.uint8))
     step = Step(board.rendered, board.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
-    for stage in (ShadingInputs, ShadingTrend, NetworkInput, ShadingFlow):
+    for stage in (ShadingInputs, ShadingTrend, NetworkInput, ShadingFlow, Convolutions):
         stage(board)
     correction = ShadingCorrection(board, load=False)
     trends = board.stages["shading_trend"]

@@ -1,5 +1,7 @@
 """Small ONNX models with the interface of the shading correction network."""
 
+import itertools
+
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
@@ -96,3 +98,88 @@ def save(path, nodes, constants, inputs=INPUTS, outputs=OUTPUTS, weights=None):
     helper.set_model_props(model, {HEAD: head_text(head() if weights is None else weights)})
     onnx.save(model, path)
     return str(path)
+
+
+class _Integers:
+    """Graph of a network in integers under construction, with random weights; see `integer_model`."""
+
+    def __init__(self, rng, zeros, largest):
+        self.rng, self.zeros, self.largest = rng, zeros, largest
+        self.nodes, self.constants, self.scales = [], {}, {}
+
+    def add(self, op, inputs, **about):
+        """Name of the output of a new node."""
+        name = f"{op}{len(self.nodes)}"
+        self.nodes.append(helper.make_node(op, inputs, [name], **about))
+        return name
+
+    def constant(self, name, values, dtype=np.float32):
+        self.constants[name] = np.array(values, dtype)
+        return name
+
+    def rounded(self, numbers, scale):
+        name, zero = f"{numbers}.scale", f"{numbers}.zero"
+        parts = self.constant(name, scale), self.constant(zero, next(self.zeros), np.uint8)
+        made = self.add("DequantizeLinear", [self.add("QuantizeLinear", [numbers, *parts]), *parts])
+        self.scales[made] = float(scale)
+        return made
+
+    def convolved(self, image, inputs, outputs, size=3, stride=1):
+        """A convolution in integers, rounded, with a leaky rectifier, rounded again."""
+        rng, most = self.rng, self.largest
+        weights = rng.integers(-most, most + 1, (outputs, inputs, size, size), np.int8)
+        weights[0, :, 0, 0] = most
+        if outputs > 1:
+            weights[-1] = most  # all of one sign: the largest sum
+        unit = rng.uniform(0.5, 2, outputs) / most
+        biases = rng.integers(-3000, 3000, outputs)
+        given = []
+        for kind, values, dtype, step in (
+            ("weights", weights, np.int8, unit),
+            ("bias", biases, np.int32, np.float32(self.scales[image]) * unit.astype(np.float32)),
+        ):
+            name = f"{image}.{kind}.{outputs}.{size}"
+            parts = [
+                self.constant(name, values, dtype),
+                self.constant(f"{name}.unit", step),
+                self.constant(f"{name}.no_zero", np.zeros(outputs), dtype),
+            ]
+            given.append(self.add("DequantizeLinear", parts, axis=0))
+        pads = [size // 2] * 4
+        made = self.add("Conv", [image, *given], kernel_shape=[size] * 2, pads=pads, strides=[stride] * 2)
+        spread = self.scales[image] * np.sqrt(inputs) * size
+        rectified = self.add("LeakyRelu", [self.rounded(made, spread)], alpha=0.1)
+        return self.rounded(rectified, spread * rng.uniform(0.6, 1.0))
+
+    def joined(self, *images):
+        made = self.add("Concat", images, axis=1)
+        return self.rounded(made, max(self.scales[image] for image in images) * self.rng.uniform(0.8, 1.2))
+
+
+def integer_model(path, channels=(16, 24), seen=16, seed=0, zeros=(), largest=63):
+    """A network of integers as `gffe train` makes them, with random weights up to `largest`: `channels` of its levels,
+    finest first, `seen` of the first convolution; `zeros`: zero points, in turn, or random ones."""
+    rng = np.random.default_rng(seed)
+    made = _Integers(rng, itertools.cycle(zeros) if zeros else iter(lambda: rng.integers(64, 192), -1), largest)
+    first = rng.normal(0, 0.3, (seen, 8, 3, 3)), rng.normal(0, 0.3, seen)
+    given = [made.constant(f"first.{k}", values) for k, values in enumerate(first)]
+    frames = made.add("Conv", ["frames", *given], kernel_shape=[3, 3], pads=[1] * 4, strides=[2, 2])
+    gain = made.constant("gain", rng.uniform(0.5, 2, (1, 16, 1, 1)))
+    parts = (
+        made.rounded(made.add("LeakyRelu", [frames], alpha=0.1), 0.02),
+        made.rounded(made.add("Mul", ["candidates", gain]), 0.02),
+    )
+    features = [made.convolved(made.joined(*parts), seen + 16, channels[0])]
+    for fine, coarse in itertools.pairwise(channels):
+        features.append(made.convolved(made.convolved(features[-1], fine, coarse, stride=2), coarse, coarse))
+    result = features.pop()
+    twice = made.constant("twice", [1, 1, 2, 2])
+    for fine, coarse in reversed(list(itertools.pairwise(channels))):
+        narrow = made.convolved(result, coarse, fine, size=1)
+        about = {"mode": "linear", "coordinate_transformation_mode": "half_pixel"}
+        large = made.rounded(made.add("Resize", [narrow, "", twice], **about), made.scales[narrow] * 0.9)
+        result = made.convolved(made.joined(large, features.pop()), 2 * fine, fine)
+    last = rng.normal(0, 0.2, (JUDGEMENT_PLANES, channels[0], 1, 1)), rng.normal(0, 0.2, JUDGEMENT_PLANES)
+    given = [made.constant(f"last.{k}", values) for k, values in enumerate(last)]
+    made.nodes.append(helper.make_node("Conv", [result, *given], [OUTPUT], kernel_shape=[1, 1]))
+    return save(path, made.nodes, made.constants)

@@ -355,7 +355,7 @@ def test_the_choice_of_shading_correction_is_remembered_but_no_path():
     saved = {"shading_correction": False, "focus_mask": False, "scn_model": "x.onnx", "scn_provider": "cuda"}
     options = restored(saved)
     assert (options.shading_correction, options.focus_mask) == (False, False)
-    assert (options.scn_model, options.scn_provider) == (None, "cpu")
+    assert (options.scn_model, options.scn_provider) == (None, None)
     assert restored(saved, shading_correction=True).shading_correction is True
     assert restored(saved, scn_model="y.onnx").shading_correction is None
     assert restored({"shading_correction": True}).shading_correction is None

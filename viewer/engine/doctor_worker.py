@@ -36,7 +36,7 @@ class Doctor:
 
     def _run(self, sequence: Sequence) -> None:
         from gffe_cl.captures.doctor import examine
-        from gffe_cl.captures.doctor.findings import FAULT, NOTE
+        from gffe_cl.captures.doctor.findings import FAULT, NOTE, WARNING
 
         try:
             found = examine(sequence, sequence.exposure)
@@ -45,7 +45,7 @@ class Doctor:
         except Exception as error:  # a window shows it; nothing else depends on it
             self.problem = f"{type(error).__name__}: {error}"
         else:
-            kinds = [FAULT, NOTE]
+            kinds = [FAULT, WARNING, NOTE]
             rank = {kind: place for place, kind in enumerate(kinds)}
             self.findings = sorted(found.findings, key=lambda finding: rank.get(finding.kind, len(kinds)))
             if found.order is not None:

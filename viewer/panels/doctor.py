@@ -52,9 +52,9 @@ def offers_repair(findings) -> bool:
 def _findings(model: Model, doctor) -> None:
     if not doctor.findings:
         return
-    from gffe_cl.captures.doctor.findings import FAULT, NOTE  # loaded by now
+    from gffe_cl.captures.doctor.findings import FAULT, NOTE, WARNING  # loaded by now
 
-    colors = {FAULT: widgets.RED, NOTE: _AMBER}
+    colors = {FAULT: widgets.RED, WARNING: _AMBER, NOTE: _AMBER}
     for finding in doctor.findings:
         widgets.colored(colors.get(finding.kind, _GRAY), finding.kind)
         imgui.text_wrapped(str(finding))

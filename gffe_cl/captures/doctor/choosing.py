@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
-from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids
+from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids, jitter_id
 from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
@@ -42,12 +42,15 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
         motion=reading.motion.keeping(_names(kept, "motion")),
         camera=reading.camera.keeping(_names(kept, "camera")),
         depth=reading.depth if set(_names(kept, "depth")) - {BOTTOM_UP} else AS_GIVEN,
-        jitter=reading.jitter if finding_id(reading.jitter, "jitter not removed") in wanted else "",
+        jitter=reading.jitter if jitter_id(reading.jitter) in wanted else "",
         rows=tuple(buffer for buffer in reading.rows if finding_id(buffer, BOTTOM_UP) in wanted),
     )
     if order is not None and "frames-out-of-order" not in wanted:
         order = replace(order, order=None)
-    return replace(diagnosis, findings=kept, reading=reading, order=order, decodes_color=ON_REQUEST in wanted)
+    mends = [mend for mend in diagnosis.mends if mend.finding.id in wanted]
+    return replace(
+        diagnosis, findings=kept, reading=reading, order=order, mends=mends, decodes_color=ON_REQUEST in wanted
+    )
 
 
 def fixed_by(diagnosis: Diagnosis) -> list[str]:

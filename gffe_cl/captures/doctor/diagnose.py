@@ -10,18 +10,33 @@ import numpy as np
 
 from gffe_cl.captures.doctor.dilation import dilation_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
-from gffe_cl.captures.doctor.findings import DISPLAY_VALUES, FAULT, JITTER, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.captures.doctor.findings import (
+    DISPLAY_VALUES,
+    FAULT,
+    JITTER_DIFFERS,
+    JITTERS,
+    MISFIT,
+    NOTE,
+    UNEXPLAINED,
+    UNKNOWN,
+    Finding,
+    faults_of,
+    jitter_id,
+)
 from gffe_cl.captures.doctor.format_keys import tell_keys
 from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
+from gffe_cl.captures.doctor.hypotheses.camera_jitter import SURE
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_camera
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
-from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, take_looks, with_rows
-from gffe_cl.captures.doctor.hypotheses.scoring import Comparison
+from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Look, take_looks, with_rows
+from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.captures.doctor.mends import Mend, MendedClip, OtherFrame, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.doctor.repetition import repetition_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.core.validation import QUIETLY
@@ -35,6 +50,9 @@ _DOUBTFUL = 0.5  # agreements below that make one look for another order of fram
 _MARGIN = 0.06  # of the sum of scores, by which another reading must be better than the given one
 _VISIBLE = 0.3  # least motion by the camera's rotation and by its translation, pixels
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly; below it there is an unknown fault
+_STATIC, _EXACT = 0.25, (0.05, 0.1)  # quantile of residuals; share of the motion's length and pixels that it may be
+_EXPLANATIONS = 6  # readings after the best one that are tried if that leaves a residual
+_ALTERNATES = 0.8  # of the mean offset of a frame: most that the mean of all offsets of jitter is
 _TELLING = 0.02  # of agreements: by less they do not decide
 _COLORS_ALONE = 0.12  # of color scores, where they have to decide alone
 _COMPARABLE = 0.5  # color score of static samples, below which movers' colors decide nothing
@@ -56,7 +74,7 @@ class Diagnosis:
     buffers; `given`, `best`: verdicts on the sequence as given and on `reading`; `others`: verdicts on the next best
     readings; `order`: of the frames; `residuals`: in pixels, as given and as read; `step`: of quantized vectors,
     pixels; `decodes_color`: colors are to be made linear, which only `gffe_cl.captures.doctor.selected` decides;
-    `frames`: number of examined frames.
+    `frames`: number of examined frames; `mends`: changes of the clip, the first one first, before it is read so.
     """
 
     findings: list[Finding]
@@ -69,6 +87,7 @@ class Diagnosis:
     step: float = 0.0
     decodes_color: bool = False
     frames: int = 0
+    mends: list[Mend] = field(default_factory=list)
     looks: list[Look] = field(default_factory=list, repr=False)
 
     def of_kind(self, kind: str) -> list[Finding]:
@@ -83,6 +102,12 @@ class Diagnosis:
     @property
     def faults(self) -> list[Finding]:
         return self.of_kind(FAULT)
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether a buffer of another frame is one of several faults, which another explanation may replace."""
+        faults = [fault for fault in self.faults if fault.about in ("motion", "depth", "camera")]
+        return len(faults) > 1 and any(isinstance(mend, OtherFrame) for mend in self.mends)
 
     @property
     def compared(self) -> bool:
@@ -137,6 +162,10 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
 
     search = search_of(())
     found.given = search.verdict(Reading())
+    mends = find_mend({k: looks[k] for k in beside}, deep, clip.rendered, step)
+    mended = None if mends.mend is None else _examine_mended(clip, exposure, mends.mend, found, search_of)
+    if mended is not None and not mended.is_doubtful:
+        return mended
     if not found.given.agreement >= _DOUBTFUL:
         order = shuffled_order(looks, count, step)
         if order is not None:
@@ -146,15 +175,28 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.looks = search.full.looks
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _tell_residuals(found, search_of)
-    _judge_order(found, looks, _gaps(found, clip, exposure))
+    _judge_order(found, looks, _gaps(found, clip, exposure), _ends(count, mends.steady))
     _note_late(found, clip.rendered)
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
         found.findings += [*dilation_notes(clip, deep), *user_interface_notes(clip, deep, exposure)]
-    if all(fault.name == JITTER for fault in found.faults):
+    found.findings += [*mends.findings, *repetition_notes(clip, deep)]
+    if all(fault.name in JITTERS for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
+    tell_keys(found.findings, getattr(clip, "settings", None))
+    return mended if mended is not None and any(fault.name == UNEXPLAINED for fault in found.faults) else found
+
+
+def _examine_mended(clip: Clip, exposure: float, mend: Mend, given: Diagnosis, search_of) -> Diagnosis:
+    found = examine(MendedClip(clip, mend), exposure)
+    found.findings.insert(0, mend.finding)
+    found.mends.insert(0, mend)
+    before = replace(given, findings=[], residuals={})
+    _tell_residuals(before, search_of)
+    found.residuals |= {name: value for name, value in before.residuals.items() if name.startswith("given")}
+    found.given = given.given
     tell_keys(found.findings, getattr(clip, "settings", None))
     return found
 
@@ -166,7 +208,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
         found.findings = [finding for finding in found.findings if finding.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
-    _judge_order(found, {}, {})
+    _judge_order(found, {}, {}, {})
     return found
 
 
@@ -214,22 +256,42 @@ def _pixels(clip: Clip) -> int:
 
 
 def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
-    bench, mirrored = search_of(()).full, None
+    bench, mirrored, unexplained = search_of(()).full, None, False
     assert found.given is not None  # judged before
     found.best = without_camera(search_of(()))
     if found.best is None or not _is_clear(found.best, search_of):
         ways = search_rows(search_of)
-        found.best = _convincing(ways.verdicts, found.given)
-        if not _is_clear(found.best, search_of):
-            found.best = found.given
+        found.best, unexplained = _explaining(ways.verdicts, found.given, search_of)
         found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
         mirrored = ways.doubt(found.best.reading)
+    whose = _whose_jitter(found.best.reading, search_of)
+    if whose:
+        found.best = replace(found.best, reading=replace(found.best.reading, jitter=whose))
     found.reading = found.best.reading
     found.findings += faults_of(found.reading, bench.stored[bench.solid])
+    if unexplained:
+        found.findings.append(_unexplained())
+    if found.reading.jitter and not whose:
+        _doubt_jitter(found)
     if mirrored is not None:
         instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
         sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
         found.findings.append(Finding(UNKNOWN, "frames", "upside down", sentence))
+
+
+def _explaining(
+    verdicts: list[Verdict], given: Verdict, search_of: Callable[[tuple[str, ...]], Search]
+) -> tuple[Verdict, bool]:
+    """Return the best of `verdicts` that is clearly better than `given` and leaves static points no residual, else
+    `given`; and whether that is far off although there is a better one."""
+    first = _convincing(verdicts, given)
+    if not _is_clear(first, search_of):
+        return given, False
+    others = [verdict for verdict in verdicts if verdict is not first and verdict.total > given.total + _MARGIN]
+    for verdict in (first, *others[:_EXPLANATIONS]):
+        if _explains(verdict.reading, search_of) and (verdict is first or _is_clear(verdict, search_of)):
+            return verdict, False
+    return given, not given.agreement >= _DOUBTFUL
 
 
 def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
@@ -273,6 +335,48 @@ def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) 
     return bool(2 * (known > 0).sum() > len(known))
 
 
+def _explains(reading: Reading, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
+    """Return whether static points, a quarter of the samples at least, fit `reading` as vectors fit cameras in a good
+    sequence, and whether offsets that it takes for jitter alternate."""
+    search = search_of(reading.rows)
+    motion, static = search.motions(reading, search.full)
+    use = search.full.solid & np.isfinite(motion).all(-1) & np.isfinite(static).all(-1)
+    if reading.motion.adds_camera or not use.any():
+        return True
+    off = float(np.quantile(np.linalg.norm(motion - static, axis=-1)[use], _STATIC))
+    length = float(np.median(np.linalg.norm(static, axis=-1)[use]))
+    if off > max(_EXACT[0] * length, _EXACT[1], search.step):
+        return False
+    if not reading.jitter:
+        return True
+    motion, static = search.motions(replace(reading, jitter=""), search.full)
+    offsets = frame_offsets(search.full, motion - static, use)
+    size = float(np.sqrt(np.square(offsets).sum(-1).mean()))
+    return len(offsets) < 3 or float(np.linalg.norm(offsets.mean(0))) <= _ALTERNATES * size
+
+
+def _whose_jitter(reading: Reading, search_of: Callable[[tuple[str, ...]], Search]) -> str:
+    """Return the part whose jitter is wrong, if vectors and cameras differ by jitter: that from which colors differ. ""
+    if they do not decide."""
+    if not reading.jitter:
+        return ""
+    search = search_of(reading.rows)
+    plain = search.motions(replace(reading, jitter=""), search.full)[1]
+    jittered = search.motions(replace(reading, jitter="camera"), search.full)[1]
+    sure = color_gain(search.full, jittered, plain, reading.motion.step)
+    return "" if abs(sure) < SURE else "camera" if sure > 0 else "motion"
+
+
+def _doubt_jitter(found: Diagnosis) -> None:
+    """Take back which part lacks jitter, or has too much of it."""
+    fault = next(finding for finding in found.findings if finding.id == jitter_id(found.reading.jitter))
+    fault.name, fault.fix = JITTER_DIFFERS, ""
+    fault.sentence = (
+        "motion vectors and cameras differ by another part of a pixel in every frame: jitter is in one of them alone,"
+        " and colors do not tell which of them is right"
+    )
+
+
 def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
     """Set the residuals of vectors, as given and as read, and find vectors that nothing explains."""
     misfits = found.order.misfits if found.order else []
@@ -292,9 +396,13 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.residuals[f"{name}_median"] = float(np.median(off))
         found.residuals[f"{name}_inliers"] = float((off <= near).mean())
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
-    if (off <= roughly).mean() < _UNEXPLAINED:
-        sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
-        found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
+    if (off <= roughly).mean() < _UNEXPLAINED and not any(fault.name == UNEXPLAINED for fault in found.faults):
+        found.findings.append(_unexplained())
+
+
+def _unexplained() -> Finding:
+    sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
+    return Finding(FAULT, "frames", UNEXPLAINED, sentence)
 
 
 def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:
@@ -324,7 +432,16 @@ def _stretch(search: Search, reading: Reading) -> float | None:
     return factor if (off <= 0.1 * length[use]).mean() > 0.5 else None
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None]) -> None:
+def _ends(count: int, steady: set[int]) -> dict[int, str]:
+    """Return the frames that do not fit, of `count`, where vectors or cameras are of another frame but all others move
+    too steadily to show it: with the words for that. `steady`: of `find_mend`."""
+    ends = {NEXT: (1, "late"), PREVIOUS: (count - 1, "early")}
+    return {ends[by][0]: ends[by][1] for by in steady}
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None], ends: dict[int, str]) -> None:
+    """Add findings about frames that do not follow the one before them. `gaps`: those that show the same, with the
+    `_stretch`; `ends`: those that another fault explains as well."""
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -332,6 +449,11 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
+    for index in [k for k in order.misfits if k in ends]:
+        sentence = f"why frame {index} ({looks[index].file}) does not follow the frame before: a frame may be missing,"
+        sentence += f" or vectors or cameras are one frame {ends[index]}"
+        found.findings.append(Finding(UNKNOWN, "frames", MISFIT, sentence, figures={"frame": index}))
+    gaps = {index: factor for index, factor in gaps.items() if index not in ends}
     for index, factor in gaps.items():
         sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
         sentence += " vectors do not lead there"
@@ -340,7 +462,7 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )
-    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps):
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps and k not in ends):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})

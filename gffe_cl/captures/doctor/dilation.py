@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import NOTE, Finding
+from gffe_cl.captures.doctor.findings import DILATED, NOTE, Finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip
 from gffe_cl.captures.sequence.post_effects import nearest_motion
 from gffe_cl.engine.opencl.program import constants
@@ -33,7 +33,7 @@ def dilation_notes(clip: Clip, indices: list[int]) -> list[Finding]:
         f"dilated: {share:.0%} of the pixels beside a nearer surface have its vector"
         " (describe that by FrameFormat.motion_dilated, which undoes it)"
     )
-    return [Finding(NOTE, "motion", "dilated", sentence, figures={"share": share})]
+    return [Finding(NOTE, "motion", DILATED, sentence, figures={"share": share})]
 
 
 def count_beside_edges(depth: np.ndarray, motion: np.ndarray) -> tuple[int, int]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gffe_cl.captures.doctor.hypotheses import cameras, motions
+from gffe_cl.captures.doctor.hypotheses.camera_jitter import INVERSE
 from gffe_cl.captures.doctor.hypotheses.cameras import CameraReading, axes_in_words
 from gffe_cl.captures.doctor.hypotheses.depths import (
     AS_GIVEN,
@@ -20,12 +21,27 @@ from gffe_cl.captures.doctor.hypotheses.depths import (
 from gffe_cl.captures.doctor.hypotheses.search import Reading
 from gffe_cl.engine.core.errors import printable
 
-FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
+FAULT, WARNING, NOTE, UNKNOWN = "fault", "warning", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
-JITTER = "jitter not removed"
+UNEXPLAINED = "unexplained"
+JITTER, NO_JITTER, JITTER_DIFFERS = "jitter not removed", "jitter missing", "jitter differs"
+_MENDED_JITTER = (JITTER, NO_JITTER, *(f"jitter {difference}" for difference in INVERSE if difference != "absent"))
+JITTERS = (*_MENDED_JITTER, JITTER_DIFFERS)
+OTHER_FRAME = ("one frame late", "one frame early")  # buffers, and cameras
+DILATED, INTERFACE, JITTERED, REPEATED = "dilated", "user interface", "jittered", "repeated"
+MISFIT, SOME_FRAME = "misfit at the end", "of another frame"
+TOLD = (INTERFACE, REPEATED, DILATED)  # notes that the quick form names, too
+DOUBTS = (MISFIT, SOME_FRAME)  # the same, of what cannot be told
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
     0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
+}
+_JITTER_OF = {  # the part whose jitter is missing or not removed: name and sentence
+    "motion": (
+        JITTER,
+        "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
+    ),
+    "camera": (NO_JITTER, "the cameras lack the jitter that motion vectors and colors have"),
 }
 _UNITS = {100.0: "in centimeters, {0} in meters", 1000.0: "in millimeters, {0} in meters"}
 _UNIT_SLACK = 0.03
@@ -33,7 +49,8 @@ _UNIT_SLACK = 0.03
 
 @dataclass
 class Finding:
-    """One finding. `kind`: fault (breaks results), note (hurts little), or undecidable; `about`: motion, depth, camera,
+    """One finding. `kind`: fault (breaks results), warning (costs more than 1 dB, which the sentence says), note (hurts
+    little), or undecidable; `about`: motion, depth, camera,
     frames or color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
     `change`: the correction of the capture's own description, if possible; `places`: examples by name, each a frame
     and a pixel (x, y) of its rendered image."""
@@ -64,13 +81,18 @@ def finding_id(about: str, name: str) -> str:
 def fixable_ids() -> list[str]:
     """Return the ids of all findings that `gffe check --fix` can repair or leave."""
     names = {
-        "color": (DISPLAY_VALUES, BOTTOM_UP),
-        "motion": (*motions.SENTENCES, JITTER, "sky without motion", BOTTOM_UP),
-        "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP),
-        "camera": (*cameras.SENTENCES, "field of view", JITTER),
+        "color": (DISPLAY_VALUES, BOTTOM_UP, *OTHER_FRAME),
+        "motion": (*motions.SENTENCES, *_MENDED_JITTER, "sky without motion", BOTTOM_UP),
+        "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP, *OTHER_FRAME),
+        "camera": (*cameras.SENTENCES, "field of view", *_MENDED_JITTER, *OTHER_FRAME),
         "frames": ("out of order", "cut", "gap"),
     }
     return [finding_id(about, name) for about, group in names.items() for name in group]
+
+
+def jitter_id(part: str) -> str:
+    """Return the id of the finding that the jitter of a `part` of a reading is missing or not removed; "" for none."""
+    return finding_id(part, _JITTER_OF[part][0]) if part else ""
 
 
 def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
@@ -93,11 +115,8 @@ def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
     if reading.depth != AS_GIVEN:
         found.append(_depth_fault(reading.depth, stored))
     if reading.jitter:
-        lacking = {
-            "motion": "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
-            "camera": "the cameras lack the jitter that motion vectors and colors have",
-        }[reading.jitter]
-        found.append(Finding(FAULT, reading.jitter, JITTER, lacking, "a constant per frame is taken off"))
+        name, sentence = _JITTER_OF[reading.jitter]
+        found.append(Finding(FAULT, reading.jitter, name, sentence, "a constant per frame is taken off"))
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import NOTE, UNKNOWN, Finding
+from gffe_cl.captures.doctor.findings import JITTERED, NOTE, UNKNOWN, Finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip, encoded
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
@@ -23,7 +23,7 @@ def geometry_jitter_notes(clip: Clip, indices: list[int], exposure: float, is_ji
     found = [(frame, shift) for frame in frames if (shift := edge_shift(frame, exposure)) is not None]
     if len(found) < _FEWEST_FRAMES:
         sentence = "whether color is jittered as depth is: too few clear edges"
-        return [Finding(UNKNOWN, "depth", "jittered", sentence)] if is_jittered else []
+        return [Finding(UNKNOWN, "depth", JITTERED, sentence)] if is_jittered else []
     size = float(np.linalg.norm(np.std([shift for _, shift in found], 0)))
     if size < _MOVES:
         return []
@@ -33,7 +33,7 @@ def geometry_jitter_notes(clip: Clip, indices: list[int], exposure: float, is_ji
         f"jittered against color: its edges move by {size:.2g} px (standard deviation) from frame to frame, those of"
         f" color do not (color was antialiased over time: the jitter belongs {where} RenderedFrame.geometry_jitter)"
     )
-    return [Finding(NOTE, "depth", "jittered", sentence, figures={"size": size})]
+    return [Finding(NOTE, "depth", JITTERED, sentence, figures={"size": size})]
 
 
 def edge_shift(frame: RenderedFrame, exposure: float) -> np.ndarray | None:

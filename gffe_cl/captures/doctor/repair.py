@@ -25,6 +25,7 @@ from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, Clip, is_long
 from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, Vectors
 from gffe_cl.captures.doctor.hypotheses.search import Reading
 from gffe_cl.captures.doctor.hypotheses.transfer_function import srgb_to_linear
+from gffe_cl.captures.doctor.mends import mended
 from gffe_cl.captures.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
@@ -41,18 +42,20 @@ _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which p
 
 
 class Repair:
-    """Frames of `clip` with the reading of `diagnosis` applied, in their correct order."""
+    """Frames of `clip` with the mends and the reading of `diagnosis` applied, in their correct order."""
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
-        self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
-        self._read = lru_cache(_KEPT)(lambda index: clip.read(clip.rendered[index]))
+        given = {entry.file: entry for entry in clip.rendered}
+        self._read_given = lru_cache(_KEPT)(lambda file: clip.read(given[file]))
+        self._clip = made = mended(clip, diagnosis.mends)
+        self._reading, self._diagnosis = diagnosis.reading, diagnosis
+        self._read = lru_cache(_KEPT)(lambda index: made.read(made.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
         self._comparisons: list[tuple[str, Comparison]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
-        count = len(clip.rendered)
+        count = len(made.rendered)
         self._order = (diagnosis.order and diagnosis.order.order) or list(range(count))
-        self._jitter = np.zeros(2)  # of the last frame, where cameras lack it
         self._stored = np.concatenate([look.depth[look.solid] for look in diagnosis.looks] or [np.zeros(0)])
         self._depth, self._translation, self._far_end = _units(diagnosis.reading.depth, self._stored)
 
@@ -83,7 +86,8 @@ class Repair:
                 off = f"vectors would be {one.read:.3g} px off, as given they are {one.given:.3g} px off"
                 raise GffeError(f"the repair would make {file} worse: {off}; {_REFUSED}")
         better = sum(one.is_better for _, one in self._comparisons)
-        changes = replace(self._reading, rows=tuple(row for row in self._rows if row != "color")) != Reading()
+        changes = any(mend.changes_geometry for mend in self._diagnosis.mends)
+        changes |= replace(self._reading, rows=tuple(row for row in self._rows if row != "color")) != Reading()
         if changes and self._comparisons and 2 * better <= len(self._comparisons):
             counts = f"{better} of the {len(self._comparisons)} frames that can tell"
             raise GffeError(f"the repair is not clearly better: only {counts} fit better by it; {_REFUSED}")
@@ -91,7 +95,8 @@ class Repair:
     def _compare(self, index: int, made: RenderedFrame, before: RenderedFrame | None) -> None:
         if before is None or index == 0 or made.motion is None:
             return
-        given_before, given = (self._read(k) for k in (index - 1, index))
+        entries = self._clip.rendered
+        given_before, given = (self._read_given(entries[k].file) for k in (index - 1, index))
         if given.reset or given.motion is None or np.shape(given_before.depth) != np.shape(given.depth):
             return
         height, width = np.shape(given.depth)
@@ -106,7 +111,7 @@ class Repair:
         solid = np.isfinite(given.depth) & np.isfinite(made.depth) & (np.abs(made.depth) < _FAR)
         compared = Comparison.of(*pairs, solid[::every, ::every].ravel(), self._diagnosis.step)
         if compared is not None:
-            self._comparisons.append((self._clip.rendered[index].file, compared))
+            self._comparisons.append((entries[index].file, compared))
 
     def camera(self, camera: Camera) -> Camera:
         """Return the repaired camera, with its jitter completed."""
@@ -164,7 +169,7 @@ class Repair:
             if self._reading.jitter == "motion":
                 motion = motion - offset
             else:
-                frame = self._jittered(frame, offset)
+                frame = _jittered(frame, offset)
         if self._sky:
             motion = np.where(np.isinf(frame.depth)[..., None], static, motion)
         return replace(frame, motion=np.asarray(motion, np.float32))
@@ -188,10 +193,12 @@ class Repair:
         own = np.linalg.norm(forward - static_motion(before, frame.camera), axis=-1) > _OWN
         return _turned_round(forward, own, before.depth, frame.depth, static)
 
-    def _jittered(self, frame: RenderedFrame, offset: np.ndarray) -> RenderedFrame:
-        self._jitter = self._jitter - offset
-        c = frame.camera
-        return replace(frame, camera=replace(c, cx=c.cx + self._jitter[0], cy=c.cy + self._jitter[1]))
+
+def _jittered(frame: RenderedFrame, offset: np.ndarray) -> RenderedFrame:
+    """Return the frame with its jitter in the camera; `offset` is that of its vectors from motion to the frame before,
+    whose camera is jittered already."""
+    c = frame.camera
+    return replace(frame, camera=replace(c, cx=c.cx - offset[0], cy=c.cy - offset[1]))
 
 
 def static_motion(frame: RenderedFrame, other: Camera, every: int = 1) -> np.ndarray:

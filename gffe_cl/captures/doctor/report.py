@@ -23,9 +23,9 @@ _MOST_WIDTH = 960  # pixels of a picture
 _STYLE = """main { max-width: 1800px; }
 table { width: 100%; }
 .words { text-align: left; } td.words { white-space: normal; } td { vertical-align: top; }
-.fault, .note, .unknown { font-weight: 600; }
+.fault, .warning, .note, .unknown { font-weight: 600; }
 .fault { color: light-dark(#c4342a, #ff7b6b); }
-.note { color: light-dark(#9a6700, #e0a63a); } .unknown { color: var(--blue); }
+.warning, .note { color: light-dark(#9a6700, #e0a63a); } .unknown { color: var(--blue); }
 .pictures { display: grid; gap: 16px; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); }
 """
 

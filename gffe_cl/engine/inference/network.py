@@ -1,4 +1,4 @@
-"""Running the shading correction network with onnxruntime.
+"""Loading the shading correction network, and running it with onnxruntime.
 
 A model takes `frames` (1, 8, h, w) and `candidates` (1, 16, h/2, w/2), and gives `judgement` (1, 20, h/2, w/2), all
 float32, for any h and w that are multiples of 16. The model consists of convolutions. Kernels do the rest, including
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.engine.inference.integer_layers import NotInKernels, read_layers
 from gffe_cl.engine.inference.model_interface import (
     CANDIDATE_PLANES,
     HEAD,
@@ -40,10 +41,16 @@ from gffe_cl.engine.inference.sessions import FixedSession
 
 __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
+OPENCL = "opencl"  # the kernels, in place of a provider of onnxruntime
+# What runs the network of the package by default, by the kind of the device.
+RUNS_ON = {
+    "gpu": "with OpenCL kernels, as it is a GPU",
+    "cpu": "with onnxruntime, which is faster on a CPU than kernels and has the same bits",
+}
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
 _loaded: dict[tuple, tuple] = {}  # (path, the CPU's, requested provider) → (stamp of the file and the process, Network)
-_asked_for: list[Network] = []  # since remarks were last taken
+_asked_for: list[Network | KernelNetwork] = []  # since remarks were last taken
 
 
 def default_model() -> Path | None:
@@ -63,11 +70,15 @@ def scn_missing() -> str | None:
     return None
 
 
-def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Network:
-    """Return the network of the ONNX file `path` (None: of the package, on the CPU in 8-bit integers) on a provider of
-    onnxruntime: a key of `PROVIDERS`, onnxruntime's own name, or "auto". One that is not the CPU is compared with it in
-    a child process first, once per machine. A network is loaded once as long as the file stays the same, and again in a
-    forked child, where the threads of the parent's session are not. Raises NetworkError."""
+def load_network(
+    path: str | Path | None = None, provider: str | None = CPU.name, on_gpu: bool = False
+) -> Network | KernelNetwork:
+    """Return the network of the ONNX file `path` (None: of the package, in 8-bit integers on the CPU and in OpenCL), as
+    layers for OpenCL kernels ("opencl") or on a provider of onnxruntime: a key of `PROVIDERS`, onnxruntime's own name,
+    or "auto". With None and "auto" the kernels run it `on_gpu`, if they can; else it is the CPU for None. A provider
+    that is not the CPU is compared with it in a child process first, once per machine. A network is loaded once as long
+    as the file stays the same, and again in a forked child, where the threads of the parent's session are not. Raises
+    NetworkError."""
     packaged = path is None
     path = default_model() if path is None else Path(path)
     if path is None:
@@ -78,14 +89,40 @@ def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Ne
         raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
     state = path.stat()
     wanted = next((each.name for each in PROVIDERS.values() if provider in (each.name, each.ort)), provider)
+    if wanted is None and not on_gpu:
+        wanted = CPU.name
     on_cpu = cpu_model(path) if packaged else path
-    key, stamp = (path.resolve(), on_cpu, wanted), (state.st_mtime_ns, state.st_size, os.getpid())
+    key = path.resolve(), on_cpu, wanted, on_gpu
+    stamp = state.st_mtime_ns, state.st_size, os.getpid()
     if key not in _loaded or _loaded[key][0] != stamp:
-        _loaded[key] = stamp, Network(path, wanted, on_cpu)
+        _loaded[key] = stamp, _load(path, wanted, on_cpu, on_gpu)
     network = _loaded[key][1]
     if network not in _asked_for:
         _asked_for.append(network)
     return network
+
+
+def _load(path: Path, provider: str | None, on_cpu: Path, on_gpu: bool) -> Network | KernelNetwork:
+    remark = ""
+    if provider == OPENCL or (on_gpu and provider in (None, AUTO)):
+        try:
+            return KernelNetwork(on_cpu)
+        except NotInKernels as why:
+            if provider == OPENCL:
+                raise NetworkError(f"{on_cpu}: OpenCL kernels cannot run it: {why}") from None
+            remark = f"{on_cpu.name}: onnxruntime runs the network, as OpenCL kernels cannot: {why}"
+    return Network(path, provider or CPU.name, on_cpu, remark)
+
+
+def reason(network: Network | KernelNetwork, provider: str | None, on_gpu: bool) -> str:
+    """Return why `network` was loaded as it was for the request `provider` (see `load_network`), in words."""
+    if provider not in (None, AUTO):
+        return "as requested"
+    if network.layers:
+        return "the device is a GPU"
+    if provider == AUTO:
+        return "the fastest with the CPU's results"
+    return "kernels cannot run it" if on_gpu else "faster on a CPU than kernels, with the same bits"
 
 
 def take_remarks() -> list[str]:
@@ -96,6 +133,21 @@ def take_remarks() -> list[str]:
     return list(dict.fromkeys(remarks))
 
 
+class KernelNetwork:
+    """A network that OpenCL kernels run (`Convolutions`): its `layers`, and `head` as in `Network`."""
+
+    provider, remark, copying = OPENCL, "", 0.0
+
+    def __init__(self, path: Path):
+        """Read the ONNX file `path`. Raises NotInKernels where kernels cannot run it, and NetworkError."""
+        self.path = path
+        self.layers = read_layers(path)
+        self.head = _head_of(path, self.layers.head)
+
+    def prepare(self, height: int, width: int) -> None:
+        """Do nothing: nothing depends on the size."""
+
+
 class Network:
     """A network and its runtime; see `load_network`.
 
@@ -104,8 +156,10 @@ class Network:
     provider and back, as far as they are known apart. `remark`: a note for the user on the provider, "" if none.
     """
 
-    def __init__(self, path: Path, provider: str = CPU.name, on_cpu: Path | None = None):
-        self.path = path
+    layers = None  # for kernels
+
+    def __init__(self, path: Path, provider: str = CPU.name, on_cpu: Path | None = None, remark: str = ""):
+        self.path, self._remark = path, remark
         self.session = open_session(on_cpu if on_cpu and provider == CPU.name else path)
         self.copying = 0.0
         self._failure = ""
@@ -127,7 +181,7 @@ class Network:
 
     @property
     def remark(self) -> str:
-        return "; ".join(filter(None, (self.choice.remark, self._failure)))
+        return "; ".join(filter(None, (self._remark, self.choice.remark, self._failure)))
 
     def prepare(self, height: int, width: int) -> None:
         """Prepare for images of this size, which may take seconds. Raises NetworkError."""

@@ -17,7 +17,7 @@ class SubstituteNetwork:
     height, width), with which it is broadcast.
     """
 
-    copying, provider = 0.0, CPU.ort
+    copying, provider, layers = 0.0, CPU.ort, None
 
     def __init__(self, head: np.ndarray, judge: Callable[[tuple[int, ...]], ArrayLike]):
         self.head, self._judge = head, judge

@@ -26,6 +26,7 @@ from gffe_cl.engine.opencl.malloc_tuning import ask_for_huge_pages
 from gffe_cl.engine.opencl.probing import (
     DeviceInfo,
     describe,
+    floats_are_faster,
     probe,
     quiet_builds,
     try_exact_division,
@@ -97,6 +98,8 @@ class Opened:
     context: cl.Context | None  # None: not made before it is used, in the process that uses it
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
+    float_sums: bool | None = None  # None: not tried yet
+    constants: dict[bytes, cl.Buffer] = field(default_factory=dict)  # that nobody changes, by what they hold: a hash
     exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
     process: int | None = None  # that has the driver's threads, which do not live on in forked children; None: no one
     # For making the context, mapping a buffer (PoCL 3.1 crashes where two threads map the same one), and for reading
@@ -252,6 +255,17 @@ class Device:
         if self.opened.int64_atomics is None:
             self.opened.int64_atomics = try_int64_atomics(self.context, self.queue)
         return self.opened.int64_atomics
+
+    @cached_property
+    def float_sums(self) -> bool:
+        """Whether sums of products of bytes are faster in floats than in integers on this device, with the same
+        result; or `GFFE_FLOAT_SUMS` (0 or 1)."""
+        forced = os.environ.get("GFFE_FLOAT_SUMS")
+        if forced:
+            return bool(int(forced))
+        if self.opened.float_sums is None:
+            self.opened.float_sums = floats_are_faster(self.context, self.queue)
+        return self.opened.float_sums
 
     @cached_property
     def memory(self) -> int:

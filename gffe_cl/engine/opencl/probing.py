@@ -316,6 +316,69 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     return right and np.array_equal(roots, np.sqrt(np.abs(a)))
 
 
+# Sums of products of bytes as in convolutions.cl: of integers, and of floats, which hold them exactly.
+SUMS_SOURCE = """
+#pragma OPENCL FP_CONTRACT OFF
+#define OUTPUTS 8
+__kernel void of_integers(__global const uint *v, __global const uint *w, __global int *out) {
+    const int i = get_global_id(0);
+    int sums[OUTPUTS] = {0};
+    for (int k = 0; k < 256; ++k) {
+        const uchar4 a = as_uchar4(v[i + k]);
+#pragma unroll
+        for (int j = 0; j < OUTPUTS; ++j) {
+            const char4 b = as_char4(w[k * OUTPUTS + j]);
+            sums[j] += a.x * b.x + a.y * b.y + a.z * b.z + a.w * b.w;
+        }
+    }
+    out[i] = sums[0] + sums[1] + sums[2] + sums[3] + sums[4] + sums[5] + sums[6] + sums[7];
+}
+__kernel void of_floats(__global const uint *v, __global const float4 *w, __global int *out) {
+    const int i = get_global_id(0);
+    float4 sums[OUTPUTS / 4] = {0.0f};
+    for (int k = 0; k < 256; ++k) {
+        const float4 a = convert_float4(as_uchar4(v[i + k]));
+#pragma unroll
+        for (int j = 0; j < OUTPUTS / 4; ++j) {
+            __global const float4 *b = w + (k * OUTPUTS / 4 + j) * 4;
+            sums[j] = fma((float4)(a.w), b[3], fma((float4)(a.z), b[2], fma((float4)(a.y), b[1],
+                      fma((float4)(a.x), b[0], sums[j]))));
+        }
+    }
+    const float4 sum = sums[0] + sums[1];
+    out[i] = convert_int(sum.x + sum.y + sum.z + sum.w);
+}
+"""
+_SUMS_RUNS = 6
+_CLEARLY_FASTER = 1.25
+
+
+def floats_are_faster(context: cl.Context, queue: cl.CommandQueue) -> bool:
+    """Return whether the device sums products of bytes faster in floats, clearly so."""
+    import numpy as np
+
+    items, inputs, outputs = 1 << 16 if queue.device.type & cl.device_type.GPU else 1 << 12, 256, 8
+    profiles = queue.properties & cl.command_queue_properties.PROFILING_ENABLE
+    if not profiles or "oclgrind" in os.environ.get("LD_PRELOAD", ""):
+        return False
+    flags, rng = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR, np.random.default_rng(0)
+    v = rng.integers(0, 256, (items + inputs, 4), np.uint8)
+    w = rng.integers(-63, 64, (inputs, outputs, 4), np.int8)
+    as_floats = w.reshape(inputs, outputs // 4, 4, 4).transpose(0, 1, 3, 2).astype(np.float32, order="C")
+    out, given = cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * items), cl.Buffer(context, flags, hostbuf=v)
+    try:
+        with quiet_builds():
+            program, times = _built(queue, SUMS_SOURCE), []
+        for name, weights in (("of_integers", w), ("of_floats", as_floats)):
+            kernel, buffer = cl.Kernel(program, name), cl.Buffer(context, flags, hostbuf=weights)
+            events = [kernel(queue, (items,), (64,), given, buffer, out) for _ in range(_SUMS_RUNS)]
+            queue.finish()
+            times.append(min(event.profile.end - event.profile.start for event in events[1:]))
+    except (cl.Error, RuntimeError):
+        return False
+    return times[0] > _CLEARLY_FASTER * times[1]
+
+
 def _main(wanted: list[str]) -> None:
     """Print the results of probing the devices with indices `wanted`, or of all devices. After `--list` only list
     them."""

@@ -50,6 +50,7 @@ from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec,
 from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
+from gffe_cl.engine.stages.convolutions import Convolutions
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.dilated_warp import DilatedWarp
 from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
@@ -92,6 +93,7 @@ STAGES: tuple[type[Stage], ...] = (
     NetworkInput,
     ShadingTrend,
     ShadingFlow,
+    Convolutions,
     ShadingCorrection,
     Upscaling,
     Sharpening,
@@ -771,8 +773,8 @@ class Pipeline:
 
     @pipeline_call
     def take_timings(self) -> dict[str, float]:
-        """Return milliseconds of kernel time per stage since the last call (waits for the device). With shading
-        correction "network" is the wall time in the network, "network copies" that of copies to its provider and back.
+        """Return milliseconds of kernel time per stage since the last call (waits for the device). If
+        onnxruntime runs the network, "network" is the wall time there, "network copies" that of copies there and back.
         Where the queue has no profiling (`Device.profiles`) only "network" is there."""
         return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
 

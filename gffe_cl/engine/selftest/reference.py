@@ -25,8 +25,8 @@ Buffers = dict[str, np.ndarray]
 @dataclass
 class Reference:
     """Recorded references. `hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`:
-    hash of the input frames by case; `network`: output of the shading correction network for an input among `values` on
-    onnxruntime's CPU provider, in 8-bit integers and in floats, and `model`, the hash of its weights."""
+    hash of the input frames by case; `network`: output of the shading correction network in floats for an input among
+    `values`, on onnxruntime's CPU provider, and `model`, the hash of its weights."""
 
     hashes: dict[str, dict[str, dict[str, str]]] = field(default_factory=dict)
     values: dict[str, Buffers] = field(default_factory=dict)

@@ -68,9 +68,10 @@ class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
-    `group` of them, in a row, make a work-group (None: as suits the device). `reads` and `writes` go by the names of
-    its arguments; buffers that are both read and written are in both. A launch may give another buffer than the
-    declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
+    `group` of them, in a row, make a work-group (None: as suits the device), with `group_rows` rows. `repeats` is the
+    name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` go
+    by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer
+    than the declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
     """
 
     name: str
@@ -79,6 +80,8 @@ class Kernel:
     writes: Mapping[str, Access | str] = field(default_factory=dict)
     step: tuple[int | str, int | str] = (1, 1)
     group: int | str | None = None
+    group_rows: int | str = 1
+    repeats: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def accesses(self) -> Iterator[tuple[str, str, Access]]:
@@ -234,8 +237,8 @@ class _Prepared:
 
     kernel: cl.Kernel
     changing: list[tuple[Callable[[int, Any], None], int, str, str, str]]
-    items: tuple[int, int]
-    group: tuple[int, int]
+    items: tuple[int, ...]
+    group: tuple[int, ...]
 
 
 class Stage(Owner):
@@ -248,6 +251,7 @@ class Stage(Owner):
 
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
+    builds_at_once = True  # else the stage calls `_build` before it launches anything
     needs_footprints = False  # whether it adds to the warp of footprints: a dilated warp does without
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
     # stage that has one makes the final image.
@@ -258,7 +262,6 @@ class Stage(Owner):
         self.board = board
         self._bit = 1 << board.members
         board.members += 1
-        self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
         self.launches: list[tuple[Kernel, dict]] | None = None  # with the arguments, while launches are counted
         self.recorder: Recorder | None = None
@@ -266,15 +269,21 @@ class Stage(Owner):
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
+        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
+        if self.builds_at_once:
+            self._build(**variant)
+        if self.registered:
+            board.stages[self.name] = self
+            board.memory.borrowing += [(self, spec) for spec in borrowing]
+
+    def _build(self, **variant: int) -> None:
+        """Build the kernels."""
+        self.program: Program = build(self.device, self.name, **variant)
         self._changing = {
             name: {argument.name for argument in arguments if not argument.is_number}
             for name, arguments in self.program.arguments.items()
         }
-        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
         self._check()
-        if self.registered:
-            board.stages[self.name] = self
-            board.memory.borrowing += [(self, spec) for spec in borrowing]
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
@@ -315,7 +324,7 @@ class Stage(Owner):
 
         Arguments come by name: `frame`, the frame block of `step`; the buffers that the kernel declares; and numbers,
         or other buffers, given here. Numbers must not change from frame to frame: those are members of the frame block.
-        The width is rounded up to whole groups: kernels guard against the padding.
+        The sides are rounded up to whole groups: kernels guard against the padding.
         """
         board, slot = self.board, None
         if step is not None:
@@ -360,7 +369,7 @@ class Stage(Owner):
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
-        group = self._number(kernel.group) if kernel.group else row
+        group = self._number(kernel.group) if kernel.group else row, self._number(kernel.group_rows)
         made = self.program.kernel(kernel.name)
         declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
         changing = []
@@ -379,8 +388,10 @@ class Stage(Owner):
                 changing.append((set_arg, index, argument.name, owner, own))
             else:
                 made.set_arg(index, self._buffer(f"{owner}.{own}"))
-        items = -(-width // group) * group, height
-        return _Prepared(made, changing, items, (group, 1))
+        items = -(-width // group[0]) * group[0], -(-height // group[1]) * group[1]
+        if kernel.repeats:
+            items, group = (*items, given[kernel.repeats]), (*group, 1)
+        return _Prepared(made, changing, items, group)
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""

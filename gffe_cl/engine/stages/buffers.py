@@ -159,6 +159,7 @@ class BufferSpec:
     may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
     `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
     holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
+    `border`: pixels that are stored around each plane.
     """
 
     name: str
@@ -178,6 +179,7 @@ class BufferSpec:
     fleeting: bool = False
     known_where: tuple[str, int] | None = None
     packing: Packing | None = None
+    border: int = 0
 
     @property
     def channels(self) -> int:
@@ -228,7 +230,7 @@ class BufferSpec:
 
     def nbytes(self, sizes: Sizes) -> int:
         """Return the bytes of the buffer on the device."""
-        return self.bytes_per_pixel * self.planes * math.prod(self.size(sizes))
+        return self.bytes_per_pixel * self.planes * math.prod(side + 2 * self.border for side in self.size(sizes))
 
 
 RENDERED = (

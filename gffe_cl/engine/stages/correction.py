@@ -12,12 +12,13 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
-from gffe_cl.engine.inference.network import Network, load_network
+from gffe_cl.engine.inference.network import KernelNetwork, Network, load_network
 from gffe_cl.engine.inference.providers import CPU
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
+from gffe_cl.engine.stages.convolutions import Convolutions
 from gffe_cl.engine.stages.host_view import HostView
 from gffe_cl.engine.stages.network_input import NetworkInput
 from gffe_cl.engine.stages.shading_flow import ShadingFlow
@@ -36,7 +37,8 @@ INPUTS = (NetworkInput, ShadingTrend, ShadingFlow)  # stages whose work on new f
 class ShadingCorrection(Stage):
     """Corrects shading that moves otherwise than its surface: shadows, reflections.
 
-    The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
+    The network's convolutions judge candidates at a quarter of the resolution (`judgement`): those of `Convolutions`,
+    or onnxruntime's. Kernels make the change of
     encoded color of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
     limited to twice the change since t − 1. With e for the code of color (`NetworkInput`), U for bilinear interpolation
     from half resolution, L for the encoded GAE color there and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) ·
@@ -126,8 +128,10 @@ class ShadingCorrection(Stage):
         super().__init__(board)
         self.network: Any = None  # a Network or a substitute
         self.works_alone = False  # whether everything is to happen in one thread
+        self.runs_on_device = False  # whether the stage before makes `judgement`
         if load:
-            self.use(load_network(board.options.scn_model, board.options.scn_provider))
+            on_gpu = board.device.info.kind == "gpu"
+            self.use(load_network(board.options.scn_model, board.options.scn_provider, on_gpu))
         self._network_milliseconds = 0.0
         self._copying_milliseconds = 0.0
         self._transfers: list[cl.Event] = []  # between these and the device, of the last frame
@@ -158,17 +162,20 @@ class ShadingCorrection(Stage):
         """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
         they are different processors, and that no other stage needs the final image."""
         same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
-        return not (same or self.works_alone) and next(reversed(self.board.stages.values())) is self
+        is_last = next(reversed(self.board.stages.values())) is self
+        return is_last and not (same or self.runs_on_device or self.works_alone)
 
     def look_at(self, names: set[str] | None) -> None:
         self.with_refined = names is None or "correction.refined" in names
 
     def extrapolated(self, step: Step) -> None:
-        """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
+        """Make the final image of the filled frame; waits for onnxruntime, if that runs the network. A still frame has
+        nothing to correct."""
         if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             self.skip()
         else:
-            self.infer()
+            if not self.runs_on_device:
+                self.infer()
             self._correct(step)
 
     def begin(self, step: Step) -> None:
@@ -222,11 +229,14 @@ class ShadingCorrection(Stage):
         self.judge(step, within_mask, **given)
         self.compose(step, within_mask)
 
-    def use(self, network: Network) -> None:
-        """Set the runner of the network from now on."""
+    def use(self, network: Network | KernelNetwork) -> None:
+        """Set the runner of the network from now on: onnxruntime or, for a network of `layers`, the kernels."""
         network.prepare(*reversed(self.sizes.of("network")))
         self.network = network
         self.upload("head", network.head)
+        self.board.stages[Convolutions.name].use(network.layers)
+        self.runs_on_device = network.layers is not None
+        self.board.stages[ShadingTrend.name].host_decides = not self.runs_on_device
 
     def skip(self) -> None:
         """Make the extrapolated image the final one: the network has no input."""
@@ -268,6 +278,11 @@ class ShadingCorrection(Stage):
         """Fill `focus_mask` and `color`. Without `within_mask` the whole image is the network's."""
         self.launch("correct", step, asked=self._asked(within_mask))
 
+    @property
+    def asked(self) -> int:
+        """The request to the kernels, in bits of correction.cl."""
+        return self._asked(self.board.options.focus_mask)
+
     def _asked(self, within_mask: bool) -> int:
         return within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
 
@@ -280,7 +295,10 @@ class ShadingCorrection(Stage):
 
     def take_network_milliseconds(self) -> dict[str, float]:
         """Return milliseconds since the last call, kernels excluded; the device must have finished. "network": time
-        in the network; "network copies": transfers between the device and the network, if the queue has profiling."""
+        in onnxruntime; "network copies": transfers between the device and that, if the queue has profiling. Nothing
+        where kernels run the network."""
+        if self.runs_on_device:
+            return {}
         copying = self._copying_milliseconds + self._take_transfers()
         taken = {"network": self._network_milliseconds}
         if self.device.profiles:

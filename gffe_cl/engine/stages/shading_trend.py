@@ -29,7 +29,8 @@ class ShadingTrend(Stage):
     64 samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
     network makes the whole image. The device decides while it works on the rendered frame; `submit` does not wait. The
     host reads the decision where it is about to wait for the network anyway, behind all other work on the new frame: in
-    the network's thread, where that runs beside the device (`ShadingCorrection.begin`).
+    the network's thread, where that runs beside the device (`ShadingCorrection.begin`). Where the network runs on the
+    device (`Convolutions`) the host never does, and `is_still` is False: kernels see the decision themselves.
     """
 
     name = "shading_trend"
@@ -44,15 +45,19 @@ class ShadingTrend(Stage):
                 "color_prev": Access("previous.color", 4 * _SAMPLED),
                 "depth_prev": Access("previous.depth", 4 * _SAMPLED),
             },
-            {"changes": "shading_trend.changes", "changed_samples": "shading_trend.changed_samples"},
+            {
+                "changes": "shading_trend.changes",
+                "changed_samples": "shading_trend.changed_samples",
+                "changed": "shading_trend.changed",
+            },
             step=("LANES", 1),
         ),
         Kernel(
             "find_change",
-            "once",
-            {"changed_samples": "shading_trend.changed_samples"},
+            "cells",
+            {"changed_samples": "shading_trend.changed_samples", "changed": "shading_trend.changed"},
             {"changed": "shading_trend.changed"},
-            group="SCANNERS",
+            step=("TILE", "TILE"),
         ),
         Kernel(
             "blur_rows",
@@ -114,6 +119,7 @@ class ShadingTrend(Stage):
         super().__init__(board)
         self._changed = HostView(self, "changed")
         self.never_still = False  # whether all work is to be done in any case
+        self.host_decides = True  # whether the host reads the decision; else all work is enqueued
         self._known: list[cl.Event] = []  # complete when `_changed` can be read
 
     @property
@@ -136,7 +142,7 @@ class ShadingTrend(Stage):
         self.launch("measure_changes", step)
         self.launch("find_change", step)
         options = self.board.options
-        if options.corrects_shading and options.focus_mask and self.recorder is None:
+        if self.host_decides and options.corrects_shading and options.focus_mask and self.recorder is None:
             self._known = self._changed.open()
         self.launch("blur_rows", step)
         self.launch("find_trend", step)

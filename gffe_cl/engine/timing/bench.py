@@ -18,6 +18,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.engine.frame.window import WindowChooser, fixed_window
+from gffe_cl.engine.inference.network import reason
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import build
 from gffe_cl.engine.options import Options
@@ -50,6 +51,7 @@ PAPER = {
     "SCN, trend": None,
     "SCN, inputs": None,
     "SCN, flow": None,
+    "SCN, convolutions": None,
     "SCN, kernels": None,
     "SCN, network": None,
     "SCN, copies": None,
@@ -81,7 +83,8 @@ class SizeBench:
     memory_by_stage: dict[str, int]  # bytes
     kernels: dict[str, float]  # milliseconds by "stage.kernel", all launches for the two frames together
     commands: dict[str, int]  # enqueued for the two frames: kernels, fills and copies; "GAE" and "SCN"
-    provider: str = ""  # onnxruntime's name of the network's provider
+    provider: str = ""  # "opencl", or onnxruntime's name of the network's provider
+    reason: str = ""  # why that runs the network
     remark: str = ""  # a remark for the user
 
 
@@ -176,6 +179,7 @@ def bench_size(
         kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
         commands=samples.commands,
         provider=network.provider if network else "",
+        reason=reason(network, options.scn_provider, device.info.kind == "gpu") if network else "",
         remark=network.remark if network else "",
     )
 

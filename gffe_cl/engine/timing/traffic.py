@@ -18,8 +18,8 @@ FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes 
 # Parts by stage.
 SCN = {
     "shading_trend": "SCN, trend", "shading": "SCN, inputs", "network_input": "SCN, inputs",
-    "shading_flow": "SCN, flow", "correction": "SCN, kernels", "network": "SCN, network",
-    "network copies": "SCN, copies",
+    "shading_flow": "SCN, flow", "convolutions": "SCN, convolutions", "correction": "SCN, kernels",
+    "network": "SCN, network", "network copies": "SCN, copies",
 }  # fmt: skip
 UPSCALING = ("upscaling", "sharpening")
 

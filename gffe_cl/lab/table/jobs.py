@@ -86,7 +86,7 @@ def compute_cell(
     onnx: tuple[str, ...] = (),
     videos: tuple[str, ...] = (),
     device: str | None = None,
-    network: tuple[str | None, str] = (None, "cpu"),
+    network: tuple[str | None, str | None] = (None, None),
     on_moment: Callable[[], None] = lambda: None,
 ) -> Cell:
     """Return the cell of the method of that name; None for the values that all methods share. It may run in any

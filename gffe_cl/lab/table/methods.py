@@ -315,7 +315,7 @@ def chosen_methods(
     words: Iterable[str] | None,
     onnx: Iterable[str] = (),
     upscale: bool = False,
-    network: tuple[str | None, str] = (None, "cpu"),
+    network: tuple[str | None, str | None] = (None, None),
 ) -> dict[str, Method]:
     """Return methods and groups by name (None: all of them, except shading correction's where there are no weights, and
     those of `_ON_REQUEST`; upscaling's with `upscale`), and networks as "NAME=FILE", in the order of the table.
@@ -342,7 +342,7 @@ def chosen_methods(
     return {name: _with_network(method, *network) for name, method in known.items() if name in wanted}
 
 
-def _with_network(method: Method, model: str | None, provider: str) -> Method:
+def _with_network(method: Method, model: str | None, provider: str | None) -> Method:
     """Return the method with another shading correction network or provider, where it has a network."""
     options = method.options
     if options is None or options.shading_correction is False or (model is None and provider == options.scn_provider):

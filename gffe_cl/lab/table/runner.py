@@ -61,7 +61,7 @@ class Order:
     onnx: tuple[str, ...] = ()
     videos: tuple[str, ...] = ()
     recompute: bool = False
-    network: tuple[str | None, str] = (None, "cpu")
+    network: tuple[str | None, str | None] = (None, None)
 
 
 def fill(

@@ -1,15 +1,18 @@
-"""The doctor on what games do to frames: dilated vectors, and geometry that is jittered under antialiased color."""
+"""The doctor on what games do to frames: dilated vectors, geometry that is jittered under antialiased color or smaller
+than color, user interfaces."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor_clips import clip
+from doctor_clips import clip, written
 from synthetic import camera
 
 from gffe_cl.captures.doctor import examine, quick_warning
 from gffe_cl.captures.doctor.dilation import count_beside_edges, dilation_notes
 from gffe_cl.captures.doctor.geometry_jitter import edge_shift, geometry_jitter_notes
+from gffe_cl.captures.doctor.repetition import distinct_size
+from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.frame.frame_format import FrameFormat
@@ -92,3 +95,69 @@ def test_jitter_of_geometry_is_told_from_that_of_the_camera(in_cameras):
 def test_without_clear_edges_nothing_is_claimed():
     frames = [disks(offset, None, radius=0) for offset in OFFSETS]
     assert notes(frames)[0] == [] and notes(frames, True)[0] == [("cannot tell", "jittered")]
+
+
+def repeated(image, ratio):
+    """Every pixel of the image, rendered `ratio` times smaller each way, is repeated."""
+    rows, columns = ((np.arange(n) / ratio).astype(int) for n in image.shape[:2])
+    return image[(rows * ratio).astype(int)][:, (columns * ratio).astype(int)]
+
+
+@pytest.mark.parametrize(("ratio", "size"), [(1.5, (80, 45)), (2, (60, 34)), (3, (40, 23))])
+def test_repeated_geometry_is_named_with_its_size(ratio, size):
+    small = [replace(f, depth=repeated(f.depth, ratio), motion=repeated(f.motion, ratio)) for f in clip().images]
+    notes = [f for f in examine(Kept(small)).findings if f.name == "repeated"]
+    assert [(note.kind, note.about) for note in notes] == [("note", "depth"), ("note", "motion")]
+    assert all((note.figures["width"], note.figures["height"]) == size for note in notes)
+    assert "geometry_size" in notes[0].sentence
+    assert quick_warning(Kept(small)).startswith(f"depth is repeated: {size[0]}×{size[1]} different pixels")
+
+
+def test_images_that_only_look_repeated_are_not():
+    rows = np.repeat(np.linspace(1, 9, 68, dtype=np.float32)[:, None], 120, 1)  # a floor
+    sky = np.full((68, 120), np.inf, np.float32)
+    once_off = repeated(clip().images[3].depth, 2).copy()
+    once_off[10, 11] += 1
+    assert [distinct_size(one) for one in (rows, sky, once_off, clip().images[3].depth)] == [None] * 4
+    half = repeated(clip().images[3].depth, 2).copy()
+    half[:20] = np.inf
+    assert distinct_size(half) == (60, 34)
+
+
+def with_interface():
+    """The clip with a panel and a frame over its color."""
+    frames = []
+    for frame in clip().images:
+        color = frame.color.copy()
+        color[6:26, 8:40], color[44:60, 70:112] = (0.9, 0.7, 0.1), (0.05, 0.2, 0.6)
+        frames.append(replace(frame, color=color))
+    return Kept(frames)
+
+
+def test_a_user_interface_is_a_warning_with_its_cost(gffe, tmp_path):
+    code, text, _ = gffe("check", written(tmp_path / "in", with_interface()))
+    assert code == 0 and "warning color: user interface in the color: " in text and " dB" in text
+
+
+def test_a_run_detects_the_user_interface_that_its_check_sees(gffe, tmp_path):
+    """... unless it may not; and not where there is none: then every bit is as without."""
+    hud, plain = written(tmp_path / "hud", with_interface()), written(tmp_path / "good", clip())
+    made = {}
+    for name, folder, options in (
+        ("auto", hud, ()), ("on", hud, ("--ui-detection", "on")), ("off", hud, ("--ui-detection", "off")),
+        ("unchecked", hud, ("--no-check",)), ("plain", plain, ()), ("plain off", plain, ("--ui-detection", "off")),
+    ):  # fmt: skip
+        code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options)
+        assert code == 0, error
+        assert ("user interface detection is on" in text) == (name == "auto")
+        assert ("warning: user interface in the color" in error) == (name in ("auto", "on", "off"))
+        sequence = open_sequence(tmp_path / name)
+        made[name] = [sequence.read_color(entry) for entry in sequence.frames if entry.kind == "extrapolated"]
+
+    def alike(one, other):
+        return all(np.array_equal(a, b) for a, b in zip(made[one], made[other], strict=True))
+
+    assert alike("auto", "on") and alike("off", "unchecked") and not alike("auto", "off")
+    assert alike("plain", "plain off")
+    code, _, error = gffe("run", hud, tmp_path / "wrong", "--ui-detection", "maybe")
+    assert code == 2 and "--ui-detection must be one of auto, on, off" in " ".join(error.split())

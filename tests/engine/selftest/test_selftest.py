@@ -79,11 +79,11 @@ def test_the_form_of_gpus_gives_the_recorded_bits(device):
 
 def test_references_are_of_these_frames_and_weights(default_model, weights):
     reference = recorded()
-    assert reference_path().stat().st_size < 560_000
+    assert reference_path().stat().st_size < 580_000
     assert set(reference.hashes) == set(reference.values) == set(CASES)
     assert {name: inputs_digest(frames(*SIZE, case.render_size)) for name, case in CASES.items()} == reference.inputs
     assert model_digest() == reference.model, STALE
-    assert compare_provider("cpu") < TOLERANCE / 10
+    assert compare_provider("cpu") == 0  # on a CPU with fused multiply-add
     assert all(len(held) == 2 * 8 for held in reference.hashes.values())
     cut = digest(np.array([1], np.uint8))
     for held in reference.hashes.values():

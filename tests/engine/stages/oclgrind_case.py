@@ -11,11 +11,13 @@ from shutil import copytree
 import numpy as np
 import pyopencl as cl
 from network_stages import made_stages
+from scn_models import integer_model
 from synthetic import camera
 from twin_cases import frames, run
 
 from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat, conversion
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
+from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Options
@@ -76,6 +78,19 @@ def shading(device):
         correction.skip()
         focus.make(correction.buffer["color"], 0.5)
         focus.read("focus_truth")
+
+
+def convolutions(device):
+    """A network of few channels, whose images are smaller than a work-group, in both forms."""
+    for float_sums in (False, True):
+        device.__dict__["float_sums"] = float_sums
+        board, correction, step = made_stages(device, (1, 1))
+        with tempfile.TemporaryDirectory() as folder:
+            correction.use(load_network(integer_model(Path(folder, "m.onnx"), (16, 20)), OPENCL))
+        board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
+        for name in ("shading", "network_input", "shading_flow", "convolutions"):
+            board.stages[name].extrapolated(step)
+        assert np.isfinite(correction.read("judgement")).all()
 
 
 def upload(device):
@@ -143,7 +158,8 @@ if __name__ == "__main__":
     case = sys.argv[1]
     with tempfile.TemporaryDirectory() as folder:
         without_looks(folder)
-        others = {"scene": scene, "shading": shading, "upload": upload, "dilate-splat": dilate_splat}
+        others = {"scene": scene, "upload": upload, "dilate-splat": dilate_splat}
+        others |= {"shading": shading, "convolutions": convolutions}
         if case in others:
             others[case](opened)
         else:

@@ -20,6 +20,7 @@ LONG = pytest.mark.long
         pytest.param("int64", marks=LONG),
         pytest.param("int32", marks=LONG),
         "shading",
+        "convolutions",
         "upload",
         "dilate-splat",
         pytest.param("scene", marks=LONG),

@@ -10,6 +10,7 @@ from twins.acceleration import track_acceleration
 from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background, shown_state
 from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
+from twins.convolutions import judge_with
 from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts, show_reappearing
 from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
@@ -65,6 +66,7 @@ __all__ = [
     "find_texture",
     "find_trend",
     "judge",
+    "judge_with",
     "last_stir",
     "link_surfaces",
     "load_color",

@@ -112,10 +112,11 @@ def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int
     looks = dict(read_ahead(wanted, look, 2))
     if not looks:
         raise GffeError("nothing to check: no rendered frame")
-    return _linked(looks)
+    return relinked(looks)
 
 
-def _linked(looks: dict[int, Look]) -> dict[int, Look]:
+def relinked(looks: dict[int, Look]) -> dict[int, Look]:
+    """Make looks without neighbors each other's neighbors, by their numbers, and return them."""
     for index, one in looks.items():
         before = looks.get(index - 1)
         if before and not one.reset and before.size == one.size and min(one.size) >= _SMALLEST:
@@ -130,9 +131,9 @@ def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
         return looks
     if len(rows) > 1:
         others = with_rows(looks, tuple(name for name in BUFFERS if name not in rows))
-        return _linked({index: _upside_down(look) for index, look in others.items()})
+        return relinked({index: _upside_down(look) for index, look in others.items()})
     fields = ("color", "contrast") if rows == ("color",) else rows
-    return _linked({
+    return relinked({
         index: replace(
             look,
             neighbors={},

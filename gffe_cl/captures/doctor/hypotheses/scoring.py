@@ -134,6 +134,17 @@ class Bench:
         return score
 
 
+def color_gain(bench: Bench, motion: np.ndarray, other: np.ndarray, step: int) -> float:
+    """Return how sure it is that colors agree better along `motion` than along `other` (N, 2), in standard deviations
+    of the mean difference; 0 without evidence."""
+    scores = bench.color_scores(np.stack([motion, other]), step)
+    gains = scores[0] - scores[1]
+    gains = gains[np.isfinite(gains) & bench.solid & (np.abs(motion - other).max(-1) > 0)]
+    if len(gains) < _FEWEST:
+        return 0.0
+    return float(gains.mean() / (gains.std() / np.sqrt(len(gains)) + 1e-9))
+
+
 Vectors = tuple[np.ndarray, np.ndarray]  # motion vectors and static motion, (N, 2) pixels each
 
 

@@ -78,6 +78,18 @@ class Verdict:
         return float(np.nan_to_num(self.agreement)) + self.colors - EDIT * self.reading.edits
 
 
+def misread_focals(look: Look) -> list[float]:
+    """Return the factors on focal lengths by usual mistakes about the field of view: the vertical angle taken for the
+    horizontal one or the other way, and an angle in radians taken for degrees."""
+    (width, height), camera = look.size, look.camera
+    found = [width / height, height / width]
+    for side, focal in ((width, camera.fx), (height, camera.fy)):
+        angle = np.degrees(2 * np.arctan(side / 2 / focal))
+        if 0 < angle < np.pi:
+            found.append(float(2 * focal / side * np.tan(angle / 2)))
+    return found
+
+
 class Search:
     """Search over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantized
     motion vectors, pixels, or 0; `edges`: how colors agree with depth at silhouettes."""
@@ -194,6 +206,10 @@ class Search:
         motions = near[:_MOTIONS]
         usual = [c for c in camera_readings() if c.is_usual]
         add(self._joint(motions, camera_readings()))
+        if not good():
+            focals = [*FOCALS, *misread_focals(self.full.looks[0])]
+            add(self._joint(motions, [CAMERA_AS_GIVEN.with_focal(k) for k in focals if k != 1]))
+            refine()
         if not good() and len(near) > _MOTIONS:
             found_among_all = self._joint(near, usual)
             add(found_among_all)

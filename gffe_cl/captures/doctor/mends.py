@@ -1,0 +1,290 @@
+"""Mends: faults that another order of buffers or other jitter explains. A mended clip is examined again, as if it had
+been recorded so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+
+from gffe_cl.captures.doctor.findings import (
+    FAULT,
+    JITTER,
+    JITTER_DIFFERS,
+    NO_JITTER,
+    SOME_FRAME,
+    UNKNOWN,
+    Finding,
+)
+from gffe_cl.captures.doctor.hypotheses.camera_jitter import (
+    INVERSE,
+    NONE,
+    OTHERS,
+    SAME,
+    JitterChange,
+    jitter_center,
+    jitter_of_colors,
+    jitter_of_vectors,
+)
+from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.captures.doctor.hypotheses.sampling import BUFFERS, NEXT, PREVIOUS, Clip, Look, relinked, with_rows
+from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
+from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+
+_KEPT = 4  # frames in memory as they are given
+_FIELDS = {"camera": ("camera",), "depth": ("depth", "deep"), "color": ("color", "contrast", "image")}
+_WHAT = {"camera": "cameras are", "depth": "depth is", "color": "color is"}
+_WHEN = {NEXT: ("late", "before"), PREVIOUS: ("early", "after")}
+_MARGIN = 0.06  # of the sum of scores, by which buffers of another frame must fit better
+_FITS = 0.5  # agreement of buffers that fit
+_MOST = 0.6  # of the frames that must fit better
+_OWN = {"camera": 0.06, "depth": 0.02, "color": 0.02}  # of the agreement, or of color scores
+_APART = 0.03  # of the sum of scores: mends that differ by less are not told apart
+_FAR_APART, _COLORS = 0.15, 0.005  # of the sum of scores, and of color scores, where vectors are an alternative
+_STEADY = 0.04  # of agreements, by which vectors and cameras of another frame fit worse where nothing accelerates
+
+
+class Mend(Protocol):
+    """Change of a clip that explains a fault: of the list of frames, and of each frame."""
+
+    @property
+    def finding(self) -> Finding: ...
+
+    @property
+    def changes_geometry(self) -> bool:
+        """Whether it changes depth, motion vectors or cameras."""
+        ...
+
+    def entry(self, entries: list[FrameEntry], k: int) -> FrameEntry | None:
+        """Return the entry of frame `k`, changed; None if the frame is lost."""
+        ...
+
+    def frame(self, frame: RenderedFrame, read, k: int) -> RenderedFrame:
+        """Return frame `k`, changed; `read` returns a frame as it was given by its number."""
+        ...
+
+
+@dataclass(frozen=True)
+class OtherFrame:
+    """The `buffer`, or the camera, of each frame is in the file of another one, `by` frames after it."""
+
+    buffer: str
+    by: int
+
+    @property
+    def changes_geometry(self) -> bool:
+        return self.buffer != "color"
+
+    @property
+    def finding(self) -> Finding:
+        when, side = _WHEN[self.by]
+        sentence = f"{_WHAT[self.buffer]} one frame {when}: each frame has that of the frame {side} it"
+        lost = {NEXT: "the last frame, whose own one was not recorded, is", PREVIOUS: "the first frame is"}[self.by]
+        fix = f"{self.buffer} is taken from the frame {_WHEN[-self.by][1]}; {lost} left out"
+        return Finding(FAULT, self.buffer, f"one frame {when}", sentence, fix)
+
+    def entry(self, entries: list[FrameEntry], k: int) -> FrameEntry | None:
+        at = k + self.by
+        if not 0 <= at < len(entries) or entries[max(k, at)].reset:
+            return None
+        first = k == 0 or self.entry(entries, k - 1) is None
+        made = replace(entries[k], reset=entries[k].reset or first)
+        if self.buffer != "camera":
+            return made
+        return replace(made, render_camera=entries[at].render_camera, display_camera=entries[at].display_camera)
+
+    def frame(self, frame: RenderedFrame, read, k: int) -> RenderedFrame:
+        other = read(k + self.by)
+        if self.buffer == "camera":
+            return replace(frame, camera=other.camera, display_camera=other.display_camera)
+        image = getattr(other, self.buffer)
+        return replace(frame, **{self.buffer: image}) if np.shape(image)[:2] == np.shape(frame.depth) else frame
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Jitter of the cameras that motion vectors have not, or otherwise: `finding`, and the `change` that mends it."""
+
+    finding: Finding
+    change: JitterChange
+    changes_geometry: bool = True
+
+    def entry(self, entries: list[FrameEntry], k: int) -> FrameEntry | None:
+        camera, shown = entries[k].render_camera, entries[k].display_camera
+        changed = camera and self.change.changed(camera)
+        return replace(entries[k], render_camera=changed, display_camera=changed if shown == camera else shown)
+
+    def frame(self, frame: RenderedFrame, read, k: int) -> RenderedFrame:
+        motion, camera = frame.motion, self.change.changed(frame.camera)
+        if k and not frame.reset and motion is not None:
+            motion = (motion + self.change.added(frame.camera, read(k - 1).camera)).astype(np.float32)
+        shown = camera if frame.display_camera == frame.camera else frame.display_camera
+        return replace(frame, motion=motion, camera=camera, display_camera=shown)
+
+
+@dataclass
+class Mends:
+    """Result of `find_mend`. `mend`: the change that explains the looks clearly better; `findings`: what cannot be told
+    of buffers of another frame; `steady`: NEXT and PREVIOUS, as far as cameras or vectors that are
+    late or early by a frame would fit about as well, because everything moves steadily."""
+
+    mend: Mend | None = None
+    findings: list[Finding] = field(default_factory=list)
+    steady: set[int] = field(default_factory=set)
+
+
+def find_mend(looks: dict[int, Look], deep: list[int], entries: list[FrameEntry], step: float) -> Mends:
+    """Return the mend that explains `looks` clearly better than as they are given. `deep`: numbers of looks that are
+    evidence; `entries`: of all rendered frames; `step`: of quantized vectors, pixels."""
+    deep = [k for k in deep if PREVIOUS in looks[k].neighbors]
+    if not deep:
+        return Mends()
+    found = _other_frame(looks, deep, step)
+    center = jitter_center(entries, looks[deep[0]].size)
+    if found.mend is None and center is not None:
+        found.mend = _jitter(looks, deep, center, step)
+    return found
+
+
+def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
+    """Return the buffer that fits clearly better as that of another frame, better also than vectors of another frame
+    and than any buffer upside down."""
+    found, rivals = Mends(), []
+    gains: dict[OtherFrame, _Gain] = {}
+    for buffer in (*_FIELDS, "motion"):
+        for by, compared in ((NEXT, deep), (PREVIOUS, [k + 1 for k in deep])):
+            gain = _Gain.of(looks, _from_other_frames(looks, buffer, by), compared, step)
+            if gain is None:
+                continue
+            if buffer in ("camera", "motion") and gain.agreement > -_STEADY:
+                found.steady.add(by)
+            if buffer == "motion":
+                rivals.append(gain)
+            elif gain.is_clear and gain.own(buffer) >= _OWN[buffer]:
+                gains[OtherFrame(buffer, by)] = gain
+    rivals += [_Gain.of(looks, with_rows(looks, (buffer,)), deep, step) for buffer in BUFFERS]
+    first, *others = sorted(gains, key=lambda mend: gains[mend].total, reverse=True) if gains else (None,)
+    if first is None or any(rival is not None and rival.beats(gains[first]) for rival in rivals):
+        return found
+    if others and gains[others[0]].total > gains[first].total - _APART:
+        either = " or ".join(f"{mend.buffer} {mend.finding.name}" for mend in (first, others[0]))
+        sentence = f"a buffer fits better as that of another frame, but which one is open: {either}"
+        found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
+    else:
+        found.mend = first
+    return found
+
+
+@dataclass
+class _Gain:
+    """Gain of scores by which changed looks are better than as given: in `total`, in `agreement`, and in `color`s.
+    `is_clear`: whether the looks fit now, clearly better, and most of them do so alone."""
+
+    total: float
+    agreement: float
+    color: float
+    is_clear: bool
+
+    @classmethod
+    def of(cls, given: dict[int, Look], made: dict[int, Look], compared: list[int], step: float) -> _Gain | None:
+        """Compare the looks `compared`; return None if none of them is in both."""
+        compared = [k for k in compared if all(k in some and PREVIOUS in some[k].neighbors for some in (given, made))]
+        if not compared:
+            return None
+        before, after = (_verdict([looks[k] for k in compared], step) for looks in (given, made))
+        total = after.total - before.total
+        clear = after.agreement >= _FITS and total >= _MARGIN
+        if clear:
+            each = [_verdict([made[k]], step).total > _verdict([given[k]], step).total for k in compared]
+            clear = np.mean(each) > _MOST
+        color = (after.colors - after.edges) - (before.colors - before.edges)
+        agreement = float(np.nan_to_num(after.agreement) - np.nan_to_num(before.agreement))
+        return cls(total, agreement, color, bool(clear))
+
+    def beats(self, other: _Gain) -> bool:
+        """Return whether this explains the looks better than `other`, or as well by colors. They follow right vectors,
+        and cameras of another frame may fit wrong ones."""
+        if not self.is_clear or self.total < other.total - _FAR_APART:
+            return False
+        return self.total > other.total + _FAR_APART or self.color > other.color - _COLORS
+
+    def own(self, buffer: str) -> float:
+        """Return the part that this buffer must improve for itself."""
+        return self.color if buffer == "color" else self.agreement
+
+
+def _verdict(looks: list[Look], step: float) -> Verdict:
+    return Search(looks, step, edges=edge_agreement(looks)).verdict(Reading())
+
+
+def _jitter(looks: dict[int, Look], deep: list[int], center: np.ndarray, step: float) -> Mend | None:
+    """Return the mend of jitter that cameras, vectors and colors do not share."""
+    vectors = jitter_of_vectors(looks, deep, center, step)
+    colors = jitter_of_colors(looks, deep, center, vectors)
+    middle = float(center[0]), float(center[1])
+    if vectors == SAME:
+        if colors != NONE:
+            return None
+        sentence = (
+            "cameras and motion vectors are jittered, and color is not: it was antialiased over time (if depth is"
+            " jittered, its jitter belongs into RenderedFrame.geometry_jitter)"
+        )
+        finding = Finding(FAULT, "camera", JITTER, sentence, "jitter is taken off cameras and vectors")
+        return Jitter(finding, JitterChange(middle, camera=NONE, motion=(-1.0, -1.0)))
+    difference = OTHERS[vectors]
+    if colors == SAME:
+        name, has = NO_JITTER, "lack the jitter that cameras and colors have"
+        if vectors != NONE:
+            name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of cameras and colors"
+        finding = Finding(FAULT, "motion", name, f"motion vectors {has}", "the cameras' jitter is added")
+        return Jitter(finding, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1])))
+    if colors == vectors:
+        name, has = JITTER, "are jittered, but neither motion vectors nor colors are"
+        if vectors != NONE:
+            difference = INVERSE[difference]
+            name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of vectors and colors"
+        finding = Finding(FAULT, "camera", name, f"the cameras {has}", "principal points are moved")
+    else:
+        known = "colors are not jittered" if colors == NONE else "colors do not tell which of them is right"
+        sentence = f"the jitter of motion vectors is {difference}, compared with that of the cameras; {known}"
+        finding = Finding(FAULT, "camera", JITTER_DIFFERS, sentence)
+    return Jitter(finding, JitterChange(middle, camera=vectors))
+
+
+def _from_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, Look]:
+    """Return `looks` with the `buffer` of the look `by` after each; those that have none are left out."""
+    made = {}
+    for k, look in looks.items():
+        other = look.neighbors.get(by)
+        if other is not None and len(other.px) == len(look.px):
+            fields = _FIELDS.get(buffer, (buffer,))
+            made[k] = replace(look, neighbors={}, **{name: getattr(other, name) for name in fields})
+    return relinked(made)
+
+
+class MendedClip:
+    """Clip with a mend applied."""
+
+    def __init__(self, clip: Clip, mend: Mend):
+        entries = clip.rendered
+        self._mend = mend
+        self._numbers = {entry.file: k for k, entry in enumerate(entries)}
+        self._read = lru_cache(_KEPT)(lambda k: clip.read(entries[k]))
+        self.settings = getattr(clip, "settings", None)
+        made = [mend.entry(entries, k) for k in range(len(entries))]
+        self.rendered = [entry for entry in made if entry is not None]
+
+    def read(self, entry: FrameEntry) -> RenderedFrame:
+        k = self._numbers[entry.file]
+        return replace(self._mend.frame(self._read(k), self._read, k), reset=entry.reset)
+
+
+def mended(clip: Clip, mends: Iterable[Mend]) -> Clip:
+    """Return `clip` with `mends` applied, the first one first."""
+    for mend in mends:
+        clip = MendedClip(clip, mend)
+    return clip

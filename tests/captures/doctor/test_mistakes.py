@@ -1,0 +1,139 @@
+"""Mistakes of live integrations are named rightly or not at all, by `gffe.check` as by `gffe check`."""
+
+import numpy as np
+import pytest
+from doctor_clips import H, W, written
+from mistakes import FPS, JITTERED, MISTAKES, good_frames
+
+import gffe_cl as gffe_api
+from gffe_cl.captures.doctor import Repair, examine, warning_of
+from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.lab.fault_injection import Kept
+
+TABLE = {
+    name: (lambda plain, jittered, change=change: change(plain), fault) for name, (change, fault) in MISTAKES.items()
+}
+TABLE |= JITTERED
+_IN_MEMORY = "; `gffe check FOLDER` tells more, of frames stored with gffe.SequenceWriter"
+
+
+def faults(diagnosis):
+    return [finding.id for finding in diagnosis.faults]
+
+
+@pytest.mark.parametrize("mistake", TABLE)
+def test_a_mistake_has_its_name(mistake):
+    change, fault = TABLE[mistake]
+    found = examine(Kept(change(*good_frames())))
+    assert faults(found) == ([fault] if fault else [])
+    said = warning_of(found)
+    assert (said is None) == (not fault)
+    _, _, name = fault.partition("-")
+    assert not fault or name.replace("-", " ") in said.lower().replace("-", " ") or fault == "frames-gap"
+
+
+@pytest.mark.parametrize("is_jittered", [False, True])
+def test_frames_without_a_mistake_have_no_name(is_jittered):
+    frames = good_frames()[is_jittered]
+    assert examine(Kept(frames)).findings == [] and gffe_api.check(frames) is None
+
+
+@pytest.mark.parametrize(
+    "mistake", ["camera of the frame before", "vectors negated", "cameras jittered, color antialiased"]
+)
+def test_frames_in_memory_are_examined_as_a_sequence_is(mistake, gffe, tmp_path):
+    frames = TABLE[mistake][0](*good_frames())
+    assert gffe_api.check(frames) == warning_of(examine(Kept(frames))) + _IN_MEMORY
+    code, text, _ = gffe("check", written(tmp_path / "in", Kept(frames)))
+    assert code == 1 and TABLE[mistake][1] in text and text.count("fault ") == 1
+
+
+def test_one_frame_is_not_said_to_fit():
+    said = gffe_api.check(good_frames()[0][:1])
+    assert said.startswith(
+        "cannot tell whether the frames fit: no rendered frame of 8 pixels or more has one before it"
+    )
+    assert gffe_api.check([]) is None
+
+
+def close(made, true):
+    return (np.linalg.norm(made - true, axis=-1) < 0.1).mean() > 0.95
+
+
+@pytest.mark.parametrize("by", [1, -1])
+@pytest.mark.parametrize("buffer", ["camera", "depth", "color"])
+def test_buffers_of_another_frame_go_back(buffer, by):
+    good, name = good_frames()[0], f"{buffer} of the frame {'before' if by > 0 else 'after'}"
+    bad = Kept(MISTAKES[name][0](good))
+    repair = Repair(bad, examine(bad))
+    made = [frame for _, frame in repair.frames()]
+    repair.refuse_harm()
+    left = good[:-1] if by > 0 else good[1:]
+    assert [frame.time for frame in made] == [frame.time for frame in left]
+    assert [frame.reset for frame in made] == [True] + [False] * (len(left) - 1)
+    for frame, true in zip(made, left, strict=True):
+        assert all((getattr(frame, part) == getattr(true, part)).all() for part in ("color", "depth"))
+        assert frame.camera == true.camera
+
+
+@pytest.mark.parametrize("mistake", JITTERED)
+def test_jitter_is_repaired(mistake):
+    """Where color is antialiased all jitter goes, else it comes back."""
+    change, _ = JITTERED[mistake]
+    plain, jittered = good_frames()
+    bad = Kept(change(plain, jittered))
+    made = [frame for _, frame in Repair(bad, examine(bad)).frames()]
+    good = plain if "antialiased" in mistake or "alone" in mistake else jittered
+    for frame, true in zip(made[1:], good[1:], strict=True):
+        assert close(frame.motion, true.motion)
+    shifts = [(a.camera.cx - b.camera.cx, a.camera.cy - b.camera.cy) for a, b in zip(made, good, strict=True)]
+    assert np.ptp(shifts, axis=0).max() < 0.05
+
+
+def test_a_late_camera_is_repaired_on_disk(gffe, tmp_path):
+    bad = written(tmp_path / "in", Kept(MISTAKES["camera of the frame before"][0](good_frames()[0])))
+    code, text, _ = gffe("check", bad, "--fix", tmp_path / "out")
+    assert code == 1 and "it fits now" in text
+    made = open_sequence(tmp_path / "out").rendered
+    assert [entry.render_camera for entry in made] == [frame.camera for frame in good_frames()[0][:-1]]
+    code, _, _ = gffe("check", bad, "--fix", tmp_path / "other", "--except", "camera-one-frame-late")
+    assert (tmp_path / "other").exists() and code == 1
+
+
+def test_steady_motion_does_not_tell_late_cameras_from_a_missing_frame():
+    """... and nothing is claimed. The camera moves evenly: only the first frame does not fit."""
+    from doctor_clips import made_world
+    from synthetic import camera
+
+    frames, before = [], None
+    for k in range(8):
+        view = camera(W, H, (0.1 * k, 0, 0))
+        frames.append(made_world().frame(view, k / 30, W, H, before, reset=k == 0, samples=2))
+        before = view, k / 30
+    late = MISTAKES["camera of the frame before"][0](frames)
+    found = examine(Kept(late))
+    assert faults(found) == []
+    (doubt,) = [finding for finding in found.findings if finding.name == "misfit at the end"]
+    assert doubt.kind == "cannot tell" and "one frame late" in doubt.sentence
+    assert gffe_api.check(late).startswith("cannot tell whether the frames fit: why frame 1")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("scene", "seed"), [("gallery", 6), ("street", 5), ("factory", 5), ("courtyard", 6)])
+def test_no_mistake_has_a_wrong_name(scene, seed):
+    """Scenes that served for no threshold: a mistake is named rightly, or it cannot be told."""
+    loaded, size, device = load_scene(scene, seed), (240, 136), open_device()
+    both = [
+        list(SceneFrames(SceneRenderer(device, loaded, *size), jitter=jitter).sequence(9, FPS))
+        for jitter in (None, Jitter(8))
+    ]
+    wrong, named = {}, 0
+    for mistake, (change, fault) in TABLE.items():
+        found = faults(examine(Kept(change(*both), loaded.exposure), loaded.exposure))
+        named += found == [fault]
+        if found and found != [fault]:
+            wrong[mistake] = found
+    assert wrong == {} and named > 0.7 * len(TABLE)
