@@ -72,8 +72,8 @@ def view(
     window_size: Annotated[
         str | None,
         typer.Option(
-            help="Size of the viewer's window, pixels [dim](default: the last one; screenshots 1600x900, measuring"
-            " 1280x720)[/]."
+            help="Size of the viewer's window in logical pixels, which a scaled screen enlarges [dim](default: the last"
+            " one; screenshots 1600x900, measuring 1280x720)[/]."
         ),
     ] = None,
     screenshot: Annotated[

@@ -5,6 +5,7 @@ import os
 import time
 from dataclasses import replace
 from importlib.resources import files
+from types import SimpleNamespace
 
 import moderngl
 import numpy as np
@@ -15,13 +16,16 @@ from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.stages.buffers import Sizes, texel_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
+from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
 from gffe_cl.viewer.picture.invalid import RENDERED, SHOWN, bad_values
+from gffe_cl.viewer.picture.shown_numbers import numbers_of
 from gffe_cl.viewer.picture.textures import texels_of
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.shell.picture_frames import uncovered
@@ -274,6 +278,21 @@ def test_a_single_invalid_pixel_is_seen_in_a_small_picture(canvas):
     assert 4 <= len(at) <= 64 and np.abs(at.mean(0) + 0.5 - np.array((101, 77)) / 8).max() < 2
 
 
+@pytest.mark.parametrize("at", [(0, 0), (101, 77), (200, 300)])
+def test_a_mark_does_not_depend_on_means_of_bytes(canvas, at):
+    """At a sixtieth of the size the mean of a single one is less than half a level of a byte."""
+    size = (301, 201)
+    canvas.frame = FrameInfo(size, generated=True)
+    seen = np.zeros(size[::-1], bool)
+    seen[at] = True
+    with_masks(canvas, seen, seen)
+    canvas.upload("final", np.full(size[::-1], 0.5, np.float32), replace(SCALAR, name="final"))
+    made = drawn(canvas, View("final", Display(), center=(150.5, 100.5), zoom=1 / 60), (5, 4))
+    assert is_checkered(made).any()
+    near = drawn(canvas, View("final", Display(), center=(150.5, 100.5), zoom=1.0), size)
+    assert is_checkered(near)[at] and is_checkered(near).sum() <= 16
+
+
 def test_two_layers_with_nan_do_not_agree(canvas):
     image = np.full((8, 8, 3), 0.5, np.float16)
     image[2:4, 2:6] = np.nan
@@ -464,6 +483,93 @@ def test_difference(canvas, pair, gain):
         np.clip(np.abs(a - b) * gain, 0, 1),
         gain,
     )
+
+
+def contents_of(canvas, images):
+    """What numbers are made of, for layers on the canvas."""
+    return SimpleNamespace(image=images.get, spec=canvas.layers.get, frame_info=lambda of: canvas.frame)
+
+
+def numbers(canvas, view, images):
+    """(H, W, channels): the numbers of the whole picture."""
+    (found,) = numbers_of(view, contents_of(canvas, images), None)
+    rows, columns = (at.ravel() for at in np.mgrid[: found.grid.image.shape[0], : found.grid.image.shape[1]])
+    return found.of(rows, columns).reshape(*found.grid.image.shape[:2], -1)
+
+
+def test_difference_of_depth_is_of_its_values(canvas):
+    """Whatever colors both have: equal ones beyond the range of the color map would hide a difference."""
+    canvas.frame = FrameInfo((5, 1))
+    a, b = np.array([[10, 20, np.inf, np.inf, 90]], np.float32), np.array([[10, 25, np.inf, 7, 60]], np.float32)
+    canvas.upload("a", a, DEPTH)
+    canvas.upload("b", b, DEPTH)
+    display = Display(low=0.0, high=40.0, color_map="turbo")
+    view = View("a", display, "b", display, "difference", center=(2.5, 0.5), gain=4.0)
+    close(drawn(canvas, view, (5, 1))[0], mapped(np.array([0, 0.5, 0, 1, 1]), "heat"), 2)
+    signed = replace(view, difference="signed", gain=1.0)
+    close(drawn(canvas, signed, (5, 1))[0], mapped(np.array([0.5, 0.4375, 0.5, 1, 0.875]), "diverging"), 2)
+    shares = replace(view, difference="relative", gain=2.0)
+    close(drawn(canvas, shares, (5, 1))[0], mapped(np.array([0, 0.4, 0, 1, 2 / 3]), "heat"), 2)
+    images = {"a": a, "b": b}
+    np.testing.assert_allclose(numbers(canvas, view, images)[0, :, 0], (0, 5, 0, np.inf, 30))
+    np.testing.assert_allclose(numbers(canvas, signed, images)[0, :, 0], (0, -5, 0, np.inf, 30))
+    np.testing.assert_allclose(numbers(canvas, shares, images)[0, :, 0], (0, 0.2, 0, 1, 1 / 3))
+    masks = {name: np.array([[1, 2, 2, 3, 4]], np.uint8) - i for i, name in enumerate("ab")}
+    for name, labels in masks.items():
+        canvas.upload(name, labels, LABEL)
+    close(drawn(canvas, view, (5, 1)), 1)
+    assert (numbers(canvas, view, masks) == 1).all()
+
+
+def test_difference_of_motion_is_of_its_vectors(canvas):
+    canvas.frame = FrameInfo((3, 1))
+    a, b = np.array([[[3, 4], [8, 0], [0, 0]]], np.float32), np.array([[[0, 0], [8, 0], [0, -8]]], np.float32)
+    canvas.upload("a", a, MOTION)
+    canvas.upload("b", b, MOTION)
+    display = Display(motion_scale=20.0)
+    view = View("a", display, "b", display, "difference", center=(1.5, 0.5), gain=2.0)
+    close(drawn(canvas, view, (3, 1))[0], mapped(np.array([0.5, 0, 0.8]), "heat"), 2)
+    close(drawn(canvas, replace(view, difference="signed"), (3, 1))[0], wheel((a - b)[0], 10.0), 2)
+    assert numbers(canvas, view, {"a": a, "b": b})[0, :, 0].tolist() == [5, 0, 8]
+    assert numbers(canvas, replace(view, difference="signed"), {"a": a, "b": b})[0].tolist() == (a - b)[0].tolist()
+
+
+@pytest.mark.parametrize("tone_map", ["sRGB", "ACES", "linear"])
+def test_numbers_over_a_comparison_of_colors_are_what_is_shown(canvas, tone_map):
+    canvas.frame = FrameInfo((8, 6), exposure=0.5)
+    images = {name: RNG.uniform(0, 2, (6, 8, 3)).astype(np.float32) for name in "ab"}
+    for name, image in images.items():
+        canvas.upload(name, image, replace(COLOR, name=name))
+    display = Display(exposure=0.5, tone_map=tone_map)
+    view = View("a", display, "b", display, "difference", center=(4, 3), gain=2.0, grid=False)
+    close(drawn(canvas, view, (8, 6)), np.minimum(2 * numbers(canvas, view, images), 1), 2)
+    signed = replace(view, difference="signed")
+    close(drawn(canvas, signed, (8, 6)), mapped(0.5 + numbers(canvas, signed, images)[..., 0], "diverging"), 4)
+    shares = replace(view, difference="relative")
+    close(drawn(canvas, shares, (8, 6)), mapped(2 * numbers(canvas, shares, images)[..., 0], "heat"), 12)
+    for error in ("absolute", "squared"):
+        errors = replace(view, compare="error", error=error, error_high=0.5)
+        close(drawn(canvas, errors, (8, 6)), mapped(numbers(canvas, errors, images)[..., 0] / 0.5, "heat"), 6)
+
+
+def test_numbers_are_those_of_the_half_or_of_the_map(canvas):
+    images = {name: RNG.uniform(0, 1, (6, 8)).astype(np.float32) for name in ("a", "b")}
+    for name, image in images.items():
+        canvas.upload(name, image, replace(SCALAR, name=name))
+    view = View("a", Display(), "b", Display(), "split", split=0.3)
+    at = np.array([2]), np.array([3])
+    halves = numbers_of(view, contents_of(canvas, images), None)
+    assert [(half.part, float(half.of(*at)[0, 0])) for half in halves] == [
+        ((0.0, 0.3), float(images["a"][2, 3])),
+        ((0.3, 1.0), float(images["b"][2, 3])),
+    ]
+    held = replace(view, a="b", compare="off")
+    assert numbers(canvas, held, images)[2, 3, 0] == images["b"][2, 3]
+    flip = RNG.uniform(0, 1, (6, 8)).astype(np.float32)
+    (found,) = numbers_of(replace(view, a=flip_map.NAME, compare="off"), contents_of(canvas, images), flip)
+    assert float(found.of(*at)[0, 0]) == flip[2, 3]
+    canvas.upload("b", images["b"], replace(MASK, name="b"))
+    assert numbers_of(replace(view, compare="difference"), contents_of(canvas, images), None) == []
 
 
 def test_flip_shows_a(canvas, pair):
@@ -757,6 +863,20 @@ def test_layers_of_the_network_line_up_with_the_picture(canvas):
     for plane in range(2):
         image = drawn(canvas, View("n", Display(plane=plane, color_map="gray"), center=(30.5, 18.5)), size)
         close(image, np.repeat(texels[plane, y, x][..., None], 3, -1), 1.5)
+
+
+@pytest.mark.parametrize("grid", ["source", "target", "level2", "cells", "residuals", "target_blocks", "downsampled"])
+def test_a_texel_is_shown_where_its_pixels_are(canvas, grid):
+    """Also of an image whose sides are no multiple of the texels: the picture shows what inspection reads."""
+    size = (61, 37)
+    canvas.frame = FrameInfo(size)
+    wide, high = Sizes(size, size).of(grid)
+    texels = np.arange(wide * high, dtype=np.float32).reshape(high, wide) / (wide * high)
+    canvas.upload("n", texels, LayerSpec("n", "N", "g", "scalar", grid=grid))
+    y, x = np.mgrid[: size[1], : size[0]]
+    image = drawn(canvas, View("n", Display(color_map="gray"), center=(30.5, 18.5)), size)
+    side = texel_of(grid)
+    close(image, np.repeat(texels[y // side[1], x // side[0]][..., None], 3, -1), 1.5)
 
 
 def test_layers_of_a_pipeline(canvas, device, tmp_path):

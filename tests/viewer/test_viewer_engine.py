@@ -492,6 +492,20 @@ def test_the_newest_request_wins(device):
         assert engine.poll() is None and max(source.asked) == 2
 
 
+SOURCE_GRIDS = ("source", "source_blocks", "cells", "level0", "level1", "level2")
+
+
+def texels_under(x, y, sx, sy):
+    """The texel of each grid under display pixel (x, y), and under pixel (sx, sy) of the rendered image."""
+    places = {"target": (x, y), "source": (sx, sy), "downsampled": (x // 32, y // 32), **network_places(x, y)}
+    places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
+    return places | {
+        "target_blocks": (x // 8, y // 4),
+        "source_blocks": (sx // 8, sy // 4),
+        "cells": (sx // 8, sy // 8),
+    }
+
+
 def test_inspection_equals_the_whole_buffers(device, tmp_path):
     setup = Setup(replace(ALL, history=3, scn_model=constant_model(tmp_path / "m.onnx")), n=1)
     with running(device, Clip()) as engine:
@@ -506,23 +520,17 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
             assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
             sx, sy = np.floor(seen.source).astype(int)
-            places = {"target": (x, y), "source": (sx, sy)}
-            places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
-            places |= {"downsampled": (x // 32, y // 32), **network_places(x, y)}
-            places |= {
-                "target_blocks": (x // 8, y // 4),
-                "source_blocks": (sx // 8, sy // 4),
-                "cells": (sx // 8, sy // 8),
-            }
-            outside = not (0 <= sx < W and 0 <= sy < H)
+            here, origin = texels_under(x, y, x, y), texels_under(x, y, sx, sy)
+            inside = 0 <= sx < W and 0 <= sy < H
             for name, image in images.items():
-                spec = specs[name]
-                if outside and spec.grid in ("source", "source_blocks", "cells", "level0", "level1", "level2"):
-                    assert name not in seen.values
-                    continue
-                px, py = places[spec.grid]
-                expected = image[:, py, px] if spec.planes > 1 else image[py, px]
-                np.testing.assert_array_equal(seen.values[name], np.reshape(expected, seen.values[name].shape), name)
+                on_source = specs[name].grid in SOURCE_GRIDS
+                assert (name in seen.origin) == (on_source and inside), name
+                for values, places in ((seen.values, here), (seen.origin, origin)):
+                    if name in values:
+                        px, py = places[specs[name].grid]
+                        expected = image[:, py, px] if specs[name].planes > 1 else image[py, px]
+                        np.testing.assert_array_equal(values[name], np.reshape(expected, values[name].shape), name)
+                assert name in seen.values
         ask(engine, 13, setup, ("truth",))
         engine.inspect(3, 4, frozenset({"final", "truth"}))
         seen = wait_for(engine.poll_inspection)
@@ -531,7 +539,7 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
         ask(engine, 12, setup)
         engine.inspect(5, 6)
         seen = wait_for(engine.poll_inspection)
-        assert seen.source == (5.5, 6.5) and seen.slot == 12
+        assert seen.source == (5.5, 6.5) and seen.slot == 12 and not seen.origin
         np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
 
 
@@ -1059,6 +1067,33 @@ def test_stories_of_holes_and_of_the_background(device):
         assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
 
 
+def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device):
+    """The pixels that are named give the depth that is shown, and each stage before tells what it looked at."""
+    setup, checked = Setup(Options(levels=0)), 0
+    with running(device, Clip()) as engine:
+        images = ask(engine, 13, setup, ("frame.depth", "frame.dynamic", "final")).images
+        for story in stories(engine, setup, 13, lambda i: i["frame.filled_by"] == 255, 30):
+            (taken,) = (step for step in story.sentences if "The result is (" in step)
+            color = images["final"][story.pixel[1], story.pixel[0], :3]
+            assert f"The result is ({', '.join(f'{float(c):.3g}' for c in color)})." in taken
+            (movers,) = (step for step in story.sentences if "Hidden parts of movers left it" in step)
+            if movers.links[0].pixel is not None:
+                x, y = movers.links[0].pixel
+                assert images["frame.dynamic"][y, x] and f"({x}, {y})" in movers
+            if "took the mean of those" not in taken:
+                continue
+            (x, y), beside = story.pixel, [link.pixel for link in taken.links]
+            weights = [1 / np.hypot(px - x, py - y) for px, py in beside]
+            inverse = [1 / images["frame.depth"][py, px] for px, py in beside]
+            assert images["frame.depth"][y, x] == pytest.approx(1 / np.average(inverse, weights=weights), rel=1e-3)
+            checked += 1
+        assert checked > 5
+        remembering = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 255)
+        told = [step for story in remembering for step in story.sentences if "The background left it" in step]
+        assert len(told) == len(remembering)
+        assert any("nothing is remembered" in step or "none lands here" in step for step in told)
+
+
 class BarredClip(Clip):
     """A mover behind bars."""
 
@@ -1073,6 +1108,21 @@ def test_stories_of_hidden_parts(device):
         assert all(s.filled_by == "hidden part of a mover" and "with its motion" in s.sentences[0] for s in told)
         bars = [float(s.sentences[1].split("shows depth ")[1].split(" ")[0]) for s in told]
         assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
+
+
+def test_stories_of_parts_that_reappear(device):
+    """They lead to the mover in the frame before, and soft silhouettes are not named as the only cause."""
+    with running(device, BarredClip()) as engine:
+        told = stories(engine, Setup(n=3), 31, lambda i: i["frame.filled_by"] == 252)
+        before = ask(engine, 24, Setup(n=3), ("rendered.depth",)).images["rendered.depth"]
+        for story in told:
+            (step,) = (step for step in story.sentences if "So its color is that of frame 6 at (" in step)
+            x, y = step.links[0].pixel
+            met = float(step.rsplit(" ", 1)[1].rstrip("."))
+            around = before[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
+            assert (np.abs(around - met) <= 0.05 * met).any() and step.links[0].frame == 6
+            for sentence in (sentence for sentence in story.sentences if "Soft silhouettes" in sentence):
+                assert "The rest is what was filled in before: " in sentence
 
 
 def test_stories_of_corrected_pixels(device, tmp_path):

@@ -316,6 +316,13 @@ def test_the_survey_sums_up_its_regions():
     survey.close()
 
 
+def test_equal_settings_are_counted_once():
+    _, survey = surveyed()
+    survey.update(survey.a.setup, survey.a.setup, 1.0, True)
+    assert survey.progress == (8, 8)
+    survey.close()
+
+
 def test_what_is_measured_stays_known_and_waits_for_others():
     engine, survey = surveyed()
     before = engine.made

@@ -334,14 +334,19 @@ def test_color_maps_run_as_they_should():
         "viridis": ("440154", "fde725"),
         "gray": ("000000", "ffffff"),
         "heat": ("000000", "ffffff"),
+        "diverging": ("33ffff", "ffff33"),
     }
     for name in COLOR_MAPS:
         table = color_table(name)
         assert table.shape == (256, 3) and table.min() >= 0 and table.max() <= 1
         expected = [[byte / 255 for byte in bytes.fromhex(end)] for end in ends[name]]
         np.testing.assert_allclose(table[[0, -1]], expected, atol=0.13)  # the polynomials' error at turbo's ends
+        rises = np.diff(table @ (0.2126, 0.7152, 0.0722))
+        if name == "diverging":
+            assert (rises[:127] <= 1e-6).all() and table[127:129].max() < 0.01
+            rises = rises[128:]
         if name != "turbo":
-            assert (np.diff(table @ (0.2126, 0.7152, 0.0722)) >= -1e-6).all(), name
+            assert (rises >= -1e-6).all(), name
     np.testing.assert_allclose(color_table("viridis")[128], (0.128, 0.567, 0.551), atol=0.02)
 
 

@@ -812,7 +812,9 @@ def layers():
 def test_layers_as_exr(tmp_path):
     images, specs = layers()
     folder = tmp_path / "layers"
-    paths = save_layers_exr(folder, images, specs)
+    written = []
+    paths = save_layers_exr(folder, images, specs, on_layer=lambda: written.append(1))
+    assert len(written) == len(images), "each is counted"
     assert paths == [folder / f"{name}.exr" for name in images] and sorted(paths) == sorted(folder.iterdir())
 
     def read(name, channels, size=(7, 5)):

@@ -1,8 +1,11 @@
 """The viewer's model with its engine, without a window: what is asked for, and that nothing outdated is shown."""
 
 import json
+import os
+import shutil
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,18 +21,23 @@ from gffe_cl import OPTIONS, Options
 from gffe_cl.captures.doctor.findings import FAULT, NOTE, Finding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
+from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Option
 from gffe_cl.lab.fault_injection import broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.panels import status
 from gffe_cl.viewer.panels.doctor import offers_repair
+from gffe_cl.viewer.panels.inspector import rows_of
 from gffe_cl.viewer.panels.palette import stepped
+from gffe_cl.viewer.picture.legends import value_text
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
+from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.state.settings import Settings
 
 
@@ -62,6 +70,123 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     model.pointing.hover((7.5, 5.5))
     session.settle()
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
+
+
+def test_values_under_the_pointer_are_those_of_the_picture(session):
+    """In a generated frame layers on the rendered image have two: the one that is shown here, and the one where the
+    pixel's content comes from. Inspector and status bar give both, and say which is which."""
+    model = session.model
+    model.playback.seek(3)
+    model.show_layer("rendered.color")
+    session.settle()
+    image, spec = model.contents.image("rendered.color"), model.contents.spec("rendered.color")
+    for x, y in ((x, y) for y in range(tiny_sequence.H) for x in range(tiny_sequence.W)):
+        seen = inspected(session, x, y)
+        origin = seen.origin.get("rendered.color")
+        if origin is not None and origin.tobytes() != image[y, x].tobytes():
+            break
+    right, down = seen.source
+    assert seen.values["rendered.color"].tobytes() == image[y, x].tobytes()
+    assert origin.tobytes() == image[int(down), int(right)].tobytes()
+    here, there = (value_text(spec, values) for values in (image[y, x], origin))
+    assert status.parts(model)[-1] == f"({x}, {y})   {here}   from ({right:.1f}, {down:.1f})   {there}"
+    rows = [(row.label, row.where, row.value) for row in rows_of(model.contents.layers, seen)]
+    assert [row[1:] for row in rows if row[0] == "Rendered color"] == [("here", here), ("from", there)]
+    assert [row[1] for row in rows if row[0] == "Final"] == ["here"]
+
+
+def inspected(session, x, y):
+    """The values at a pixel."""
+    pointing = session.model.pointing
+    pointing.hover((x + 0.5, y + 0.5))
+    session.until(lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y))
+    return pointing.inspection
+
+
+def test_a_picture_of_another_slot_or_setting_is_not_current(session):
+    """While the next one is made, captions name what is still shown, and its values are not given for the next."""
+    model = session.model
+    model.playback.seek(3)
+    session.settle()
+    assert model.current and model.frame_text == "generated: frame 1 + 1/2"
+    seen = inspected(session, 3, 4)
+    assert model.shows(seen) and not model.shows(replace(seen, slot=2))
+    with session.engine_waiting():
+        model.playback.seek(1)
+        session.model.update(time.perf_counter(), session.canvas)
+        assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
+    session.settle()
+    assert model.current and not model.shows(seen)
+    model.playback.n = 3
+    assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
+    session.settle()
+    seen = inspected(session, 3, 4)
+    model.set("hole_filling", "none")
+    session.frame()
+    session.settle()
+    assert model.current and not model.shows(replace(seen, slot=model.slot))
+
+
+def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
+    """Its cached slots are not those of the opened one."""
+    model = session.model
+    session.until(lambda: model.filling.cached)
+    with session.engine_waiting():
+        model.opened(model.source)
+        assert model.filling.cached == frozenset()
+
+
+def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model, seen = session.model, set()
+    model.save(LayersWork)
+    work = model.export
+    session.until(lambda: seen.add((work.done, work.total)) or model.export is None)
+    assert work.done == work.total == len(list(work.path.iterdir())) > 5, seen
+
+
+def test_while_a_program_is_attached_to_that_is_told(session):
+    model = session.model
+    model.program = SimpleNamespace(name="game", close=lambda: None)
+    model.notice, model.engine.open_source = "", lambda make, serial: None
+    model.follow()
+    assert "game" in model.notice
+
+
+def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
+    """A failed reload of kernels or of the sequence, and frames on disk that are others now."""
+    shutil.copytree(kernel_folder(), tmp_path / "kernels")
+    monkeypatch.setenv("GFFE_KERNELS", str(tmp_path / "kernels"))
+    folder = tiny_sequence.write(tmp_path / "first")
+    session = Session(folder)
+    model, warp, description = session.model, tmp_path / "kernels" / "warp.cl", folder / "sequence.json"
+    try:
+        assert model.states == []
+        good, text = warp.read_text(), description.read_text()
+        warp.write_text(f"{good}\nnonsense")
+        session.until(lambda: model.states)
+        assert model.states == [f"kernels on disk do not build: build {model.recipe.kernels[:6]} is shown"]
+        model.playback.seek(3)
+        session.settle()
+        assert len(model.states) == 1, "another frame does not mend them"
+        warp.write_text(good)
+        session.until(lambda: not model.states)
+        description.write_text("{")
+        model.reload()
+        session.until(lambda: model.states)
+        model.playback.seek(1)
+        session.settle()
+        assert "could not be read again" in model.states[0] and "sequence.json" in model.states[0]
+        description.write_text(text)
+        model.reload()
+        session.until(lambda: not model.states)
+        os.utime(folder / "frame_1.exr", ns=(1, 1))
+        session.until(lambda: model.states)
+        assert model.states == ["files on disk have changed: Ctrl+R reads them again"]
+        model.reload()
+        session.until(lambda: not model.states)
+    finally:
+        model.close()
 
 
 def test_a_layer_is_never_compared_with_itself(session):

@@ -109,6 +109,7 @@ def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
     model.keep_as_b()
     model.comparison.set("difference")
     session.settle()
+    assert model.builds == ("", ""), "both are the same"
     before, builds = model.contents.image("final").copy(), model.engine.builds
     path = folder / "holes.cl"
     path.write_text(path.read_text().replace("store_color(mean.xyz,", "store_color(9.0f + mean.xyz,"))
@@ -117,6 +118,8 @@ def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
     assert model.engine.build_error is None, model.engine.build_error
     session.settle()
     np.testing.assert_array_equal(model.contents.image("B:final"), before)
+    a, b = (made.recipe.kernels[:6] for made in (model.contents.result, model.contents.second))
+    assert a != b and model.builds == (f"kernels {a}   ", f"kernels {b}   ")
     assert (model.contents.image("final") != before).any()
 
 

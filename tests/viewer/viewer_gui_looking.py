@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 from gffe_cl.engine.stages.buffers import lies_on_source, texel_of
+from gffe_cl.viewer.engine.buffers import moved
 from gffe_cl.viewer.panels import status
 
 CASES, case = collector()
@@ -184,9 +185,14 @@ def inspector(gui: Gui):
         )
         inspection, wrong, compared = model.pointing.inspection, [], []
         at_source = inspection.source and tuple(int(np.floor(c)) for c in inspection.source)
-        for name, value in inspection.values.items():
+        moment = model.contents.result.moment
+        below = moved((x + 0.5, y + 0.5), moment.display_camera, moment.render_camera)  # in the rendered image
+        below = tuple(int(np.floor(c)) for c in below)
+        on_source = {spec.name for spec in model.contents.layers if lies_on_source(spec.grid)}
+        both = [(name, value, below if name in on_source else (x, y)) for name, value in inspection.values.items()]
+        both += [(name, value, at_source) for name, value in inspection.origin.items()]
+        for name, value, px in both:
             spec, image = model.contents.spec(name), images[name]
-            px = at_source if lies_on_source(spec.grid) else (x, y)
             px = tuple(c // side for c, side in zip(px, texel_of(spec.grid), strict=True))
             here = np.ravel(image[:, px[1], px[0]] if spec.planes > 1 else image[px[1], px[0]])
             compared.append(name)

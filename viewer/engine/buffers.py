@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pyopencl as cl
@@ -13,6 +14,8 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
 from . import names
 from .layers import FRAME_BUFFERS, named_images
+
+_Key = TypeVar("_Key")
 
 
 @dataclass(frozen=True)
@@ -167,16 +170,38 @@ def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[flo
     return (float(at[0]), float(at[1])) if np.isfinite(at).all() else None
 
 
-def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np.ndarray]:
-    """Return the values (planes?, channels) of all device layers at display pixel (x, y); of rendered images and
-    background levels those where it comes from. Layers without a pixel there are left out."""
-    source_px, layers = source_position(pipeline, shot, x, y), device_layers(pipeline, shot)
-    places = {name: layer.place((x, y), source_px) for name, layer in layers.items()}
-    read = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name, at in places.items() if at})
-    return {name: array[0, 0, 0] if len(array) == 1 else array[:, 0, 0] for name, array in read.items()}
+class PixelValues(NamedTuple):
+    """Values (planes?, channels) by layer: of all layers `here`, at the display pixel; of layers on the rendered image
+    also at the pixel's `origin`, the position that its content comes from, where that is another one. Layers without a
+    pixel there are left out. `moving`: layers whose values at the origin are others."""
+
+    here: dict[str, np.ndarray]
+    origin: dict[str, np.ndarray]
+    moving: frozenset[str]
+
+    @property
+    def of_content(self) -> dict[str, np.ndarray]:
+        """The values that the pixel's content was made from."""
+        return {name: value for name, value in self.here.items() if name not in self.moving} | self.origin
 
 
-def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.ndarray]:
+def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> PixelValues:
+    """Return the values of all device layers at display pixel (x, y): those that the picture shows there, and those
+    that it was made from."""
+    moment, layers = shot.moment, device_layers(pipeline, shot)
+    shown = moved((x + 0.5, y + 0.5), moment.display_camera, moment.render_camera)
+    places = {("here", name): layer.place((x, y), shown) for name, layer in layers.items()}
+    moving = frozenset(name for name, layer in layers.items() if moment.alpha and lies_on_source(layer.spec.grid))
+    source_px = source_position(pipeline, shot, x, y) if moving else None
+    places |= {("origin", name): layers[name].place((x, y), source_px) for name in moving}
+    read = read_blocks(pipeline, {key: (layers[key[1]], *at, 1, 1) for key, at in places.items() if at})
+    values = PixelValues({}, {}, moving)
+    for (where, name), array in read.items():
+        getattr(values, where)[name] = array[0, 0, 0] if len(array) == 1 else array[:, 0, 0]
+    return values
+
+
+def read_blocks(pipeline: Pipeline, wanted: dict[_Key, tuple]) -> dict[_Key, np.ndarray]:
     """Return the values (planes, height, width, channels) of each block (layer, x, y, width, height), with one wait for
     all."""
     queue = pipeline.device.queue

@@ -219,9 +219,9 @@ class Engine(Exchange):
             return
         maker = self._maker("a") if request is None else self._holding(request)
         inspection = maker.inspect(x, y, layers)
-        if inspection is not None:
+        if inspection is not None and maker.last is not None:
             with self._news:
-                self._inspection = inspection
+                self._inspection = replace(inspection, recipe=self.recipe(maker.last.setup))
             self._notify()
 
     def _do_slot(self, request: Request) -> None:
@@ -278,11 +278,11 @@ class Engine(Exchange):
         return result
 
     def _noted(self, recipe: Recipe, result: Result) -> Result:
-        """Note the cuts that were found on the way to a slot, and return the slot."""
+        """Note the cuts that were found on the way to a slot, and return the slot with its recipe."""
         known = self.cuts.get(recipe, frozenset())
         if not result.cuts <= known:
             self.cuts[recipe] = known | result.cuts
-        return result
+        return replace(result, recipe=recipe)
 
     def _maker(self, role: str) -> SlotMaker | RemoteSlots:
         assert self.source is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -93,6 +93,8 @@ class Result:
         Of rendered frame k.
     buffers : tuple of str
         Properties of the engine's buffers that differ from our conventions.
+    recipe : Recipe or None
+        Everything that it was made from.
     """
 
     request: Request
@@ -109,6 +111,7 @@ class Result:
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
     buffers: tuple[str, ...] = ()
+    recipe: Recipe | None = None
 
     @property
     def milliseconds(self) -> dict[str, float]:
@@ -130,9 +133,10 @@ class EngineError:
 class Inspection:
     """Values of the slot last computed at display pixel `pixel`.
 
-    `values` are (planes?, channels) by layer: on grid "target" those of the pixel, on "source" and "level l" those of
-    `source`, the position in the rendered image (pixels) that the warp's motion points to. `fault`: why the pixel there
-    is invalid; empty if it is not.
+    `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
+    rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on that image;
+    of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source` is
+    invalid; empty if it is not. `recipe`: of the slot.
     """
 
     pixel: tuple[int, int]
@@ -141,6 +145,15 @@ class Inspection:
     values: dict[str, np.ndarray]
     story: Story
     fault: str = ""
+    origin: dict[str, np.ndarray] = field(default_factory=dict)
+    recipe: Recipe | None = None
+
+    def of(self, layers: frozenset[str] | None) -> Inspection:
+        """Return the same with the values of `layers` alone; None: of all."""
+        if layers is None:
+            return self
+        values, origin = ({name: of[name] for name in of if name in layers} for of in (self.values, self.origin))
+        return replace(self, values=values, origin=origin)
 
 
 class Closing(Exception):

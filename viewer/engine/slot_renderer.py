@@ -165,10 +165,8 @@ class SlotMaker:
         fault = fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
-            values[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
-        if layers is not None:
-            values = {name: value for name, value in values.items() if name in layers}
-        return Inspection((x, y), self.last.slot, story.source, values, story, fault)
+            values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
+        return Inspection((x, y), self.last.slot, story.source, values.here, story, fault, values.origin).of(layers)
 
 
 def weights_of(options: Options) -> str:

@@ -8,6 +8,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.lab.metrics import METRICS
 from ..picture import flip_map
+from ..picture.differences import DIFFERENCES
 from ..picture.legends import legend
 from ..picture.view import ERRORS
 from ..state.comparing import FLIP_HIGH
@@ -46,6 +47,7 @@ def draw(app: Interface) -> None:
     if view.compare == "split":
         widgets.slider("split", view.split, 0.0, 1.0, 0.5, lambda v: setattr(view, "split", v))
     if view.compare == "difference":
+        widgets.choice("difference", view.difference, list(DIFFERENCES), lambda name: setattr(view, "difference", name))
         widgets.slider("gain", view.gain, 1.0, 32.0, 4.0, lambda v: setattr(view, "gain", v), "%.1f×")
     if view.compare in ("error", "flip error"):
         _error_map(model)

@@ -12,21 +12,25 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..engine.explain.pixel_explain_types import Story
 from ..engine.layers import LayerSpec
+from ..engine.messages import Inspection
 from ..picture.invalid import bad_values
 from ..picture.legends import value_text
 from ..state.model import Model
 from . import widgets
 from .interface import Interface
 
+HERE, FROM = "here", "from"  # the pixel under the pointer, and where its content comes from
 _LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest of the line
 
 
 class Row(NamedTuple):
-    """A layer's value: `group` is its stage, `description` the layer's; `is_bad`: NaN or infinite."""
+    """A layer's value: `group` is its stage, `description` the layer's; `where`: HERE, FROM, or nothing where both are
+    one; `is_bad`: NaN or infinite."""
 
     group: str
     label: str
     description: str
+    where: str
     value: str
     is_color: bool
     is_bad: bool
@@ -37,7 +41,9 @@ def draw(app: Interface) -> None:
     if model.walk.can_go_back:
         widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
     if model.pointing.story is not None:
+        imgui.begin_disabled(model.pointing.story_due or not model.current)
         _story(model, model.pointing.story)
+        imgui.end_disabled()
     if model.selection.rectangle is not None:
         _rectangle(model, *model.selection.rectangle)
     _buffers(model)
@@ -46,13 +52,24 @@ def draw(app: Interface) -> None:
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
         return
+    stale = not (model.current and model.shows(inspection))
+    if stale:
+        imgui.text_disabled("computing … these values are of another frame or setting")
+    imgui.begin_disabled(stale)
+    _inspection(app, inspection)
+    imgui.end_disabled()
+
+
+def _inspection(app: Interface, inspection: Inspection) -> None:
+    """Draw the values of a pixel, under the positions that they are of."""
     x, y = inspection.pixel
-    at = f"pixel ({x}, {y})"
-    if inspection.source is not None:
-        at += f"   from ({inspection.source[0]:.2f}, {inspection.source[1]:.2f}) of the rendered frame"
-    imgui.text_wrapped(at)
+    imgui.text_wrapped(f"{HERE}: pixel ({x}, {y})")
+    if inspection.origin and inspection.source is not None:
+        right, down = inspection.source
+        imgui.text_wrapped(f"{FROM}: ({right:.2f}, {down:.2f}) of the rendered frame, where the warp's motion leads")
     if inspection.fault:
-        widgets.colored(widgets.RED, f"invalid in the input: {inspection.fault}")
+        told = f"invalid in the input, {FROM} where it comes" if inspection.origin else "invalid in the input"
+        widgets.colored(widgets.RED, f"{told}: {inspection.fault}")
     _values(app, inspection)
 
 
@@ -69,23 +86,27 @@ def _buffers(model: Model) -> None:
 def _values(app: Interface, inspection) -> None:
     """Draw a table for each stage, under its name: layers, and their values."""
     rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
-    names = _widest(row.label for row in rows)
+    names, where = (_widest(texts) for texts in zip(*((row.label, row.where) for row in rows), strict=True))
+    room -= where
     with widgets.compact():
         for group, of_group in groupby(rows, key=lambda row: row.group):
             imgui.text_disabled(group)
             listed = list(of_group)
             colors = _widest(row.value for row in listed if row.is_color)
-            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room))
+            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room), where)
 
 
 def _widest(texts: Iterable[str]) -> float:
     return max((imgui.calc_text_size(text).x for text in texts), default=0.0)
 
 
-def _table(group: str, rows: list[Row], names: float) -> None:
-    if not imgui.begin_table(f"###values {group}", 2, imgui.TableFlags_.row_bg.value):
+def _table(group: str, rows: list[Row], names: float, where: float) -> None:
+    """Draw the rows of a stage; `names` and `where` are widths of columns."""
+    if not imgui.begin_table(f"###values {group}", 2 + (where > 0), imgui.TableFlags_.row_bg.value):
         return
     imgui.table_setup_column("layer", imgui.TableColumnFlags_.width_fixed.value, names)
+    if where:
+        imgui.table_setup_column("where", imgui.TableColumnFlags_.width_fixed.value, where)
     imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch.value)
     for row in rows:
         imgui.table_next_row()
@@ -93,6 +114,9 @@ def _table(group: str, rows: list[Row], names: float) -> None:
         imgui.text(widgets.cut(row.label, names))
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
+        if where:
+            imgui.text_disabled(row.where)
+            imgui.table_next_column()
         text_color = widgets.RED if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
         widgets.colored(text_color, row.value)
     imgui.end_table()
@@ -102,13 +126,21 @@ def _rows(app: Interface, inspection) -> list[Row]:
     """Return the rows of an inspection, which are made once for it."""
     known, rows = app.inspected
     if known is not inspection:
-        rows = [
-            Row(spec.group, spec.label, spec.description, value_text(spec, inspection.values[spec.name]),
-                spec.view == "color", _is_bad(spec, inspection.values[spec.name]))
-            for spec in app.model.contents.layers
-            if spec.name in inspection.values
-        ]  # fmt: skip
+        rows = rows_of(app.model.contents.layers, inspection)
         app.inspected = inspection, rows
+    return rows
+
+
+def rows_of(layers: Iterable[LayerSpec], inspection: Inspection) -> list[Row]:
+    """Return the rows of an inspection in the order of `layers`: for each the value at the pixel; then, of layers on
+    the rendered image, the one where the pixel's content comes from."""
+    rows = []
+    for spec in layers:
+        named = ((HERE, inspection.values), (FROM, inspection.origin))
+        for where, values in ((where, values[spec.name]) for where, values in named if spec.name in values):
+            told = where if inspection.origin else ""
+            text, bad = value_text(spec, values), _is_bad(spec, values)
+            rows.append(Row(spec.group, spec.label, spec.description, told, text, spec.view == "color", bad))
     return rows
 
 

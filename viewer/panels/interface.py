@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -57,7 +58,16 @@ class Interface:
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._drawn: Any = None
+        self._current_at = -math.inf  # clock, when the picture was the requested one
         self._all_there = True  # when the overview was drawn
+
+    def stale_for(self, seconds: float) -> bool:
+        """Return whether the picture has not been the requested one for longer than that. Call once per frame of the
+        interface."""
+        model = self.model
+        if model.current or model.export is not None:
+            self._current_at = self.clock()
+        return self.clock() - self._current_at > seconds
 
     def drawn(self, view: View, size: tuple[int, int]) -> moderngl.Texture:
         """Return the texture of the canvas, redrawn only after a change."""

@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from ..engine import names
 from ..engine.sources.preview import Preview
 from ..picture.canvas import Rectangle
+from ..picture.shown_numbers import Numbers, numbers_of, texels
 from ..picture.view import View
 from ..state.captions import layer_text
 from ..state.model import Model
@@ -29,6 +30,8 @@ _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
+_GRAY = (0.3, 0.3, 0.32, 0.6)  # over a picture that is not the requested one ...
+_STILL_FRESH = 0.15  # ... for so many seconds: less would flicker
 
 
 def draw(app: Interface) -> None:
@@ -62,16 +65,19 @@ def draw(app: Interface) -> None:
     hovered = imgui.is_item_hovered()
     marks = imgui.get_window_draw_list()
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
+    stale = app.stale_for(_STILL_FRESH)
+    if stale:
+        marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
     if model.arrows:
         _arrows(model, place, marks)
-    marked = _numbers(model, place, marks)
+    marked = _numbers(model, view, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
     _rectangle(model, place, marks)
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
     covers += _bars(model, origin, width, height, marks)
-    if not (marked or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
+    if not (marked or stale or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
         app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
 
@@ -154,11 +160,11 @@ def _distance(a, b) -> float:
 
 def _arrows(model: Model, place, marks) -> None:
     """Draw the motion of the layer A at a grid of places."""
-    spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
-    if spec is None or image is None or spec.view != "motion":
+    grid = texels(model.view.a, model.looks.of(model.view.a), model.contents)
+    if grid is None or grid.spec.view != "motion":
         return
+    image, scale, start = grid.image, grid.scale, grid.start
     height, width = image.shape[:2]
-    scale, start = _texels(model, spec, image)
     step = max(_ARROW_SPACING / place.view.zoom, 1.0)
     (left, top), (right, bottom) = place.to_display(place.origin), place.to_display(
         ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])
@@ -166,7 +172,7 @@ def _arrows(model: Model, place, marks) -> None:
     xs = np.arange(max(left, 0) + step / 2, min(right, model.source.width), step)
     ys = np.arange(max(top, 0) + step / 2, min(bottom, model.source.height), step)
     color = imgui.get_color_u32((1.0, 1.0, 1.0, 0.9))
-    sign = -1.0 if model.looks.of(spec.name).reverse else 1.0
+    sign = -1.0 if grid.display.reverse else 1.0
     for y in ys:
         for x in xs:
             column, row = int((x - start[0]) / scale[0]), int((y - start[1]) / scale[1])
@@ -185,43 +191,39 @@ def _arrows(model: Model, place, marks) -> None:
                 marks.add_triangle_filled(end, *tips, color)
 
 
-def _texels(model: Model, spec, image) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the display pixels per texel of a layer's plane, and the position on the display where its first texel
-    begins."""
-    x0, y0, x1, y1 = model.contents.frame_info().area(spec)
-    wide, high = model.source.width / (x1 - x0), model.source.height / (y1 - y0)
-    return (wide / image.shape[1], high / image.shape[0]), (-x0 * wide, -y0 * high)
+def _numbers(model: Model, view: View, place, marks) -> bool:
+    """Write the numbers of the picture into its pixels, where these are large enough; return whether any are."""
+    shown = [_written(numbers, place, marks) for numbers in numbers_of(view, model.contents, model.comparison.flip_map)]
+    return any(shown)
 
 
-def _numbers(model: Model, place, marks) -> bool:
-    """Write values of the layer A into its pixels, where these are large enough; return whether they are."""
-    spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
-    if spec is None or image is None:
-        return False
-    display = model.looks.of(spec.name)
-    image = image[min(display.plane, spec.planes - 1)] if spec.planes > 1 else image
-    if display.channel in spec.components:
-        image = image.reshape(*image.shape[:2], -1)[..., spec.components.index(display.channel)]
-    height, width = image.shape[:2]
-    scale, start = _texels(model, spec, image)
-    lines = min(image[0, 0].size, _VALUES)
+def _written(numbers: Numbers, place, marks) -> bool:
+    """Write numbers into the pixels of their part of the picture, and return whether these are large enough."""
+    grid = numbers.grid
+    (height, width), scale, start = grid.image.shape[:2], grid.scale, grid.start
+    from_x, to_x = (place.origin.x + share * place.size[0] for share in numbers.part)
+    left, top = place.to_display(ImVec2(from_x, place.origin.y))
+    right, bottom = place.to_display(ImVec2(to_x, place.origin.y + place.size[1]))
+    whole = grid.frame.display_size
+    top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, whole[1])))
+    left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, whole[0])))
+    rows = np.arange(max(int(top), 0), min(math.ceil(bottom), height))
+    columns = np.arange(max(int(left), 0), min(math.ceil(right), width))
     wide, high = (along * place.view.zoom for along in scale)
+    lines = min(numbers.of(np.zeros(1, int), np.zeros(1, int)).shape[1], _VALUES)
     size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
-    if size < _LEAST_LETTERS * widgets.mark_unit():
+    if size < _LEAST_LETTERS * widgets.mark_unit() or not (len(rows) and len(columns)):
         return False
-    left, top = place.to_display(place.origin)
-    right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
-    top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, model.source.height)))
-    left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, model.source.width)))
     ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
     font, letters, edge = imgui.get_font(), int((wide / size - 0.3) / _LETTER), 0.15 * size
-    for row in range(max(int(top), 0), min(math.ceil(bottom), height)):
-        for column in range(max(int(left), 0), min(math.ceil(right), width)):
-            values = np.ravel(image[row, column])[:_VALUES]
-            text = "\n".join(short(float(value), letters) for value in values)
-            at = place.to_screen(column * scale[0] + start[0], row * scale[1] + start[1])
-            for offset, color in ((1, shade), (0, ink)):
-                marks.add_text(font, size, ImVec2(at.x + edge + offset, at.y + edge + offset), color, text)
+    marks.push_clip_rect(ImVec2(from_x, place.origin.y), ImVec2(to_x, place.origin.y + place.size[1]), True)
+    grid_rows, grid_columns = (at.ravel() for at in np.meshgrid(rows, columns, indexing="ij"))
+    for row, column, values in zip(grid_rows, grid_columns, numbers.of(grid_rows, grid_columns), strict=True):
+        text = "\n".join(short(float(value), letters) for value in values[:_VALUES])
+        at = place.to_screen(column * scale[0] + start[0], row * scale[1] + start[1])
+        for offset, color in ((1, shade), (0, ink)):
+            marks.add_text(font, size, ImVec2(at.x + edge + offset, at.y + edge + offset), color, text)
+    marks.pop_clip_rect()
     return True
 
 
@@ -303,8 +305,12 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     elif model.comparison.flipped and view.b:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
-        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
-        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
+        first = model.contents.result
+        settings = f"{told(first.request.setup)}   " if model.comparison.by_settings and first is not None else ""
+        builds = model.builds
+        texts = (
+            f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}"
+        )  # fmt: skip
         a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
         label(a, 10, 8)
         label(b, width - 10, 8, right=True)
@@ -315,12 +321,18 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
-    if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):
-        state = "computing …"
+    if not (model.comparison.ready and model.current) or (
+        model.engine.busy and not (model.playback.playing or model.follows)
+    ):
+        state = "computing …" if model.failure is None or model.engine.busy else f"not this frame: {model.failure}"
     if state:
         state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
         label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
+    for number, state in enumerate(model.states):
+        text = widgets.cut(state, width - 24)
+        if height > (6 + number) * line:
+            label(text, (width - imgui.calc_text_size(text).x) / 2, (1.6 + 1.2 * number) * line)
     return covers
 
 

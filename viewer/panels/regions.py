@@ -15,7 +15,7 @@ from .interface import Interface
 def draw(app: Interface) -> None:
     model = app.model
     if model.source is None:
-        imgui.text_disabled("Open a sequence or a scene")
+        imgui.text_disabled(model.notice or "Open a sequence or a scene")
         return
     regions = model.regions
     reason = regions.why_not()
@@ -30,7 +30,10 @@ def draw(app: Interface) -> None:
     elif reason:
         widgets.hint(f"This frame: {reason}")
     elif regions.map is not None:
-        _table(regions, "frame", "this frame" + ("" if regions.ready else " …"), regions.map.a, regions.map.b)
+        stale = not (regions.ready and model.current)
+        imgui.begin_disabled(stale)
+        _table(regions, "frame", "this frame" + (" …" if stale else ""), regions.map.a, regions.map.b)
+        imgui.end_disabled()
     whole, count = model.survey.parts()
     if "A" in whole:
         of = f"{count} frame{'s' * (count != 1)}" + " of both" * ("B" in whole)

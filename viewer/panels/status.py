@@ -7,7 +7,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.opencl.program import first_error
 from ..picture.legends import value_text
-from ..state.model import Model
+from ..state.model import BUILD_LETTERS, Model
 from . import widgets
 from .interface import Interface
 
@@ -73,14 +73,25 @@ def parts(model: Model) -> list[str]:
     if model.contents.result is not None:
         kept = "from the cache, " if model.from_cache else ""
         took = f"{model.contents.result.wall_ms:.0f} ms"
-        told.append(f"frame after {took}" if model.follows else f"{kept}computed in {took}")
+        told.append(f"frame after {took}" if model.follows else f"{kept}computed in {took}{_build(model)}")
     return [*told, *model.warnings, *_under_pointer(model)]
+
+
+def _build(model: Model) -> str:
+    """Return which of several builds of the kernels made the picture; empty while there was one only."""
+    recipe = model.contents.result.recipe if model.contents.result is not None else None
+    return f" with kernels {recipe.kernels[:BUILD_LETTERS]}" if recipe is not None and model.engine.builds > 1 else ""
 
 
 def _under_pointer(model: Model) -> list[str]:
     """Return the value of the displayed layer under the pointer, in words; an empty list without one."""
     inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
-    if inspection is None or spec is None or spec.name not in inspection.values:
+    if inspection is None or not model.shows(inspection) or spec is None or spec.name not in inspection.values:
         return []
     x, y = inspection.pixel
-    return [f"({x}, {y})   {value_text(spec, inspection.values[spec.name])}"]
+    side = "A  " if model.view.compare != "off" else ""
+    told = f"({x}, {y})   {side}{value_text(spec, inspection.values[spec.name])}"
+    if inspection.source is not None and spec.name in inspection.origin:
+        right, down = inspection.source
+        told += f"   from ({right:.1f}, {down:.1f})   {value_text(spec, inspection.origin[spec.name])}"
+    return [told]

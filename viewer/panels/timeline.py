@@ -27,7 +27,7 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 def draw(app: Interface) -> None:
     model = app.model
     if model.source is None:
-        imgui.text_disabled("Open a sequence or a scene")
+        imgui.text_disabled(model.notice or "Open a sequence or a scene")
         return
     if model.follows:
         _following(app)

@@ -19,7 +19,7 @@ from gffe_cl.engine.stages.buffers import lies_on_source
 from gffe_cl.engine.stages.frame_block import reprojection
 from ..engine import names
 from ..engine.layers import VIEWS, LayerSpec
-from . import colors, invalid
+from . import colors, differences, invalid
 from .colors import Rgb
 from .displays import TONE_MAPS, Display, FrameInfo, shown_as
 from .textures import PixelBuffers, Texture, texels_of
@@ -128,6 +128,8 @@ class Canvas:
         buffer.write(texels)
         layer.texels.write(buffer, alignment=1)
         layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
+        layer.host = texels if name in invalid.MASKS else None
+        layer.drop_reduced()
 
     @property
     def layers(self) -> dict[str, LayerSpec]:
@@ -139,7 +141,7 @@ class Canvas:
         for name in layers:
             layer = self._layers.pop(name, None)
             if layer:
-                layer.texels.release()
+                layer.release()
 
     def release(self) -> None:
         """Release everything; the canvas must not be used any more."""
@@ -149,7 +151,7 @@ class Canvas:
             _release(framebuffer)
         for program in self._programs.values():
             program.release()
-        self._nothing.texture.texels.release()
+        self._nothing.texture.release()
         self._color_maps.release()
         self._targets, self._programs = {}, {}
 
@@ -280,10 +282,10 @@ class Canvas:
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
         regions = self._layers.get(view.overlay) if view.overlay in _LABELED else None
         level = max(math.ceil(math.log2(_MARK / max(view.zoom, 1e-6))), 0)
-        for mask in filter(None, masks):
-            level = min(level, int(math.log2(max(mask.size))))
-            mask.have_mipmaps(level)
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions, *masks)):
+        for index, mask in enumerate(masks):
+            program.set(f"layer[{index}].", {"mask_size": mask.size if mask else (1, 1)})
+        largest = [mask and mask.largest(level) for mask in masks]
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions, *largest)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
@@ -293,7 +295,8 @@ class Canvas:
             "size": size,
             "bottom_up": bottom_up,
             "grid_contrast": contrast,
-            "difference_gain": view.gain,
+            "difference": differences.DIFFERENCES.index(view.difference),
+            "difference_high": self._difference_high(view, layers),
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
             "residual_scale": max(view.residual_scale, 1e-6),
@@ -303,6 +306,17 @@ class Canvas:
         }
         program.set("", values)
         return program
+
+    def _difference_high(self, view: View, layers: Sequence[tuple[str | None, Display | None]]) -> float:
+        """Return the difference between two layers that has full color."""
+        sides = []
+        for name, display in layers:
+            layer = self._layers.get(name) if name is not None else None
+            if layer is not None and layer.spec is not None and display is not None:
+                sides.append((layer.spec, display))
+        if len(sides) < 2:
+            return 1.0
+        return differences.full_scale(differences.compared_as(*sides), view.difference, view.gain, sides[0][1])
 
     def _grid_contrast(self, view: View, shown: _Shown) -> float:
         """Return the contrast of the lines between pixels; 0: there are none."""

@@ -8,7 +8,8 @@ import numpy as np
 
 from ..engine.layers import LayerSpec
 
-COLOR_MAPS = ("turbo", "viridis", "gray", "heat")  # "heat" is for errors
+# "heat" is for errors, "diverging" for signed differences: blue below the middle, which is dark, and red above it
+COLOR_MAPS = ("turbo", "viridis", "gray", "heat", "diverging")
 
 Rgb = tuple[float, float, float]
 
@@ -39,6 +40,9 @@ def color_table(name: str) -> np.ndarray:
         rgb = np.repeat(t, 3, 1)
     elif name == "heat":
         rgb = 3 * t - (0, 1, 2)
+    elif name == "diverging":
+        sign, size = np.sign(2 * t - 1), abs(2 * t - 1)
+        rgb = np.where(sign > 0, 1.6 * size - (0, 0.6, 1.4), 1.6 * size - (1.4, 0.6, 0))
     else:
         rgb = np.polynomial.polynomial.polyval(t[:, 0], np.transpose(_POLYNOMIALS[name])).T
     return np.clip(rgb, 0, 1).astype(np.float32)

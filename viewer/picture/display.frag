@@ -7,7 +7,8 @@
    (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP; and COMPARE, OVERLAY,
    GRID (1: there are lines between pixels), MARKED (1: pixels of the input are invalid). All else is uniforms. */
 
-/* Order of VIEWS (layers.py), TONE_MAPS (displays.py), COLOR_MAPS (colors.py), COMPARISONS and OVERLAYS (view.py). */
+/* Order of VIEWS (layers.py), TONE_MAPS (displays.py), COLOR_MAPS (colors.py), COMPARISONS and OVERLAYS (view.py),
+   DIFFERENCES (differences.py). */
 #define COLOR 0
 #define DEPTH 1
 #define MOTION 2
@@ -20,9 +21,13 @@
 #define TONE_ACES 2
 #define TONE_LINEAR 3
 #define MAP_HEAT 3
-#define MAPS 4
+#define MAP_DIVERGING 4
+#define MAPS 5
 #define DIFFERENCE 2
 #define ERROR 4
+#define ABSOLUTE 0
+#define SIGNED 1
+#define RELATIVE 2
 #define EDGES 1
 #define RESIDUAL 2
 #define REGIONS 3
@@ -49,13 +54,14 @@ struct Layer {
     float motion_scale;   /* negative: reversed */
     vec3 tint;
     int label_flip;       /* 15: the usual label is 15, not 0 */
-    vec4 mask_area;       /* as `area`, of the mask of invalid pixels */
+    vec4 mask_area;       /* as `area`, of the mask of invalid pixels ... */
+    ivec2 mask_size;      /* ... and its pixels */
 };
 
 uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
 uniform sampler2DArray mask_a, mask_b;  /* invalid pixels of the input */
-uniform int mark_level;         /* of their mipmaps, which make single pixels as large as can be seen */
+uniform int mark_level;         /* a texel is the largest of 2^mark_level squared pixels, so that single ones are seen */
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_center;
@@ -66,7 +72,8 @@ uniform vec2 center, display_size;
 uniform float zoom;
 uniform vec3 background;
 uniform float grid_contrast;
-uniform float difference_gain, error_high;
+uniform int difference;         /* ABSOLUTE, SIGNED or RELATIVE */
+uniform float difference_high, error_high;
 uniform bool error_squared;
 
 uniform bool has_depth, has_motion, has_color, has_source, has_previous;
@@ -224,10 +231,40 @@ bool holds_bad(const int i, const vec2 uv) {
     return v.w != 0.0 && is_bad(v.xyz) && !(view_of(i) == DEPTH && is_sky(v.x));
 }
 
+float mean_of(const vec3 c) { return (c.x + c.y + c.z) / 3.0; }
+
+vec3 diverging(const float difference_of) {
+    return mapped(0.5 + 0.5 * difference_of / difference_high, MAP_DIVERGING);
+}
+
+/* A share of the larger of both values; all of it where they are infinite. */
+vec3 relative(const float size, const float whole) {
+    float share = size == 0.0 ? 0.0 : is_bad(size) || is_bad(whole) ? 1.0 : size / whole;
+    return mapped(share / difference_high, MAP_HEAT);
+}
+
+/* A - B of displayed colors, where one is color or they differ in kind; each channel by itself if absolute. */
+vec3 color_difference(const vec2 uv) {
+    vec3 a = show(0, uv), b = show(1, uv), d = a - b;
+    if (difference == SIGNED) return diverging(mean_of(d));
+    if (difference == RELATIVE) return relative(mean_of(abs(d)), max(mean_of(a), mean_of(b)));
+    return abs(d) / difference_high;
+}
+
+/* A - B of values: of vectors their length, or with SIGNED their direction. */
 vec3 show_difference(const vec2 uv) {
     if (!covers(0, uv) || !covers(1, uv)) return background;
     if (holds_bad(0, uv) || holds_bad(1, uv)) return checker();
-    return abs(show(0, uv) - show(1, uv)) * difference_gain;
+    if (VIEW_A == COLOR || VIEW_A != VIEW_B) return color_difference(uv);
+    vec4 a = vector_of(0, uv_of(0, uv), load(0, uv_of(0, uv))), b = vector_of(1, uv_of(1, uv), load(1, uv_of(1, uv)));
+    if (a.w == 0.0 || b.w == 0.0) return hatch();
+    if (VIEW_A == LABEL || VIEW_A == MASK) return mapped(a == b ? 0.0 : 1.0, MAP_HEAT);
+    vec3 d = a == b ? vec3(0.0) : a.xyz - b.xyz;  /* 0 between infinite depths */
+    if (difference == SIGNED && (VIEW_A == MOTION || VIEW_A == PLACE)) return wheel(d.xy, difference_high);
+    if (difference == SIGNED && VIEW_A != WORLD) return diverging(clamp(d.x, -1e18, 1e18));
+    float size = length(d);
+    if (difference == RELATIVE) return relative(size, max(length(a.xyz), length(b.xyz)));
+    return mapped(min(size, 1e18) / difference_high, MAP_HEAT);
 }
 
 /* Error between both layers: of display values where they are color or differ in kind, of the values elsewhere. */
@@ -314,7 +351,7 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
 /* Whether layer i shows an invalid pixel of the input. */
 bool marked(sampler2DArray mask, const int i, const vec2 uv) {
     vec2 at = mix(layer[i].mask_area.xy, layer[i].mask_area.zw, uv);
-    return inside(at) && texelFetch(mask, ivec3(texel_at(at, textureSize(mask, mark_level).xy), 0), mark_level).r > 0.0;
+    return inside(at) && texelFetch(mask, ivec3(texel_at(at, layer[i].mask_size) >> mark_level, 0), 0).r > 0.0;
 }
 
 vec3 with_grid(const vec3 c, const vec2 uv) {

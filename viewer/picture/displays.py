@@ -20,6 +20,8 @@ TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")
 _SAMPLES = 65536
 _FEW = 8  # different values: a code, such as the input mask, whose rare values are as good as the others
 
+_NOT_LAID = ("tiles", "cut_samples", "levels")  # grids that are not laid over an image
+
 Area = tuple[float, float, float, float]  # x0, y0, x1, y1
 
 
@@ -115,8 +117,10 @@ class FrameInfo:
         return self.generated and spec.name in (names.TRUTH, names.FOCUS_TRUTH)
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
+        """Return the part of a layer that covers the display, in fractions of its sides. Where texels cover several
+        pixels, the last ones may reach beyond the image."""
         area = self.source_area if lies_on_source(spec.grid) else self.target_area
-        if not spec.grid.startswith(("network", "downsampled", "source_blocks", "target_blocks")):
+        if spec.grid.startswith(_NOT_LAID):
             return area
         image = (self.render_size if lies_on_source(spec.grid) else self.target_size) or self.display_size
         texels = Sizes(image, image).of(spec.grid)

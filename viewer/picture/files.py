@@ -54,9 +54,11 @@ def save_layers_exr(
     images: Mapping[str, np.ndarray],
     specs: Mapping[str, LayerSpec],
     cancelled: Callable[[], bool] = lambda: False,
+    on_layer: Callable[[], None] = lambda: None,
 ) -> list[Path]:
     """Write each layer to `folder`/<layer>.exr, its channels named after its components ("Y" for a single one, "1.x" …
     for planes), float16 or float32. Returns the paths, none if `cancelled`, called before each layer, returned true.
+    `on_layer` is called after each.
 
     `folder` is made if only it is missing. Then, and when GffeError is raised, no file has been added or changed.
     """
@@ -69,7 +71,7 @@ def save_layers_exr(
             folder.mkdir()
         written = []
         try:
-            written = _write_all(folder, images, specs, cancelled)
+            written = _write_all(folder, images, specs, cancelled, on_layer)
         finally:
             if made and not written:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -151,7 +153,7 @@ class _Feed:
             raise self.fault
 
 
-def _write_all(folder: Path, images, specs, cancelled) -> list[Path]:
+def _write_all(folder: Path, images, specs, cancelled, on_layer) -> list[Path]:
     """Write all layers, and return their paths, none if cancelled. All are whole in a folder of their own before the
     first one gets its name."""
     with tempfile.TemporaryDirectory(prefix=".layers.", dir=folder, ignore_cleanup_errors=True) as staging:
@@ -159,6 +161,7 @@ def _write_all(folder: Path, images, specs, cancelled) -> list[Path]:
             if cancelled():
                 return []
             write_channels(Path(staging) / f"{name}.exr", _channels(specs[name], np.asarray(image)))
+            on_layer()
         for name in images:
             os.replace(Path(staging) / f"{name}.exr", folder / f"{name}.exr")
     return [folder / f"{name}.exr" for name in images]

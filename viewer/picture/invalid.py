@@ -14,7 +14,7 @@ from .displays import FrameInfo
 from .latest import Latest
 from .view import View
 
-RENDERED, SHOWN = "invalid rendered", "invalid shown"  # masks on the canvas
+MASKS = RENDERED, SHOWN = "invalid rendered", "invalid shown"  # on the canvas
 _SPECS = {
     name: LayerSpec(name, "Invalid pixels", "input", "mask", grid=grid)
     for name, grid in ((RENDERED, "source"), (SHOWN, "target"))

@@ -22,7 +22,8 @@ class View:
     ----------
     a, b : names of layers; one that is not uploaded shows the background
     compare : "off" and "flip" show a; "split" a left of `split` (fraction of the canvas' width) and b right of it;
-        "difference" |a − b| of display values times `gain`; "error" an error map, `error` of ERRORS up to `error_high`
+        "difference" a − b, as `difference` of DIFFERENCES, times `gain`; "error" an error map, `error` of ERRORS up to
+        `error_high`
     zoom : screen pixels per display pixel
     center : display pixel (x, y) in the middle of the canvas
     overlay : one of OVERLAYS, over whatever is compared; residual motion has full color at `residual_scale` pixels;
@@ -43,6 +44,7 @@ class View:
     overlay: str = "none"
     background: Rgb = (0.11, 0.11, 0.12)
     gain: float = 4.0
+    difference: str = "absolute"
     error: str = "absolute"
     error_high: float = 0.1
     residual_scale: float = 4.0

@@ -13,6 +13,7 @@ from gffe_cl.engine.options import Option
 from ..engine.slot_metrics import QUANTITIES, REGIONS
 from ..state import saving
 from ..state.actions import Action
+from ..state.comparing import FORMULAS
 from ..state.model import Model
 from ..state.parameters import ALL
 from ..state.presets import Kept
@@ -186,6 +187,10 @@ def _comparing(app: App, add, opened) -> None:
         add(f"compare_{way}", text, "Compare", key, partial(model.comparison.toggle, way),
             lambda way=way: opened() or model.comparison.why_not(way),
             checked=lambda way=way: model.view.compare == way)  # fmt: skip
+    for how, text in FORMULAS.items():
+        add(f"difference_{how}", f"Difference as {text}", "Compare", "", partial(model.comparison.subtract, how),
+            lambda: opened() or model.comparison.why_not("difference"),
+            checked=lambda how=how: model.view.difference == how)  # fmt: skip
     add("truth", "Show ground truth", "Compare", "T", model.comparison.toggle_truth,
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
 

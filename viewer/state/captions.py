@@ -8,9 +8,10 @@ from ..engine import names
 from ..engine.buffers import Moment
 from ..engine.layers import LayerSpec
 from ..engine.slot_metrics import REGIONS
-from ..picture import disocclusions, flip_map
-from ..picture.colors import LABEL_COLORS, Rgb
+from ..picture import differences, disocclusions, flip_map
+from ..picture.colors import LABEL_COLORS, Rgb, color_table
 from ..picture.current_frame import Contents
+from ..picture.differences import Side
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.legend_strip import Entry
@@ -75,25 +76,49 @@ def entries_of(view: View, contents: Contents, looks: Looks, comparison: Compari
         return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
     if view.compare in ("error", "flip error"):
         display = comparison.error_display
-        shown = replace(legend(flip_map.SPEC, display), unit=_error_unit(view, contents))
+        shown = replace(legend(flip_map.SPEC, display), unit=_error_unit(view, contents, looks))
         return [Entry(comparison.scale_text(), shown, display.color_map), *_overlay(view)]
     if view.compare == "difference":
-        return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
+        return [*_difference(view, contents, looks, comparison), *_overlay(view)]
     if view.compare == "split" and view.b and names.plain(view.b) != view.a:
         sides = _layer(view.a, contents, looks, "A  ") + _layer(view.b, contents, looks, "B  ")
         return [*sides, *_overlay(view)]
     return [*_layer(view.a, contents, looks), *_overlay(view)]
 
 
-def _error_unit(view: View, contents: Contents) -> str:
+def _sides(view: View, contents: Contents, looks: Looks) -> tuple[Side, Side] | None:
+    """Return the layers that are compared, with their displays; None if one is missing."""
+    a, b = contents.spec(view.a), contents.spec(view.b)
+    return None if a is None or b is None or view.b is None else ((a, looks.of(view.a)), (b, looks.of(view.b)))
+
+
+def _error_unit(view: View, contents: Contents, looks: Looks) -> str:
     """Return the unit of the error map's numbers."""
+    sides = _sides(view, contents, looks)
     if view.compare == "flip error":
         return "FLIP, 0 to 1"
-    a, b = (contents.spec(name) for name in (view.a, view.b))
-    of_values = a is not None and b is not None and a.view == b.view != "color"
-    unit = {"depth": "world units", "world": "world units", "motion": "px", "place": "px"}.get(a.view, "") if a else ""
-    unit = unit if of_values else "of display values"
+    unit = differences.unit_of(*sides) if sides else ""
     return f"{unit}, squared" if view.error == "squared" and unit else unit
+
+
+def _difference(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
+    """Return the legend of a difference: a color bar, or a wheel of directions."""
+    sides, title = _sides(view, contents, looks), comparison.scale_text()
+    if sides is None:
+        return [Entry(title, Legend("none"))]
+    kind, how = differences.compared_as(*sides), view.difference
+    high, unit = differences.full_scale(kind, how, view.gain, sides[0][1]), differences.unit_of(*sides, how)
+    if kind in ("label", "mask"):
+        ends = color_table("heat")
+        labels = (("equal", tuple(ends[0].tolist())), ("different", tuple(ends[-1].tolist())))
+        return [Entry(title, Legend("none", labels=labels))]
+    if differences.has_direction(kind, how):
+        return [Entry(title, legend(_MOTION, Display(motion_scale=high)))]
+    color_map = "diverging" if how == "signed" and kind != "world" else "heat"
+    if how == "absolute" and kind == differences.COLOR:
+        color_map = "gray"
+    display = Display(low=-high if color_map == "diverging" else 0.0, high=high, color_map=color_map)
+    return [Entry(title, replace(legend(flip_map.SPEC, display), unit=unit), color_map)]
 
 
 def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:

@@ -6,12 +6,15 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from gffe_cl.lab.metrics import METRICS
 from ..engine import names
 from ..engine.engine import Engine
 from ..engine.messages import Metrics, Recipe, Result
 from ..picture import flip_map
 from ..picture.current_frame import Contents
+from ..picture.differences import DIFFERENCES
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.view import ERRORS, View
@@ -46,6 +49,7 @@ class Scores:
         self._known.clear()
 
 
+FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
 FLIP_HIGH = 0.5
 _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}  # of a view, with their ranges
@@ -60,6 +64,7 @@ class Comparison:
         self.same_settings = False  # B's settings are A's
         self.flipped = False  # B is shown as long as a key is held
         self.flip_high = FLIP_HIGH
+        self.flip_map: np.ndarray | None = None  # of FLIP errors, as it is shown
         self._nothing = False  # A or B does not exist for this frame
         self._flip_missing = METRICS["flip"].missing()
         self._maps = flip_map.FlipMaps()
@@ -124,6 +129,11 @@ class Comparison:
     def toggle(self, way: str) -> None:
         self.set("off" if self._view.compare == way else way)
 
+    def subtract(self, how: str) -> None:
+        """Show the difference of A and B as `how`, one of DIFFERENCES."""
+        self._view.difference = how
+        self.set("difference")
+
     def flip(self, down: bool) -> None:
         """Show B instead of A as long as the key is held; from then on B is read back with A."""
         if down and self._view.compare == "off":
@@ -178,7 +188,7 @@ class Comparison:
         if self.flipped or view.compare not in ("difference", "error", "flip error"):
             return ""
         if view.compare == "difference":
-            return f"|A − B| × {view.gain:g}"
+            return f"{FORMULAS[view.difference]} × {view.gain:g}"
         kind = "FLIP error" if view.compare == "flip error" else f"{view.error} error"
         return f"{kind}, brightest from {self.brightest:.3g}"
 
@@ -202,12 +212,16 @@ class Comparison:
         except Exception as error:  # whatever a binary package throws
             view.compare = "off"
             return f"FLIP failed: {error}"
-        if made is not None and canvas is not None:
-            canvas.upload(flip_map.NAME, made, flip_map.SPEC)
+        if made is not None:
+            self.flip_map = made
+            if canvas is not None:
+                canvas.upload(flip_map.NAME, made, flip_map.SPEC)
         a, b = contents.image(view.a), contents.image(view.b)
         self._nothing = (a is None or b is None) and {view.a, view.b} <= contents.asked
-        if self._nothing and canvas is not None:
-            canvas.forget([flip_map.NAME])
+        if self._nothing:
+            self.flip_map = None
+            if canvas is not None:
+                canvas.forget([flip_map.NAME])
         if a is None or b is None:
             return None
         if a.shape != b.shape:
@@ -226,13 +240,13 @@ class Comparison:
 
     def preferences(self) -> dict[str, Any]:
         """Return the choices to remember, as plain JSON."""
-        saved = {name: getattr(self._view, name) for name in ("compare", "b", "error", *_NUMBERS)}
+        saved = {name: getattr(self._view, name) for name in ("compare", "b", "error", "difference", *_NUMBERS)}
         return saved | ({"compare": "off", "b": None} if self.by_settings else {})
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Restore the result of `preferences`. A damaged value affects only itself."""
         view = self._view
-        for name, choices in (("compare", WAYS), ("error", ERRORS)):
+        for name, choices in (("compare", WAYS), ("error", ERRORS), ("difference", DIFFERENCES)):
             if saved.get(name) in choices:
                 setattr(view, name, saved[name])
         for name, (low, high) in _NUMBERS.items():

@@ -96,7 +96,7 @@ class Loop:
         self._take_pair()
         model.scores.update()
         inspection = model.engine.poll_inspection()
-        if inspection is not None and inspection.slot == model.slot:
+        if inspection is not None and model.shows(inspection):
             model.pointing.take(inspection)
 
     def _failed(self, error: EngineError) -> None:
@@ -112,6 +112,8 @@ class Loop:
             return
         model.say(error.message, error=True)
         model.notice = error.message if model.source is None else ""
+        if error.during == "source" and model.keep_place:
+            model.reload_fault = error.message
         model.keep_place = False
         model.pointing.story_due &= error.during != "inspection"
         if error.during == "source":

@@ -18,7 +18,7 @@ from ..engine.cache import CACHE_MIB, FrameCache
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
 from ..engine.explain.pixel_explain_types import Link
-from ..engine.messages import Metrics, Setup
+from ..engine.messages import Inspection, Metrics, Setup
 from ..engine.sources.attached import AttachedSource, FrozenSource
 from ..engine.sources.opening import ScenePlan, make_source
 from ..engine.sources.preview import Preview, Previewer, preview_of
@@ -52,6 +52,7 @@ from .viewport import Framing, Pointing, Screen
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
+BUILD_LETTERS = 6  # of the identity of a build
 
 
 class Model:
@@ -103,6 +104,7 @@ class Model:
         self.preview: Preview | None = None  # shown until the opened source has a result
         self.previewer: Previewer | None = None
         self.failure: str | None = None
+        self.reload_fault = ""  # why the open source could not be read again
         self.notice = ""
         self.timings = Timings()
         self.program: RunningProgram | None = None  # that was attached to
@@ -143,6 +145,7 @@ class Model:
         """Show the program live, with its pipeline's options."""
         program = self.program
         assert program is not None  # as `attach` was called
+        self.notice = f"attaching to {program.name} …"
         self.engine.open_source(lambda device: AttachedSource(program), self.asking.serial())
 
     def freeze(self) -> None:
@@ -169,10 +172,13 @@ class Model:
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
-        self.notice, self._target = "", source.target
+        self.notice, self.reload_fault, self._target = "", "", source.target
         if self.preview is None:
             self.screen.show({}, set())
-        for part in (self.asking, self.second, self.survey, self.scores, self.walk, self.selection, self.disocclusions):
+        for part in (
+            self.asking, self.filling, self.second, self.survey, self.scores, self.walk, self.selection,
+            self.disocclusions,
+        ):  # fmt: skip
             part.forget()
         if self.export is not None:
             self.export.cancel()
@@ -289,6 +295,42 @@ class Model:
             and self.screen.ready
         )
 
+    @property
+    def current(self) -> bool:
+        """Whether a still picture shows the playhead's slot, made with the present settings, kernels and frames."""
+        result = self.contents.result
+        if result is None or self.follows or self.flying or self.playback.playing:
+            return True
+        return result.request.slot == self.playback.slot and result.recipe == self.recipe and not self.second.waits
+
+    def shows(self, inspection: Inspection) -> bool:
+        """Return whether values belong to the displayed picture."""
+        result = self.contents.result
+        if result is None or inspection.slot != result.request.slot:
+            return False
+        return self.follows or inspection.recipe == result.recipe
+
+    @property
+    def builds(self) -> tuple[str, str]:
+        """Return which kernels the displayed frames of A and B were made with, where these differ; else empty texts."""
+        recipes = [made and made.recipe for made in (self.contents.result, self.contents.second)]
+        a, b = (recipe.kernels if recipe else "" for recipe in recipes)
+        if not self.comparison.by_settings or a == b or not b:
+            return "", ""
+        return f"kernels {a[:BUILD_LETTERS]}   ", f"kernels {b[:BUILD_LETTERS]}   "
+
+    @property
+    def states(self) -> list[str]:
+        """Return what keeps the picture from being that of the files on disk, as long as it does."""
+        found, built = [], self.recipe.kernels[:BUILD_LETTERS]
+        if self.engine.build_error:
+            found.append(f"kernels on disk do not build: build {built} is shown")
+        if self.reload_fault:
+            found.append(f"as it was before it could not be read again: {self.reload_fault}")
+        if self.source is not None and self.source.changed_on_disk:
+            found.append("files on disk have changed: Ctrl+R reads them again")
+        return found
+
     def keep_as_b(self) -> None:
         """Keep the present settings as B."""
         kept = self.kept.keep(self.setup, self.recipe.kernels)
@@ -375,9 +417,10 @@ class Model:
     @property
     def frame_text(self) -> str:
         """The name of the displayed frame."""
-        if self.follows and self.contents.result is not None:
-            return frame_text(self.contents.result.moment)
-        return slot_text(self.slot, self.n)
+        result = self.contents.result
+        if result is None:
+            return slot_text(self.slot, self.n)
+        return frame_text(result.moment) if self.follows else slot_text(self.slot, result.request.setup.n)
 
     def _headings(self) -> list[Entry]:
         """Return what a saved picture shows: the frame, and the layers and settings of A and B."""

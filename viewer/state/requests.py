@@ -76,6 +76,10 @@ class Prefetch:
         self._seen = self._planned = None
         self._since = 0.0
 
+    def forget(self) -> None:
+        """Drop what is known of the cache, after a change of the source."""
+        self.cached, self._seen, self._planned = frozenset(), None, None
+
     def find(self, recipe: Recipe, request: Request) -> Result | None:
         """Return the requested result, if it is there."""
         return self._cache.get(FrameKey(recipe, request.slot), request.layers, request.metrics)

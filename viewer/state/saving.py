@@ -89,6 +89,10 @@ class Work:
     def _proceed(self, canvas) -> None:
         raise NotImplementedError
 
+    def _count(self) -> None:
+        """Count another one that is written."""
+        self.done += 1
+
     def _start(self, write: Callable[[], str]) -> None:
         """Run `write`, which returns a message, on the thread."""
 
@@ -140,11 +144,13 @@ class LayersWork(Work):
         if self._cancelled:
             self.finished = True
         elif self.subject.settled() and self.layers <= self.subject.contents.asked:
-            result, self.done = self.subject.contents.result, 1
+            result = self.subject.contents.result
+            assert result is not None  # it is settled
+            self.total = len(result.images)
             self._start(lambda: self._write(result))
 
     def _write(self, result) -> str:
-        saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled)
+        saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled, self._count)
         return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
 
 
@@ -158,9 +164,6 @@ class RecordingWork(Work):
     def _write(self, sequence: Sequence) -> str:
         report = import_capture(sequence, self.path, on_frame=self._count)
         return f"wrote {report.rendered} rendered frames: gffe check {self.path}"
-
-    def _count(self) -> None:
-        self.done += 1
 
     def _proceed(self, canvas):
         """Do nothing: all is done on the thread."""

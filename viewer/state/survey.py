@@ -96,10 +96,10 @@ class Survey:
 
     @property
     def progress(self) -> tuple[int, int]:
-        """Slots that are known, and all of them, of A and B together."""
-        slots = self.slots
-        known = sum(len(self._of(side.recipe).keys() & set(slots)) for side in self._named.values())
-        return known, len(slots) * len(self._named)
+        """Slots that are known, and all of them, of A and B together; once where both are the same."""
+        slots, recipes = self.slots, {side.recipe for side in self._named.values()}
+        known = sum(len(self._of(recipe).keys() & set(slots)) for recipe in recipes)
+        return known, len(slots) * len(recipes)
 
     @property
     def slots(self) -> list[int]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, NOTE, SEVERAL_VIEWS, Finding
+from gffe_cl.captures.doctor.findings import FAULT, IN_PART, NOTE, SEVERAL_VIEWS, Finding
 from gffe_cl.captures.doctor.hypotheses import motions
 from gffe_cl.captures.doctor.hypotheses.motions import motion_readings
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look

@@ -398,9 +398,8 @@ class _Watcher:
     def _inspect(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, ask: Ask) -> None:
         values = pixel_values(pipeline, shot, ask.x, ask.y)
         story = pixel_story(pipeline, shot, ask.x, ask.y, values, self._passed)
-        if ask.layers is not None:
-            values = {name: value for name, value in values.items() if name in ask.layers}
-        viewer.send(Inspection((ask.x, ask.y), 0, story.source, values, story))
+        found = Inspection((ask.x, ask.y), 0, story.source, values.here, story, origin=values.origin)
+        viewer.send(found.of(ask.layers))
 
     def _since_mark(self, stage: Stage) -> list[tuple[str, cl.Event]]:
         """Return the stage's launches for this frame; the program's own `take_timings` returns them, too."""

@@ -23,22 +23,24 @@ from gffe_cl.engine.stages.buffers import (
 from gffe_cl.engine.stages.sharpening import Sharpening
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 from .. import names
-from ..buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
+from ..buffers import PixelValues, Shot, device_layers, moved, pixel_values, read_blocks, source_position
 from .fragment_history import Fragment, around, least
 from .motion_trail import Passed, way_of
 from .pixel_explain_types import Link, Step, Story
+from .refusals import what_was_taken, where_it_reappears_from, why_no_background, why_no_mover
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 
 
 def pixel_story(
-    pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None,
+    pipeline: Pipeline, shot: Shot, x: int, y: int, values: PixelValues | None = None,
     passed: Iterable[Passed] = (), fault: str = "",
 ) -> Story:  # fmt: skip
     """Return the story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its
     `pixel_values`, `passed` are the frames submitted last, newest first. `fault`: what is wrong with its pixel of the
     rendered image."""
-    story = _story(pipeline, shot, x, y, values)
+    values = values or pixel_values(pipeline, shot, x, y)
+    story = _story(pipeline, shot, x, y, values.of_content)
     if fault:
         said = f"Invalid in the input: {fault}."
         start = [sentence for sentence in story.sentences if sentence != _as_it_is(shot)]
@@ -49,19 +51,18 @@ def pixel_story(
     return replace(story, way=way_of(pipeline.device.queue, passed, own))
 
 
-def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None) -> Story:
+def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray]) -> Story:
     source_px = source_position(pipeline, shot, x, y)
     if not shot.moment.alpha:
         told = Fragment.at(pipeline, shot, source_px)
         start = _as_it_is(shot)
         if Upscaling.name in pipeline.stages:
-            start = _gathered(shot, values or pixel_values(pipeline, shot, x, y))
+            start = _gathered(shot, values)
         return (
             told.story((x, y), "rendered frame", source_px, (start,))
             if told
             else Story((x, y), "rendered frame", source_px)
         )
-    values = values or pixel_values(pipeline, shot, x, y)
     made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
     return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
 
@@ -97,9 +98,12 @@ def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
     coverage = int(values.get(names.COVERAGE, (0,))[0])
     if not coverage:
         return story
+    by_others = int(values[names.FILLED_BY][0]) not in (BY_WARP, BY_CRACK_CLOSING)
     said = f"Soft silhouettes: a nearer surface covers {(coverage - 1) / 254:.0%} of it."
     if coverage == 1:
         said = "Soft silhouettes: the color of a nearer surface, which was mixed in, is taken out."
+    if by_others:
+        said += f" The rest is what was filled in before: {story.filled_by}."
     return replace(story, sentences=(*story.sentences, Step(said, Link("coverage", names.COVERAGE))))
 
 
@@ -124,9 +128,9 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if not pipeline.options.warps_footprints:
         return Story((x, y), label, source_px, sentences=_dilated_sentences(shot, source_px, number == BY_WARP))
     if number in (BY_HOLE_FILLING, BY_NOTHING):
-        return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
+        return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, (x, y), source_px, values))
     if number in (BY_HIDDEN_PART, BY_REAPPEARING):
-        return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values, number))
+        return Story((x, y), label, source_px, sentences=_hidden_sentences(pipeline, shot, source_px, values, number))
     if level is not None and values[names.DISOCCLUDED][0]:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
@@ -172,7 +176,7 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]
     return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
-def _hidden_sentences(shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
+def _hidden_sentences(pipeline: Pipeline, shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
     depth, front = float(values[names.DEPTH][0]), None
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
@@ -181,21 +185,26 @@ def _hidden_sentences(shot: Shot, source_px, values, number: int) -> tuple[str, 
         said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."
     where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
     shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
-    return (
+    told: list[str | Step | None] = [
         Step(said, Link("filled by", names.FILLED_BY)),
         f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
-    )
+    ]
+    if number == BY_REAPPEARING:
+        told.append(where_it_reappears_from(pipeline, shot, source_px))
+    return tuple(filter(None, told))
 
 
-def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...]:
+def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px, values) -> tuple[str, ...]:
     nothing = f"No fragment of rendered frame {shot.moment.k} lands here, nor one that the background remembers."
     if "background" not in pipeline.stages:
         nothing = f"No fragment of rendered frame {shot.moment.k} lands here, and there is no background."
-    nothing = Step(nothing, Link("disoccluded", names.DISOCCLUDED))
+    refused = [why_no_mover(pipeline, shot, pixel), why_no_background(pipeline, shot, pixel, source_px)]
+    said: list[str | Step | None] = [Step(nothing, Link("disoccluded", names.DISOCCLUDED))]
     if pipeline.options.hole_filling == "none":
-        return nothing, "Hole filling is off: black, at infinite depth."
+        said += ["Hole filling is off: black, at infinite depth.", *refused]
+        return tuple(filter(None, said))
     filled = f"Hole filling: its color {HOLE_FILLINGS[pipeline.options.hole_filling]}."
-    said: list[str | Step] = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
+    said += [Step(filled, Link("filled by", names.FILLED_BY)), what_was_taken(pipeline, shot, pixel, values), *refused]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         outside = f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f})"
         if pipeline.options.hole_filling == "far-side":
@@ -203,7 +212,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
             said.append(Step(f"{outside}: near the border, lines that cross it go on at their angle.", lines))
         else:
             said.append(f"{outside}.")
-    return tuple(said)
+    return tuple(filter(None, said))
 
 
 def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> Story:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 
+_AT_ONCE = 256  # files that are looked at in one turn
 _DESCRIPTIONS = ("sequence.json", "cameras.json")
 
 
@@ -35,14 +37,41 @@ class Growth:
     def _state(self) -> list[tuple[int, int] | None]:
         """Return time of change (nanoseconds) and size (bytes) of the folder and of the files that describe it; None
         for missing ones."""
-        found = []
-        for path in (self._folder, *(self._folder / name for name in _DESCRIPTIONS)):
-            try:
-                state = path.stat()
-                found.append((state.st_mtime_ns, state.st_size))
-            except OSError:
-                found.append(None)
-        return found
+        return [_state_of(path) for path in (self._folder, *(self._folder / name for name in _DESCRIPTIONS))]
+
+
+class Rewritten:
+    """Detects files that were written again, or removed, since they were first given here. `look` is called repeatedly
+    from one thread."""
+
+    def __init__(self) -> None:
+        self._states: dict[Path, tuple[int, int] | None] = {}
+        self._next = 0
+        self.found = False
+
+    def watch(self, files: Iterable[Path]) -> None:
+        """Watch these files, too."""
+        for path in files:
+            if path not in self._states:
+                self._states[path] = _state_of(path)
+
+    def look(self) -> bool:
+        """Look at some files, in turn. Returns whether any has changed so far."""
+        files = list(self._states)
+        turn = [files[(self._next + i) % len(files)] for i in range(min(len(files), _AT_ONCE))]
+        self._next += len(turn)
+        known = ((self._states[path], path) for path in turn)
+        self.found |= any(before is not None and _state_of(path) != before for before, path in known)
+        return self.found
+
+
+def _state_of(path: Path) -> tuple[int, int] | None:
+    """Return time of change (nanoseconds) and size (bytes) of a file or folder; None if it is missing."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    return state.st_mtime_ns, state.st_size
 
 
 def continues(sequence: Sequence, longer: Sequence) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from .file_watch import Growth, continues
+from .file_watch import Growth, Rewritten, continues
 from .source import CACHE_BYTES, FrameSource
 
 _AHEAD = 2  # frames read ahead
@@ -33,6 +34,7 @@ class RecordedSource(Recorded, FrameSource):
     """
 
     def __init__(self, sequence: Sequence, device: Device, window: str | None = None, cache_bytes: int = CACHE_BYTES):
+        self._rewritten = Rewritten()
         super().__init__(sequence, device, window)
         self.suspicions: list[str] = []
         self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
@@ -42,11 +44,18 @@ class RecordedSource(Recorded, FrameSource):
 
     def _take(self, sequence):
         super()._take(sequence)
+        folder, entries = Path(sequence.path), (*sequence.rendered, *sequence.ground_truth)
+        self._rewritten.watch(folder / entry.place for entry in entries)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)
 
+    @property
+    def changed_on_disk(self):
+        return self._rewritten.found
+
     def grow(self):
+        self._rewritten.look()
         sequence = self.growth and self.growth.look()
         if not sequence or not continues(self.sequence, sequence):
             return False

@@ -27,7 +27,8 @@ class FrameSource(Source, Protocol):
     poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `follows`: shows what a
     running program does: the only slot is another frame whenever it is asked for; `options`: of the running program
     that the frames are from; `generated`: its new frames after each rendered one; `suspicions`: sentences about the
-    whole, more of them may come; `format`: the description of `stored` frames.
+    whole, more of them may come; `changed_on_disk`: files of its frames are others than when it was opened; `format`:
+    the description of `stored` frames.
     """
 
     target: str = ""
@@ -40,6 +41,7 @@ class FrameSource(Source, Protocol):
     options: Options | None = None
     generated: int = 1
     suspicions: Iterable[str] = ()
+    changed_on_disk: bool = False
     format: FrameFormat | None = None
 
     def sibling(self) -> FrameSource:
