@@ -26,6 +26,7 @@ from PIL import Image
 
 from gffe_cl import Camera, GffeError, Pipeline, attach, open_capture, open_device
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
+from gffe_cl.engine.core.errors import MOST
 from gffe_cl.engine.frame import conventions
 from gffe_cl.engine.frame.camera import predict_camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels
@@ -41,7 +42,6 @@ from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS
 
 W, H, COUNT = 12, 9, 2
-MOST_MESSAGE = 1000  # characters
 
 
 @cache
@@ -503,7 +503,7 @@ def check(target, data):
             target.read(data)
         except GffeError as error:
             text = str(error)
-            assert "\n" not in text and len(text) < MOST_MESSAGE, f"not one line: {text[:300]!r}"
+            assert "\n" not in text and len(text) <= MOST, f"not one line: {text[:300]!r}"
 
 
 # ---- mutations ---------------------------------------------------

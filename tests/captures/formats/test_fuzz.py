@@ -38,11 +38,15 @@ def test_faults_that_were_found(case):
 def test_a_fault_is_found():
     """... or no fuzzing would find any."""
 
-    def at_length(data):
-        raise GffeError("a" * 2000)
+    class InLines(GffeError):
+        def __str__(self):
+            return "a\nb"
+
+    def in_lines(data):
+        raise InLines("")
 
     with pytest.raises(AssertionError, match="not one line"):
-        check(Target(b"", at_length), b"")
+        check(Target(b"", in_lines), b"")
     with pytest.raises(ZeroDivisionError):
         check(Target(b"", lambda data: 1 // len(data)), b"")
 

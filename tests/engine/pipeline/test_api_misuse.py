@@ -31,9 +31,9 @@ from gffe_cl import (
     open_sequence,
 )
 from gffe_cl.captures.sequence.description import checked_entry
+from gffe_cl.engine.core.errors import MOST
 from gffe_cl.engine.options import OPTIONS
 
-MOST_MESSAGE = 1000  # characters
 CAMERA, TURNED = camera(W, H), camera(W, H, (0.1, 0, 0), yaw=0.2)
 VIEW, PROJECTION = CAMERA.view_matrix("opengl"), CAMERA.projection_matrix("opengl", W, H, near=0.1)
 DEPTH = np.full((H, W), 4.0, np.float32)
@@ -406,7 +406,7 @@ def check(call, name):
                 call.of(**wrong)
             except GffeError as error:
                 text = str(error)
-                assert "\n" not in text and len(text) < MOST_MESSAGE, f"not one line: {text[:300]!r}"
+                assert "\n" not in text and len(text) <= MOST, f"not one line: {text[:300]!r}"
             except Exception as error:
                 shown = type(value) if isinstance(value, int | np.ndarray) else repr(value)[:80]
                 pytest.fail(f"{name}: {argument}={shown} raises {error!r}"[:400])

@@ -729,7 +729,7 @@ def test_a_loss_that_is_not_finite_keeps_the_checkpoint(data, tmp_path):
         (["--minutes", "0"], "--minutes must be positive"),
         (["--clips", "1"], "--clips must be at least 2"),
         (["--learning-rate", "1e-7"], "learning rates must be"),
-        (["--vgg", "none.pth", "--clips", "3", "--steps", "1"], "none.pth: not VGG-19"),
+        (["--vgg", "none.pth", "--clips", "3", "--steps", "1"], "--vgg none.pth: no such file"),
     ],
 )
 def test_wrong_options_are_one_line(arguments, message, tmp_path, monkeypatch, capsys, request):
