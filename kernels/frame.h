@@ -49,7 +49,7 @@ typedef struct {
     float code_offset; /* color_code.h, at this frame's exposure */
     float camera_step; /* world units that the camera moved since the frame before */
     float motion_invalid; /* the stored number of unwritten vectors; NaN: there is none */
-    int depth_is_device;
+    int depth_law; /* of given depth */
     int has_overlays; /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion; /* whether motion is estimated */

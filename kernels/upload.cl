@@ -6,6 +6,7 @@
 
 #include "frame.h"
 #include "simd_rgb.h"
+#include "logarithm.h"
 
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
@@ -23,6 +24,10 @@
 
 /* Types of given values. Integers stand for 0 to 1, or -1 to 1 (SNORM16); UNORM24 are the low bits of 32. */
 enum { NO_BUFFER, FLOAT32, FLOAT16, UNORM8, UNORM16, SNORM16, UNORM24 };
+
+/* What is linear in given depth: planar depth, 1 / depth of a depth buffer, or the logarithm. */
+enum { DEPTH_LINEAR, DEPTH_DEVICE, DEPTH_LOGARITHMIC };
+#define MOST_POWER 87.0f /* of e, in a float */
 
 /* What given motion vectors have of the camera's motion. */
 enum { CAMERA_INCLUDED, CAMERA_MOVERS_ONLY, CAMERA_EXCLUDED };
@@ -275,11 +280,21 @@ INLINE Floats load_stored_xy(__global const float *given, const int type, const 
     return load_stored(given, type, channels * i, channels, count);
 }
 
-/* Planar depth of stored numbers. Device depth beyond its range, or at the far end as in a cleared buffer, is sky. */
+/* Planar depth of the natural logarithm of (z + c) / (near + c), c being 1 for a near plane of 0 and else 0. */
+INLINE Floats depth_of_logarithm(const Floats logarithm, const float near) {
+    const Floats low = logarithm < -MOST_POWER ? (Floats)(-MOST_POWER) : logarithm;
+    return near + (near > 0.0f ? near : 1.0f) * exp_less_one(low > MOST_POWER ? (Floats)(MOST_POWER) : low);
+}
+
+/* Planar depth of stored numbers. Depth of a buffer beyond its range, or at the far end as when cleared, is sky. */
 INLINE Floats planar_depth(__constant Frame *frame, const Floats stored) {
     const float4 numbers = frame->given_depth;  /* factor, origin, addend, sky */
+    if (frame->depth_law == DEPTH_LOGARITHMIC) {
+        const Floats z = depth_of_logarithm(numbers.x * (stored - numbers.y), numbers.z);
+        return stored == numbers.w ? (Floats)(INFINITY) : z;
+    }
     const Floats value = numbers.x * (stored - numbers.y) + numbers.z;
-    if (!frame->depth_is_device) return value;
+    if (frame->depth_law == DEPTH_LINEAR) return value;
     const Ints is_sky = (stored == numbers.w) | (value <= 1.0f / DEPTH_MOST);
     return is_sky ? (Floats)(INFINITY) : wide_divide((Floats)(1.0f), value);
 }

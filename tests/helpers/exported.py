@@ -77,7 +77,10 @@ class COverlays(ct.Structure):
 class CFormat(ct.Structure):
     _fields_ = (
         *((name, ct.c_int) for name in ("geometry_width", "geometry_height")),
-        *((name, ct.c_int) for name in ("color_type", "color_channels", "depth_type", "depth_is_device")),
+        *(
+            (name, ct.c_int)
+            for name in ("color_type", "color_channels", "depth_type", "depth_is_device", "depth_is_logarithmic")
+        ),
         *((name, ct.c_double) for name in ("near_z", "far_z")),
         ("depth_range", ct.c_double * 2),
         *((name, ct.c_int) for name in ("motion_type", "motion_channels")),
@@ -100,6 +103,7 @@ class CFormat(ct.Structure):
             **{name: numbers[getattr(format, name)] for name in ("color_type", "depth_type", "motion_type")},
             **{name: (ct.c_double * 2)(*getattr(format, name)) for name in pairs},
             depth_is_device=format.depth == "device",
+            depth_is_logarithmic=format.depth == "logarithmic",
             motion_unit=MOTION_UNITS.index(format.motion_unit),
             motion_from_previous=format.motion_direction == "from_previous",
             motion_y_up=format.motion_y == "up",

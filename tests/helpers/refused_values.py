@@ -37,6 +37,7 @@ class Refused:
 
 
 DEVICE = {"depth": "device", "near_z": 0.1, "far_z": 100.0}
+LOGARITHMIC = {"depth": "logarithmic", "near_z": 0.1, "far_z": 100.0}
 MOVERS = {"camera_motion": "movers_only", "motion_invalid": 0.0}
 PAIRS = (("depth_range", 0, (1.0,), (0.5, -1.0)), ("depth_range", 1, (0.0,), (0.5, -1.0)),
          *(("motion_scale", k, (0.0, -0.0), (-2.0, 1e-300)) for k in range(2)),
@@ -48,6 +49,7 @@ TABLE = (
     Refused("format", "near_z", (NAN, -INF, 1e300, 1e308, 0.0, -1.0, 100.0), (0.5, 200.0, INF), DEVICE),
     Refused("format", "far_z", (NAN, -INF, 1e300, 1e308, 0.0, -1.0, 0.1), (0.5, 0.01, INF), DEVICE),
     Refused("format", "near_z", (INF, NAN), (1.0,), DEVICE | {"far_z": INF}),
+    Refused("format", "near_z", (NAN, INF, -1.0, 100.0, 1e-30), (0.0, 0.5, 200.0), LOGARITHMIC),
     *(Refused("format", f"{name}[{k}]", (*NONE, *bad), good) for name, k, bad, good in PAIRS),
     Refused("format", "motion_invalid", NONE[1:], (NAN, 0.0, -1.0, 1e299)),  # NAN: there is none
     Refused("format", "motion_invalid", NONE, (0.0, 1.0), MOVERS),

@@ -7,7 +7,15 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
-from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids, jitter_id
+from gffe_cl.captures.doctor.findings import (
+    BOTTOM_UP,
+    DISPLAY_VALUES,
+    TWICE,
+    Finding,
+    finding_id,
+    fixable_ids,
+    jitter_id,
+)
 from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
@@ -45,7 +53,7 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
         jitter=reading.jitter if jitter_id(reading.jitter) in wanted else "",
         rows=tuple(buffer for buffer in reading.rows if finding_id(buffer, BOTTOM_UP) in wanted),
     )
-    if order is not None and "frames-out-of-order" not in wanted:
+    if order is not None and not wanted & {"frames-out-of-order", finding_id("frames", TWICE)}:
         order = replace(order, order=None)
     mends = [mend for mend in diagnosis.mends if mend.finding.id in wanted]
     return replace(

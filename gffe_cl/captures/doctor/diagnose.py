@@ -16,17 +16,21 @@ from gffe_cl.captures.doctor.findings import (
     JITTER_DIFFERS,
     JITTERS,
     MISFIT,
+    NO_LAW,
     NOTE,
+    ORIGIN_SHIFTED,
     UNEXPLAINED,
     UNKNOWN,
     Finding,
     faults_of,
     jitter_id,
+    no_law_fault,
 )
 from gffe_cl.captures.doctor.format_keys import tell_keys
 from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
 from gffe_cl.captures.doctor.hypotheses.camera_jitter import SURE
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.captures.doctor.hypotheses.laws import settled
 from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_camera
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
@@ -34,12 +38,17 @@ from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Lo
 from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.captures.doctor.hypotheses.world_shift import Shift, world_shift
+from gffe_cl.captures.doctor.limits import set_aside_cut_off
 from gffe_cl.captures.doctor.mends import Mend, MendedClip, OtherFrame, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
+from gffe_cl.captures.doctor.regions import region_findings
+from gffe_cl.captures.doctor.repeats import Repeats, repeats
 from gffe_cl.captures.doctor.repetition import repetition_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.core.validation import QUIETLY
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
@@ -136,6 +145,12 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     if found.faults:
         tell_keys(found.findings, getattr(clip, "settings", None))
         return found
+    repeated = repeats(looks)
+    if repeated.whole:
+        if len(looks) < count:
+            repeated = repeats(take_looks(clip, range(count), _SAMPLES, set(), exposure))
+        return _examine_without(clip, exposure, repeated)
+    found.findings += repeated.findings()
     if not any(PREVIOUS in look.neighbors for look in found.looks):
         found.findings.append(
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
@@ -150,6 +165,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         step *= 1 + added
         found.findings.append(motion_finding(steps, found.looks, added))
     found.step = step
+    found.findings += set_aside_cut_off(Search(found.looks, step), list(looks.values()))
     found.findings += precision_notes(found.looks, exposure)
 
     edges = edge_agreement(found.looks)
@@ -175,8 +191,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.looks = search.full.looks
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _tell_residuals(found, search_of)
-    _judge_order(found, looks, _gaps(found, clip, exposure), _ends(count, mends.steady))
+    _judge_order(found, looks, _breaks(found, clip, exposure), _ends(count, mends.steady))
     _note_late(found, clip.rendered)
+    found.findings += region_findings(search, found.reading)
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
@@ -198,6 +215,21 @@ def _examine_mended(clip: Clip, exposure: float, mend: Mend, given: Diagnosis, s
     found.residuals |= {name: value for name, value in before.residuals.items() if name.startswith("given")}
     found.given = given.given
     tell_keys(found.findings, getattr(clip, "settings", None))
+    return found
+
+
+def _examine_without(clip: Clip, exposure: float, repeated: Repeats) -> Diagnosis:
+    """Examine `clip` without the frames that were recorded twice, and return the diagnosis."""
+    kept = [k for k in range(len(clip.rendered)) if k not in repeated.whole]
+    found = examine(Reordered(clip, kept), exposure)
+    for finding in found.findings:
+        if "frame" in finding.figures:
+            index = finding.figures["frame"]
+            finding.sentence = finding.sentence.replace(f"frame {index} (", f"frame {kept[index]} (")
+            finding.figures["frame"] = kept[index]
+    order = found.order and found.order.order
+    found.order = Order({}, [], [kept[k] for k in order] if order else kept)
+    found.findings[:0] = replace(repeated, color=[]).findings()
     return found
 
 
@@ -267,9 +299,15 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
     whose = _whose_jitter(found.best.reading, search_of)
     if whose:
         found.best = replace(found.best, reading=replace(found.best.reading, jitter=whose))
-    found.reading = found.best.reading
-    found.findings += faults_of(found.reading, bench.stored[bench.solid])
-    if unexplained:
+    search, stored = search_of(found.best.reading.rows), bench.stored[bench.solid]
+    found.reading, left = settled(search, found.best.reading)
+    if found.reading != found.best.reading:
+        found.best = search.verdict(found.reading)
+    if left is not None:
+        found.findings.append(no_law_fault(found.reading, stored, left))
+        found.best, found.reading, mirrored = found.given, Reading(), None
+    found.findings += faults_of(found.reading, stored)
+    if unexplained and left is None:
         found.findings.append(_unexplained())
     if found.reading.jitter and not whose:
         _doubt_jitter(found)
@@ -396,7 +434,8 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.residuals[f"{name}_median"] = float(np.median(off))
         found.residuals[f"{name}_inliers"] = float((off <= near).mean())
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
-    if (off <= roughly).mean() < _UNEXPLAINED and not any(fault.name == UNEXPLAINED for fault in found.faults):
+    explained = any(fault.name in (UNEXPLAINED, NO_LAW) for fault in found.faults)
+    if (off <= roughly).mean() < _UNEXPLAINED and not explained:
         found.findings.append(_unexplained())
 
 
@@ -405,11 +444,12 @@ def _unexplained() -> Finding:
     return Finding(FAULT, "frames", UNEXPLAINED, sentence)
 
 
-def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:
-    """Return the frames whose vectors do not lead to the frame before although both frames show the same: depth and
-    cameras lead to the same colors, only the vectors lead elsewhere. With each its `_stretch`."""
+def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | Shift | None]:
+    """Return the frames that follow the one before although depth and cameras do not fit the vectors. Gaps, at which
+    depth and cameras lead to the same colors and the vectors elsewhere, have their `_stretch`. Where the vectors lead
+    to the same colors, and the cameras elsewhere, the world was shifted."""
     assert found.order is not None and found.best is not None  # examined before
-    gaps = {}
+    gaps: dict[int, float | Shift | None] = {}
     for index in found.order.misfits[:_MOST_GAPS]:
         pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
         look = pair[index]
@@ -417,7 +457,23 @@ def _gaps(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | No
             search = Search([look])
             if search.camera_color(found.reading.camera, found.reading.depth) > _SAME_SHOT * found.best.camera_color:
                 gaps[index] = _stretch(search, found.reading)
+            elif (shift := _shift(search, found, clip.rendered[max(index - 2, 0)].render_camera)) is not None:
+                gaps[index] = shift
     return gaps
+
+
+def _shift(search: Search, found: Diagnosis, earlier: Camera | None) -> Shift | None:
+    """Return the shift of the world before the only look of `search`; None if colors along its vectors do not match as
+    well as usual, or if no shift explains them."""
+    motion = found.reading.motion
+    assert found.order is not None and found.best is not None  # examined before
+    if motion.step != PREVIOUS or motion.held_by or found.reading.jitter:
+        return None
+    if not search.motion_color(motion) > _SAME_SHOT * found.best.motion_color:
+        return None
+    length = float(np.nanmedian(np.linalg.norm(search.full.motion(motion), axis=-1)))
+    usual = float(np.nanmedian(list(found.order.fits.values())))
+    return world_shift(search, found.reading, earlier, max(0.1 * length, _VISIBLE, found.step), _SAME_SHOT * usual)
 
 
 def _stretch(search: Search, reading: Reading) -> float | None:
@@ -439,9 +495,11 @@ def _ends(count: int, steady: set[int]) -> dict[int, str]:
     return {ends[by][0]: ends[by][1] for by in steady}
 
 
-def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float | None], ends: dict[int, str]) -> None:
-    """Add findings about frames that do not follow the one before them. `gaps`: those that show the same, with the
-    `_stretch`; `ends`: those that another fault explains as well."""
+def _judge_order(
+    found: Diagnosis, looks: dict[int, Look], breaks: dict[int, float | Shift | None], ends: dict[int, str]
+) -> None:
+    """Add findings about frames that do not follow the one before them. `breaks`: of `_breaks`; `ends`: frames that
+    another fault explains as well."""
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
@@ -453,8 +511,18 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         sentence = f"why frame {index} ({looks[index].file}) does not follow the frame before: a frame may be missing,"
         sentence += f" or vectors or cameras are one frame {ends[index]}"
         found.findings.append(Finding(UNKNOWN, "frames", MISFIT, sentence, figures={"frame": index}))
-    gaps = {index: factor for index, factor in gaps.items() if index not in ends}
-    for index, factor in gaps.items():
+    breaks = {index: one for index, one in breaks.items() if index not in ends}
+    shifts = {index: one for index, one in breaks.items() if isinstance(one, Shift)}
+    for index, shift in shifts.items():
+        sentence = (
+            f"from frame {index} ({looks[index].file}) on they are {shift}: the origin of the world was shifted, as"
+        )
+        sentence += " vectors and colors go on"
+        figures = {"frame": index, "matrix": shift.matrix.tolist()}
+        found.findings.append(Finding(FAULT, "camera", ORIGIN_SHIFTED, sentence, "cameras are moved back", figures))
+    for index, factor in breaks.items():
+        if isinstance(factor, Shift):
+            continue
         sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
         sentence += " vectors do not lead there"
         sentence += f"; they are {factor:.2f} times as long as by depth and cameras" if factor else ""
@@ -462,7 +530,7 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look], gaps: dict[int, float
         found.findings.append(
             Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
         )
-    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in gaps and k not in ends):
+    for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in breaks and k not in ends):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})

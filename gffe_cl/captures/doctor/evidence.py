@@ -14,6 +14,7 @@ FEWEST = 16  # usable samples in all frames
 _LEAST_DEPTH, _LEAST_MOTION = 0.002, 0.1  # shares of the samples: a picture may show little but sky
 _SHARED, _LEADS_OUT = 0.01, 0.5  # shares of samples with one vector, and of those that it leads out of the image
 _LEAST_NORMAL = np.finfo(np.float32).smallest_normal
+_BITS = 0x30000000, 0x7F800000  # those of 32-bit floats from 5e-10 to infinity
 _TRIED = 8  # vectors that many samples share
 _MOST_NAMED = 6  # frames
 
@@ -143,6 +144,8 @@ def _why_no_color(looks: list[Look]) -> str:
 
 def _why_no_depth(looks: list[Look]) -> str:
     depth = np.concatenate([look.depth for look in looks])
+    if np.mean((depth > _BITS[0]) & (depth <= _BITS[1])) > 0.5:
+        return "the numbers are the bits of 32-bit floats, read as integers"
     nothing, zero = np.isnan(depth), depth == 0
     tiny = ~zero & (np.abs(depth) < _LEAST_NORMAL)
     sky = ~(nothing | zero | tiny) & ~np.concatenate([look.solid for look in looks])

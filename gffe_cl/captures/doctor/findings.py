@@ -12,12 +12,15 @@ from gffe_cl.captures.doctor.hypotheses.cameras import CameraReading, axes_in_wo
 from gffe_cl.captures.doctor.hypotheses.depths import (
     AS_GIVEN,
     DEVICE,
+    FLOAT_BITS,
     PLANAR,
     RANGE,
     DepthReading,
     Planes,
+    is_from_0_to_1,
     misread_range,
 )
+from gffe_cl.captures.doctor.hypotheses.laws import Misfit
 from gffe_cl.captures.doctor.hypotheses.search import Reading
 from gffe_cl.engine.core.errors import printable
 
@@ -28,9 +31,13 @@ JITTER, NO_JITTER, JITTER_DIFFERS = "jitter not removed", "jitter missing", "jit
 _MENDED_JITTER = (JITTER, NO_JITTER, *(f"jitter {difference}" for difference in INVERSE if difference != "absent"))
 JITTERS = (*_MENDED_JITTER, JITTER_DIFFERS)
 OTHER_FRAME = ("one frame late", "one frame early")  # buffers, and cameras
+CUT_OFF = "cut off"
+TWICE, ORIGIN_SHIFTED = "recorded twice", "origin shifted"
+SEVERAL_VIEWS, IN_PART = "several views", "partly another convention"
+LOGARITHMIC, BITS, NO_LAW = "logarithmic", "bits of floats", "no known law"
 DILATED, INTERFACE, JITTERED, REPEATED = "dilated", "user interface", "jittered", "repeated"
 MISFIT, SOME_FRAME = "misfit at the end", "of another frame"
-TOLD = (INTERFACE, REPEATED, DILATED)  # notes that the quick form names, too
+TOLD = (CUT_OFF, SEVERAL_VIEWS, INTERFACE, REPEATED, DILATED)  # notes that the quick form names, too
 DOUBTS = (MISFIT, SOME_FRAME)  # the same, of what cannot be told
 _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
@@ -83,9 +90,20 @@ def fixable_ids() -> list[str]:
     names = {
         "color": (DISPLAY_VALUES, BOTTOM_UP, *OTHER_FRAME),
         "motion": (*motions.SENTENCES, *_MENDED_JITTER, "sky without motion", BOTTOM_UP),
-        "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP, *OTHER_FRAME),
-        "camera": (*cameras.SENTENCES, "field of view", *_MENDED_JITTER, *OTHER_FRAME),
-        "frames": ("out of order", "cut", "gap"),
+        "depth": (
+            "device",
+            "reversed",
+            "along rays",
+            "units",
+            "negative",
+            RANGE_MISREAD,
+            LOGARITHMIC,
+            BITS,
+            BOTTOM_UP,
+            *OTHER_FRAME,
+        ),
+        "camera": (*cameras.SENTENCES, "field of view", *_MENDED_JITTER, *OTHER_FRAME, ORIGIN_SHIFTED),
+        "frames": ("out of order", TWICE, "cut", "gap"),
     }
     return [finding_id(about, name) for about, group in names.items() for name in group]
 
@@ -147,6 +165,11 @@ def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
         )
     if depth.model is DEVICE:
         return _device_fault(depth, stored)
+    if depth.model.added is not None:
+        return _logarithmic_fault(depth, stored)
+    if depth.model in FLOAT_BITS:
+        sentence = f"the numbers are the {depth.model.name}, read as integers (expected an array of floats)"
+        return Finding(FAULT, "depth", BITS, sentence, "bits are read as floats", {"unit": 1 / c[0]})
     if depth.model is PLANAR:
         return _unit_fault(1 / c[0] if c[0] else np.inf)
     also = "" if abs(c[0] - 1) < _UNIT_SLACK else f", and in units of {1 / c[0]:.4g} of the cameras'"
@@ -154,6 +177,24 @@ def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
     return Finding(
         FAULT, "depth", "along rays", sentence, "depths are divided by their rays' lengths", {"unit": 1 / c[0]}
     )
+
+
+def _logarithmic_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
+    law = "1 + z" if depth.model.added else "z"
+    sentence = f"depth is the logarithm of {law}, not {'device depth' if depth.model.is_of_device else 'linear'}"
+    figures = {"added": depth.model.added, "coefficients": depth.coefficients, "unit": is_from_0_to_1(stored)}
+    if not depth.model.is_of_device and figures["unit"]:
+        near, far = sorted(np.exp((depth.coefficients[0], sum(depth.coefficients))) - depth.model.added)
+        sentence += f": far {far:.4g}" if depth.model.added else f": near {near:.4g}, far {far:.4g}"
+    return Finding(FAULT, "depth", LOGARITHMIC, sentence, "depths are made linear", figures)
+
+
+def no_law_fault(reading: Reading, stored: np.ndarray, misfit: Misfit) -> Finding:
+    """Return the fault of depths that no law explains, not even that of `reading`, the best one, which leaves
+    `misfit`."""
+    best = "; ".join(fault.sentence for fault in faults_of(reading, stored))
+    sentence = f'no known law explains it (the nearest, "{best}", leaves {misfit.share:.0%} and {misfit.pixels:.2g} px)'
+    return Finding(FAULT, "depth", NO_LAW, sentence, figures=misfit._asdict())
 
 
 def _unit_fault(unit: float) -> Finding:

@@ -7,8 +7,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, NEVER_WRITTEN, RANGE_MISREAD, Finding
-from gffe_cl.captures.formats.buffers import TO_NEXT, Buffer
+from gffe_cl.captures.doctor.findings import (
+    BOTTOM_UP,
+    DISPLAY_VALUES,
+    LOGARITHMIC,
+    NEVER_WRITTEN,
+    RANGE_MISREAD,
+    Finding,
+)
+from gffe_cl.captures.formats.buffers import TO_NEXT, Buffer, DepthBuffer
 from gffe_cl.captures.formats.cameras import CONVENTIONS
 from gffe_cl.captures.formats.folder import FolderSettings
 from gffe_cl.engine.frame.conventions import DIRECTIONS
@@ -87,6 +94,8 @@ def _depth(finding: Finding, found: set, settings: FolderSettings) -> dict:
         if depth.near is None:
             return {"opengl_buffer": figures["factor"] == 2}
         return _scaled(depth.buffer, (0.5,), (-1.0,)) if figures["factor"] == 0.5 else {}
+    if finding.name == LOGARITHMIC:
+        return _logarithmic(depth, figures)
     if depth.encoding != "linear":
         return {}
     if finding.name in ("device", "reversed"):
@@ -95,6 +104,20 @@ def _depth(finding: Finding, found: set, settings: FolderSettings) -> dict:
     if finding.name == "along rays":
         return {"encoding": "distance"}
     return _scaled(depth.buffer, (_short(figures["unit"]),)) if finding.name in ("units", "negative") else {}
+
+
+def _logarithmic(depth: DepthBuffer, figures: dict) -> dict:
+    """Return the keys of logarithmic depth; nothing where the planes do not follow from the present ones."""
+    ends = np.array([0.0, 1.0])  # of what the finding's coefficients are for
+    if depth.encoding == "device" and depth.near is not None:
+        ends = 1 / np.array([depth.far, depth.near] if depth.reversed else [depth.near, depth.far])
+    elif depth.encoding != "linear" or not figures["unit"]:
+        return {}
+    first, slope = figures["coefficients"]
+    near, far = np.exp(first + slope * ends) - figures["added"]
+    near, far, is_reversed = (far, near, True) if near > far else (near, far, False)
+    planes = {"far": _short(far), "reversed": is_reversed}
+    return {"encoding": LOGARITHMIC} | ({} if figures["added"] else {"near": _short(near)}) | planes
 
 
 def _camera(finding: Finding, found: set, settings: FolderSettings) -> dict:

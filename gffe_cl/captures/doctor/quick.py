@@ -8,13 +8,16 @@ from itertools import groupby
 from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
 from gffe_cl.captures.doctor.findings import (
     BOTTOM_UP,
+    DILATED,
     DOUBTS,
+    IN_PART,
     INTERFACE,
     JITTER,
     JITTERS,
     NO_JITTER,
     NOTE,
     OTHER_FRAME,
+    REPEATED,
     TOLD,
     UNEXPLAINED,
     UNKNOWN,
@@ -127,7 +130,7 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
         told += [note for note in diagnosis.of_kind(NOTE) if note.name in TOLD]
         doubts = [doubt for doubt in diagnosis.of_kind(UNKNOWN) if doubt.name in DOUBTS]
         if told or not doubts:
-            return f"{_SUBJECTS.get(told[0].about, '')}{told[0].sentence}" if told else None
+            return _whole_sentence(told[0]) if told else None
         return f"{_UNKNOWN}: {doubts[0].sentence}"
     turned = [fault.about for fault in faults if fault.name == BOTTOM_UP]
     if len(turned) == len(faults):
@@ -135,7 +138,7 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     causes = [fault for fault in faults if fault.about != "frames"]
     if not diagnosis.compared or not (causes or faults[0].name == UNEXPLAINED):
         return str(faults[0])
-    if len(faults) == 1 and faults[0].name in OTHER_FRAME:
+    if len(faults) == 1 and faults[0].name in (IN_PART, *OTHER_FRAME):
         return faults[0].sentence
     likely = f", most likely {_names(causes)}" if causes else ""
     if causes and all(fault.name in JITTERS for fault in causes):
@@ -144,6 +147,12 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
         return str(causes[0])
     median = diagnosis.residuals["given_median"]
     return f"motion vectors do not fit depth and cameras (median {median:.3g} px){likely}"
+
+
+def _whole_sentence(note: Finding) -> str:
+    """Return what a note says. Notes on repeated or dilated buffers leave out which buffer it is."""
+    subject = _SUBJECTS.get(note.about, "") if note.name in (REPEATED, DILATED) else ""
+    return f"{subject}{note.sentence}"
 
 
 def _names(faults: list[Finding]) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
+from gffe_cl.captures.doctor.findings import ORIGIN_SHIFTED
 from gffe_cl.captures.doctor.hypotheses.depths import (
     AS_GIVEN,
     DEVICE,
@@ -42,7 +43,8 @@ _TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which p
 
 
 class Repair:
-    """Frames of `clip` with the mends and the reading of `diagnosis` applied, in their correct order."""
+    """Frames of `clip` with the mends and the reading of `diagnosis` applied, in their correct order and without those
+    that were recorded twice."""
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         given = {entry.file: entry for entry in clip.rendered}
@@ -52,6 +54,8 @@ class Repair:
         self._read = lru_cache(_KEPT)(lambda index: made.read(made.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
+        shifts = [f.figures for f in diagnosis.faults if f.name == ORIGIN_SHIFTED]
+        self._shifts = {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in shifts}
         self._comparisons: list[tuple[str, Comparison]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(made.rendered)
@@ -63,9 +67,10 @@ class Repair:
         """Yield entries with their new cameras and times, and the frames. Only one frame and its neighbors are in
         memory."""
         entries = self._clip.rendered
+        times = sorted(entries[index].time for index in self._order)
         before: RenderedFrame | None = None
         for place, index in enumerate(self._order):
-            entry, time = entries[index], entries[place].time
+            entry, time = entries[index], times[place]
             reset = place == 0 or index in self._cuts or (entry.reset and index != 0)
             frame = self._geometry(index, time, reset)
             made = self._with_motion(frame, index, self._order[place - 1], None if reset else before)
@@ -113,12 +118,15 @@ class Repair:
         if compared is not None:
             self._comparisons.append((entries[index].file, compared))
 
-    def camera(self, camera: Camera) -> Camera:
-        """Return the repaired camera, with its jitter completed."""
+    def camera(self, camera: Camera, time: float) -> Camera:
+        """Return the repaired camera of the given one at a time in seconds, with its jitter completed."""
         read = self._reading.camera.read(camera)
-        if self._translation == 1:
+        shifts = [shift for start, shift in sorted(self._shifts.items(), reverse=True) if start <= time]
+        if self._translation == 1 and not shifts:
             return read
         matrix = read.world_to_view.copy()
+        for shift in shifts:
+            matrix = matrix @ shift
         matrix[:3, 3] *= self._translation
         return replace(read, world_to_view=matrix)
 
@@ -132,8 +140,9 @@ class Repair:
 
     def _geometry(self, index: int, time: float, reset: bool) -> RenderedFrame:
         frame = self._read(index)
-        display = frame.display_camera and self.camera(frame.display_camera)
-        camera = self.camera(frame.camera)
+        given = self._clip.rendered[index].time
+        display = frame.display_camera and self.camera(frame.display_camera, given)
+        camera = self.camera(frame.camera, given)
         depth = self._planar(self._turned("depth", np.asarray(frame.depth)), camera)
         color = self.color(frame.color)
         return replace(frame, color=color, depth=depth, camera=camera, display_camera=display, time=time, reset=reset)
@@ -145,7 +154,7 @@ class Repair:
         y, x = np.mgrid[:height, :width] + 0.5
         flat = stored.astype(np.float64).ravel()
         w = self._depth.inverse(flat, rays(camera, np.stack([x.ravel(), y.ravel()], -1)))
-        if self._depth.model is DEVICE:
+        if self._depth.model is DEVICE or self._depth.model.added is not None:
             w[flat == self._far_end] = 0
         with np.errstate(divide="ignore", invalid="ignore"):
             z = np.where(w > 0, 1 / w, np.where(np.isnan(w), np.nan, np.inf))
@@ -256,6 +265,8 @@ def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
 def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float, float]:
     """Return the depth's parameters, rounded to nearby round numbers; the factor on translations; and the stored
     value of sky. `stored`: some of the depths."""
+    if depth.model.added is not None:
+        return depth, 1.0, 1.0 if depth.coefficients[1] > 0 else 0.0
     if depth.model is DEVICE:
         planes = Planes.of(depth, stored)
         far = planes.far if np.isinf(planes.far) else _rounded(planes.far)
@@ -292,16 +303,18 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
     size = sequence.width, sequence.height
     named = {"generator": "gffe-cl check", "attributes": sequence.attributes}
     with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
+        count = len(sequence.ground_truth)
         for entry, frame in repair.frames():
+            count += 1
             writer.add_frame(entry, frame)
             on_frame()
         repair.refuse_harm()
         for entry in sequence.ground_truth:
             color = repair.color(sequence.read_color(entry))
             cameras = {
-                name: camera and repair.camera(camera)
+                name: camera and repair.camera(camera, entry.time)
                 for name, camera in (("render_camera", entry.render_camera), ("display_camera", entry.display_camera))
             }
             writer.add(replace(entry, **cameras), named_channels(color))
             on_frame()
-    return len(sequence.rendered) + len(sequence.ground_truth)
+    return count

@@ -28,7 +28,7 @@ PACKINGS = {
     "unity": lambda n: [255.0**-k for k in range(n)],  # EncodeFloatRG, EncodeFloatRGBA
 }
 COLOR_ENCODINGS = ("linear", "srgb", "gamma")
-DEPTH_ENCODINGS = ("linear", "distance", "inverse", "device")
+DEPTH_ENCODINGS = ("linear", "distance", "inverse", "device", "logarithmic")
 TO_NEXT = "to_next"
 _EQUAL = 1e-6  # relative: of numbers in a file and in JSON
 _NUMBER = re.compile(r"%(0\d{1,2})?d")
@@ -193,6 +193,8 @@ class DepthBuffer:
             nothing |= values == self.sky
         if self.encoding == "device":
             depth = self._from_device(values, found)
+        elif self.encoding == "logarithmic":
+            depth = self._from_logarithmic(values)
         elif self.encoding == "inverse":
             with np.errstate(divide="ignore"):
                 depth = 1.0 / values.astype(np.float64)
@@ -227,6 +229,15 @@ class DepthBuffer:
             depth = self.near / (beyond + self.near / self.far * (1 - beyond))
         return np.where(beyond <= 0, np.inf, depth)
 
+    def _from_logarithmic(self, values: np.ndarray) -> np.ndarray:
+        """Return depth of log(z / near) / log(far / near) or, without near, of log(1 + z) / log(1 + far)."""
+        values = np.asarray(values, np.float64)
+        part = 1 - values if self.reversed else values  # 1 at the far plane
+        near, unit = self.near or 0.0, self.near or 1.0
+        with np.errstate(over="ignore"):
+            depth = near + unit * np.expm1(np.log1p((self.far - near) / unit) * part)
+        return np.where(part >= 1, np.inf, depth)
+
 
 def parse_depth(document: Any, convention: str) -> DepthBuffer:
     keys = Keys(document, "depth")
@@ -236,6 +247,8 @@ def parse_depth(document: Any, convention: str) -> DepthBuffer:
     far = np.inf if far == "infinite" else far
     if not isinstance(far, int | float) or isinstance(far, bool) or (near is not None and not 0 < near < far):
         raise GffeError(f'depth: expected 0 < near < far, far a number or "infinite", got {shown(near)}, {shown(far)}')
+    if encoding == "logarithmic" and not 0 < far < np.inf:
+        raise GffeError(f'depth: logarithmic depth needs "far", a number greater than 0, got {shown(far)}')
     made = DepthBuffer(
         buffer,
         encoding,

@@ -37,6 +37,7 @@ from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import open_regular
 from gffe_cl.engine.core.validation import require_exposure, require_number, require_positive, shown
+from gffe_cl.engine.frame.conventions import refuse_oblique
 
 FORMAT, VERSION = "gffe-folder", 1
 _MOST_NUMBER = 10**9
@@ -265,6 +266,11 @@ def _require_camera(made: FolderSettings, found: FoundCamera | None, label: str)
     """Raise GffeError if the camera lacks data that the buffers need."""
     if made.depth.encoding == "device" and made.depth.near is None and (found is None or found.projection is None):
         raise GffeError(f"{label}: device depth needs a projection matrix, or near and far in depth")
+    if made.depth.encoding == "device" and found is not None and found.projection is not None:
+        try:
+            refuse_oblique(found.projection)
+        except GffeError as error:
+            raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
     if found is None:
         for needs, what in (
             (made.depth.encoding == "distance", "distances along the rays"),

@@ -12,7 +12,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import FrameFormat, conversion, jitter_in_color
+from gffe_cl.engine.frame.frame_format import DEPTHS, FrameFormat, conversion, jitter_in_color
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame, type_of
 from gffe_cl.engine.opencl.program import constants
 
@@ -177,11 +177,14 @@ def _values(depth: np.ndarray) -> np.ndarray:
 
 
 def _depth(stored: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
-    """Return planar depth (H, W), of device depth sky beyond its range or at the far end."""
-    factor, origin, addend, sky = given["given_depth"]
+    """Return planar depth (H, W), of the values of a depth buffer sky beyond its range or at the far end."""
+    (factor, origin, addend, sky), law = given["given_depth"], DEPTHS[given["depth_law"]]
     with np.errstate(all="ignore"):
+        if law == "logarithmic":
+            depth = addend + (addend or 1.0) * np.expm1(factor * (stored - origin))
+            return np.where(stored == np.float32(sky), math.inf, depth)
         value = factor * (stored - origin) + addend
-        if not given["depth_is_device"]:
+        if law == "linear":
             return value
         return np.where((stored == np.float32(sky)) | (value <= 0), math.inf, 1 / value)
 

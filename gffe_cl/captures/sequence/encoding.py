@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 
 CODE_SIZE = (1920, 1080)
 CAMERA_NOISE = 0.1  # pixels, standard deviation
+PLANES = 0.01, 1e5  # world units, of logarithmic depth
 _SHORT_RANGE = 1 / 16  # of the image: the longest motion in 8 bits
 
 Code = Callable[[np.ndarray], np.ndarray]
@@ -46,10 +48,12 @@ MOTION_CODES: dict[str, tuple[str, Code]] = {
     "half-motion": ("motion as half floats of uv", lambda uv: uv.astype(np.float16).astype(np.float64)),
 }
 TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA = "two-lookups", "half-depth", "8bit-color", "noisy-camera"
+LOG_DEPTH = "log-depth"
 TAA, JITTERED, HALF, DILATED, GRAIN, HUD = "taa", "jittered", "half", "dilated", "grain", "hud"
 PARTS: dict[str, str] = {name: sentence for name, (sentence, _) in MOTION_CODES.items()} | {
     TWO_LOOKUPS: "motion is the sum of vectors over half the interval, the second one that of the nearest pixel",
     HALF_DEPTH: "depth as half floats",
+    LOG_DEPTH: "depth as its logarithm, 0 to 1 between the planes {:g} and {:g}".format(*PLANES),
     COLOR_8BIT: "display values of 8 bits",
     NOISY_CAMERA: f"cameras turned by {CAMERA_NOISE:g} px (standard deviation) about each axis",
     TAA: "color by temporal antialiasing of jittered samples, one per pixel",
@@ -109,7 +113,10 @@ class Encoding:
     @property
     def format(self) -> FrameFormat | None:
         """Description of the frames, None where our conventions hold."""
-        return FrameFormat(motion_dilated=True) if DILATED in self.parts else None
+        changed: dict[str, Any] = {"motion_dilated": True} if DILATED in self.parts else {}
+        if LOG_DEPTH in self.parts:
+            changed |= {"depth": "logarithmic", "near_z": PLANES[0], "far_z": PLANES[1]}
+        return FrameFormat(**changed) if changed else None
 
     def motion(self, motion: np.ndarray) -> np.ndarray:
         """Return motion (H, W, 2) float32, pixels, after being stored. NaN stays NaN."""
@@ -135,6 +142,10 @@ class Encoding:
             if DILATED in self.parts:
                 motion = nearest_motion(motion, np.asarray(frame.depth))
         depth = np.asarray(frame.depth)
+        if LOG_DEPTH in self.parts:
+            near, far = PLANES
+            with np.errstate(invalid="ignore"):  # sky is at the far plane
+                depth = (np.log(np.minimum(depth, far) / near) / np.log(far / near)).astype(np.float32)
         if HALF_DEPTH in self.parts:
             with np.errstate(over="ignore"):
                 depth = depth.astype(np.float16).astype(np.float32)

@@ -87,6 +87,7 @@ def config(options: Options) -> str:
         "MOST_DISTANCE": camera.MOST_DISTANCE,
         "SAME_POSE": SAME_POSE,
         "MOST_JITTER": frame_format.MOST_JITTER,
+        "MOST_PLANES": frame_format.MOST_PLANES,
         "MOST_RATIO": frame_format.MOST_RATIO,
         "CAMERA_ORDER": options.camera_order or 0,
         "POSES": camera_prediction.POSES,

@@ -75,7 +75,7 @@ def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarr
     GffeError if they are no such matrices, or contradict the layout."""
     v, p = square(view, "view"), square(projection, "projection")
     turned = (v, p), (v.T, p.T)
-    fits = [_is_view(a) and _is_projection(b) for a, b in turned]
+    fits = [is_one and _is_view(a) for is_one, (a, _) in zip(_are_projections(p), turned, strict=True)]
     symmetric = np.array_equal(v, v.T) and np.array_equal(p, p.T)
     chosen = _chosen_layout(layout, fits, symmetric, "view and projection")
     if chosen is None and not (_is_view(v) or _is_view(v.T)):
@@ -185,6 +185,17 @@ def unreal_view(location: Any, pitch: float, yaw: float, roll: float) -> np.ndar
     return matrix
 
 
+def refuse_oblique(projection: np.ndarray) -> None:
+    """Raise GffeError if the near plane of a perspective projection (4, 4), for column vectors, is oblique: planar
+    depth then depends on more than the value in the buffer."""
+    row = projection[2]
+    if np.abs(row[:2]).max() > _ZERO * np.abs(projection).max():
+        raise GffeError(
+            f"camera: projection has an oblique near plane (third row {' '.join(f'{value:.4g}' for value in row)}): its"
+            " depth buffer is not made linear (expected the matrix without it, or linear depth)"
+        )
+
+
 @QUIETLY
 def depth_from_device(
     z: Any, projection: Any, *, layout: str = "auto", opengl_buffer: bool = False, sky: bool = True
@@ -214,13 +225,12 @@ def depth_from_device(
     Raises
     ------
     GffeError
-        If `projection` is no perspective projection, or `z` no array of numbers.
+        If `projection` is no perspective projection or its near plane is oblique, or `z` is no array of numbers.
     """
     p = square(projection, "projection")
-    chosen = _chosen_layout(
-        layout, [_is_projection(p), _is_projection(p.T)], np.array_equal(p, p.T), "entries of projection"
-    )
+    chosen = _chosen_layout(layout, _are_projections(p), np.array_equal(p, p.T), "entries of projection")
     p = _perspective(p.T if chosen == 1 else p) if chosen is not None else _refuse_projection([p, p.T])
+    refuse_oblique(p)
     device = as_float64(require_array(z, "depth: z", ...))
     opengl_buffer, sky = require_bool(opengl_buffer, "depth: opengl_buffer"), require_bool(sky, "depth: sky")
     a, b = _depth_terms(p)
@@ -247,10 +257,12 @@ def depth_planes(projection: np.ndarray, inverted: bool) -> tuple[float, float]:
     """Return the distances of the near and the far plane of a perspective projection (4, 4) to depth 0 … 1, of row or
     of column vectors, infinity included; `inverted`: depth is 1 at the near plane. Raises GffeError if it is no such
     projection."""
-    chosen = [_is_projection(projection), _is_projection(projection.T)]
+    chosen = _are_projections(projection)
     if not any(chosen):
         _refuse_projection([projection, projection.T])
-    a, b = _depth_terms(_perspective(projection if chosen[0] else projection.T))
+    perspective = _perspective(projection if chosen[0] else projection.T)
+    refuse_oblique(perspective)
+    a, b = _depth_terms(perspective)
     ends = [math.inf if abs(value - a) < _ZERO else b / (value - a) for value in (0.0, 1.0)]
     near, far = reversed(ends) if inverted else ends
     if not 0 < near < far:
@@ -333,6 +345,16 @@ def _is_view(m: np.ndarray) -> bool:
     return bool(np.abs(m[3] - (0, 0, 0, 1)).max() <= _SAME * (1 + np.abs(m).max()))
 
 
+def _are_projections(m: np.ndarray) -> list[bool]:
+    """Return whether `m`, and whether its transpose, is a perspective projection for column vectors. One with an
+    oblique near plane, whose third row may hold anything, counts only if neither is an ordinary one."""
+    ordinary = [_is_projection(p) and _is_zero(p[2, :2], p) for p in (m, m.T)]
+    return ordinary if any(ordinary) else [_is_projection(p) for p in (m, m.T)]
+
+
 def _is_projection(m: np.ndarray) -> bool:
-    others = np.abs([*m[3, [0, 1, 3]], *m[2, :2], *m[:2, 3]]).max()
-    return bool(abs(abs(m[3, 2]) - 1) <= _ZERO and others <= _ZERO * np.abs(m).max())
+    return bool(abs(abs(m[3, 2]) - 1) <= _ZERO and _is_zero(np.array([*m[3, [0, 1, 3]], *m[:2, 3]]), m))
+
+
+def _is_zero(entries: np.ndarray, m: np.ndarray) -> bool:
+    return bool(np.abs(entries).max() <= _ZERO * np.abs(m).max())

@@ -42,7 +42,7 @@ TYPES: dict[str, tuple[Any, float]] = {
 COLOR_TYPES = ("float16", "float32", "unorm16", "unorm8")
 DEPTH_TYPES = ("float32", "unorm16", "unorm24")
 MOTION_TYPES = ("float32", "float16", "unorm16", "snorm16")
-DEPTHS = ("linear", "device")
+DEPTHS = ("linear", "device", "logarithmic")  # numbered as in kernels/upload.cl
 MOTION_UNITS = ("pixels", "color_pixels", "uv", "ndc")
 CAMERA_MOTIONS = ("included", "movers_only", "excluded")  # numbered as in kernels/upload.cl
 CHOICES: dict[str, tuple[str, ...]] = {  # of fields of `FrameFormat`
@@ -51,6 +51,7 @@ CHOICES: dict[str, tuple[str, ...]] = {  # of fields of `FrameFormat`
     "camera_motion": CAMERA_MOTIONS,
 }  # fmt: skip
 MOST_JITTER = 16.0  # pixels
+MOST_PLANES = 1e30  # times the near plane: the far plane of logarithmic depth
 MOST_RATIO = 3  # of the sides of color and geometry
 
 # Flags of the SDKs' headers.
@@ -82,8 +83,9 @@ class FrameFormat:
         3 or 4 (RGB or RGBA), in device buffers.
     depth_type : "float32", "unorm16" or "unorm24"
         Type of depth in device buffers. unorm24 are the low 24 bits of 32, as in Direct3D and Vulkan.
-    depth : "linear" or "device"
-        Planar depth, or the value of a depth buffer, in which 1/z is linear.
+    depth : "linear", "device" or "logarithmic"
+        Planar depth, the value of a depth buffer, in which 1/z is linear, or one in which the logarithm of z is:
+        log(z/near_z) / log(far_z/near_z). With near_z 0 it is that of 1 + z: log(1 + z) / log(1 + far_z).
     near_z, far_z : float
         Planar depth in world units where the buffer holds the first and the second value of `depth_range`. Device depth
         has no 0; one of them may be infinite.
@@ -168,8 +170,14 @@ class FrameFormat:
         planes = f"near_z {self.near_z:g}, far_z {self.far_z:g}"
         if self.near_z == self.far_z or self.depth_range[0] == self.depth_range[1]:
             raise GffeError(f"format: near_z and far_z must differ, and so must depth_range, got {planes}")
-        if self.depth == "device" and not min(self.near_z, self.far_z) > 0:
+        near, far = sorted((self.near_z, self.far_z))
+        if self.depth == "device" and not near > 0:
             raise GffeError(f"format: device depth needs near_z and far_z greater than 0, got {planes}")
+        if self.depth == "logarithmic" and not 0 <= near < far <= MOST_PLANES * (near or 1):
+            raise GffeError(
+                f"format: logarithmic depth needs near_z and far_z of 0 or more, up to {MOST_PLANES:g} times apart,"
+                f" got {planes}"
+            )
 
     # ---- from the fields of SDKs -----------------------------------------------------------------------
 
@@ -411,7 +419,7 @@ def conversion(
         "motion_invalid": invalid,
         "given_types": (*numbered, CAMERA_MOTIONS.index(format.camera_motion)),
         "given_channels": (channels["color"], channels["motion"]),
-        "depth_is_device": format.depth == "device",
+        "depth_law": DEPTHS.index(format.depth),
         "geometry_width": geometry[0],
         "geometry_height": geometry[1],
         "to_geometry": (*(1 / n for n in scale), *(j / n for j, n in zip(shift, scale, strict=True))),
@@ -469,7 +477,8 @@ def _motion_numbers(
 
 def _depth_numbers(format: FrameFormat, type_name: str | None) -> tuple[float, ...]:
     """Return (factor, origin, addend, sky): factor · (stored − origin) + addend is depth, or 1/depth of device depth.
-    The origin is the far end, from which differences are exact. Device depth `sky`, as in a cleared buffer, is sky."""
+    The origin is the far end, from which differences are exact. Device depth `sky`, as in a cleared buffer, is sky.
+    Logarithmic depth has the near end as origin, where the natural logarithm is 0, and near_z as addend."""
     assert type_name is not None
     most = TYPES[type_name][1]
     ends = sorted(zip((format.near_z, format.far_z), format.depth_range, strict=True), reverse=True)
@@ -477,6 +486,10 @@ def _depth_numbers(format: FrameFormat, type_name: str | None) -> tuple[float, .
     if format.depth == "linear":
         factor = (far - near) / (far_value - near_value) / most
         return factor, near_value * most, near, math.nan
+    if format.depth == "logarithmic":
+        above = 0.0 if near else 1.0
+        factor = math.log((far + above) / (near + above)) / (far_value - near_value) / most
+        return factor, near_value * most, near, far_value * most
     factor = (1 / near - 1 / far) / (near_value - far_value) / most
     return factor, far_value * most, 1 / far, far_value * most
 

@@ -80,6 +80,22 @@ def test_device_depth_by_planes(tmp_path, reverse, far):
     same(made, depth=1e-5)
 
 
+@pytest.mark.parametrize("reverse", [True, False])
+@pytest.mark.parametrize("near", [0.02, None])
+def test_logarithmic_depth(tmp_path, near, reverse):
+    """As three.js has it: log(z / near) / log(far / near) with WebGPU, log2(1 + z) / log2(1 + far) with WebGL."""
+
+    def logarithm(shot):
+        z = np.minimum(np.float64(shot.depth), FAR)  # sky is at the far plane
+        value = np.log(z / near) / np.log(FAR / near) if near else np.log2(1 + z) / np.log2(1 + FAR)
+        return (1 - value if reverse else value).astype(np.float32)
+
+    said = {"file": "depth_%d.npy", "encoding": "logarithmic", "far": FAR, "reversed": reverse}
+    same(write(tmp_path, logarithm, depth=said | ({"near": near} if near else {})), depth=2e-6)
+    with pytest.raises(GffeError, match='logarithmic depth needs "far", a number greater than 0, got inf'):
+        write(tmp_path, logarithm, depth={"file": "depth_%d.npy", "encoding": "logarithmic", "near": 0.1})
+
+
 def test_distance_inverse_and_millimeters(tmp_path):
     def distance(shot):
         y, x = np.mgrid[:H, :W] + 0.5
@@ -481,6 +497,22 @@ def test_the_range_that_a_matrix_of_opengl_leaves_open_is_named(tmp_path):
     assert "the matrix does not tell" in note and '"opengl_buffer": true or false' in note
     edit_json(tmp_path / "sequence.json", lambda described: described["depth"].update(opengl_buffer=True))
     assert not open_capture(tmp_path).notes
+
+
+def test_an_oblique_near_plane_opens_with_linear_depth_only(tmp_path):
+    cameras = []
+    for shot in rendered():
+        p = shot.camera.projection_matrix("opengl", W, H, NEAR, FAR)
+        p[2] = (0.1, -0.4, -0.8, -0.3)
+        cameras.append({"view": shot.camera.view_matrix("opengl").tolist(), "projection": p.tolist()})
+    rules = {"convention": "opengl", "list": cameras}
+    same(write(tmp_path, camera=rules))
+    for planes in ({}, {"near": NEAR, "far": FAR}):
+        said = {"file": "depth_%d.npy", "encoding": "device", **planes}
+        with pytest.raises(
+            GffeError, match=r"frame 3, camera: projection has an oblique near plane \(third row 0.1 -0.4"
+        ):
+            write(tmp_path, device, depth=said, camera=rules)
 
 
 UNWRITTEN = np.random.default_rng(4).random((H, W)) < 0.3

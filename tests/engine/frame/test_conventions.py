@@ -105,6 +105,31 @@ def test_points_are_where_the_api_puts_them(case, rows, layout):
     assert handed == pytest.approx(np.sign(np.linalg.det(view[:3, :3])) * (-1 if case in ("direct3d", "unreal") else 1))
 
 
+def oblique(projection, plane):
+    """The projection whose near plane is `plane` (4,) of view space (Lengyel, Oblique View Frustum Depth Projection and
+    Clipping)."""
+    made, corner = projection.copy(), np.linalg.inv(projection) @ [*np.sign(plane[:2]), 1, 1]
+    made[2] = plane * (2 / (plane @ corner)) - made[3]
+    return made
+
+
+@pytest.mark.parametrize("transposed", [False, True])
+@pytest.mark.parametrize("case", CASES)
+def test_an_oblique_near_plane_changes_no_camera(case, transposed):
+    """That of water or a mirror: pixels do not depend on it. Depth from the buffer is refused in one line."""
+    make, z_sign, _, mirrored = CASES[case]
+    plain = frustum(z_sign, -0.6, 0.5, -0.3, 0.35, Z_ROWS["-1..1"])
+    view = turn(4) @ np.diag([1, 1, -1 if mirrored else 1, 1])
+    for plane in ((0, 0.35, z_sign, -0.3), (0.6, -0.2, 0.4 * z_sign, -1.7)):
+        given = view, oblique(plain, np.array(plane) / np.linalg.norm(plane[:3]))
+        given = [m.T for m in given] if transposed else given
+        camera, expected = make(*given, SIZE), make(view, plain, SIZE)
+        np.testing.assert_allclose(camera.world_to_view, expected.world_to_view, atol=1e-12)
+        np.testing.assert_allclose(camera.intrinsics, expected.intrinsics, rtol=1e-12)
+        with pytest.raises(GffeError, match=r"oblique near plane \(third row .*expected .*linear depth\)"):
+            depth_from_device([0.5], given[1])
+
+
 def test_vulkan_with_a_view_of_opengl_turned_upside_down():
     """glm's matrices with projection[1][1] negated, as most programs have it."""
     view, projection = turn(5), frustum(-1, -0.6, 0.5, -0.3, 0.3, Z_ROWS["0..1"])

@@ -218,6 +218,9 @@ def test_invalid_values_are_unknown_and_not_bad(device):
     [
         ({"depth": "device"}, "near_z and far_z greater than 0"),
         ({"depth": "device", "near_z": 1, "far_z": 1}, "must differ"),
+        ({"depth": "logarithmic", "near_z": -1, "far_z": 1}, "logarithmic depth needs near_z and far_z of 0 or more"),
+        ({"depth": "logarithmic", "near_z": 1, "far_z": math.inf}, "far_z must be a finite number"),
+        ({"depth": "logarithmic", "near_z": 1e-30, "far_z": 9}, "times apart"),
         ({"depth": "linear", "near_z": 1, "far_z": math.inf}, "far_z must be a finite number"),
         ({"depth_range": (0, 0)}, "must differ"),
         ({"motion_unit": "inches"}, "motion_unit must be one of pixels"),

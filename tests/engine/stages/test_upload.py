@@ -168,6 +168,8 @@ DESCRIPTIONS = {
         nearZ=np.inf, farZ=0.3, motionVectorScale=(2, 3, 1, 0), motionVectorOffset=(-1, 0.1, 0, 0), motion_invalid=1.0,
         motion_jittered=True, geometry_size=(61, 33), color_size=(61, 33),
     ),
+    "logarithmic": FrameFormat(depth="logarithmic", near_z=0.02, far_z=3000),
+    "logarithmic of 1 + z, reversed": FrameFormat(depth="logarithmic", near_z=0, far_z=500, depth_range=(0.9, -0.1)),
     "movers only": FrameFormat(
         depth="device", near_z=0.1, far_z=50, motion_unit="uv", motion_y="up", motion_invalid=0.0,
         camera_motion="movers_only",

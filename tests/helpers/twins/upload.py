@@ -5,6 +5,7 @@ import numpy as np
 from gffe_cl.captures.sequence.described import spread_geometry as spread_geometry  # of sequences on disk, too
 from gffe_cl.captures.sequence.described import undilated as undilated
 from twins.common import COLOR_MAX, INF, F, centers, kernel_constants, reproject
+from twins.network_input import exp_less_one
 
 UPLOAD = kernel_constants("upload.cl")
 UNITS = {np.uint8: F(1) / F(255), np.uint16: F(1) / F(65535)}
@@ -48,8 +49,13 @@ def convert_described_geometry(depth, motion, given, to_previous=None, size=None
     factor, origin, addend, sky = F(given["given_depth"])
     stored = (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(F)
     with np.errstate(all="ignore"):
-        value = factor * (stored - origin) + addend
-        if given["depth_is_device"]:
+        if given["depth_law"] == UPLOAD.DEPTH_LOGARITHMIC:
+            power = np.clip(factor * (stored - origin), -UPLOAD.MOST_POWER, UPLOAD.MOST_POWER)
+            value = addend + (addend if addend > 0 else F(1)) * exp_less_one(power)
+            value = np.where(stored == sky, INF, value)
+        else:
+            value = factor * (stored - origin) + addend
+        if given["depth_law"] == UPLOAD.DEPTH_DEVICE:
             is_sky = (stored == sky) | (value <= F(1) / F(1e37))
             value = np.where(is_sky, INF, F(1) / value)
     if motion is None:

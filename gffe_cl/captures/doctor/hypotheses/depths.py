@@ -1,6 +1,7 @@
 """Hypotheses about depths, whose parameters (near, far, units) are fitted to motion vectors.
 
-Everything is in terms of w = 1 / depth, which is linear in the unknown parameters: w = Σ c · φ(stored).
+Everything is in terms of w = 1 / depth, which is linear in the unknown parameters: w = Σ c · φ(stored). Of logarithmic
+depth ln(depth + added) is.
 """
 
 from __future__ import annotations
@@ -24,10 +25,18 @@ def rays(camera: Camera, px: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DepthModel:
-    """Model of a depth buffer: its `name`, and how many functions φ it has."""
+    """Model of a depth buffer: its `name`, how many functions φ it has, and what it costs as a hypothesis. `added` to
+    depth before the logarithm, of which φ is linear; None: w is."""
 
     name: str
     terms: int
+    cost: float
+    added: float | None = None
+
+    @property
+    def is_of_device(self) -> bool:
+        """Whether the stored numbers were taken for device depth and made linear."""
+        return self.name == _LINEARIZED
 
     def basis(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
         """Return the basis (N, terms) of stored depths (N,) and rays (N, 3)."""
@@ -36,14 +45,53 @@ class DepthModel:
                 return (1 / stored)[..., None]
             if self.name == "along rays":
                 return (np.linalg.norm(ray, axis=-1) / stored)[..., None]
-            if self.name == "range":
+            if self.name in _BITS:
+                return (1 / _decoded(stored, *_BITS[self.name]))[..., None]
+            if self.name in (RANGE_NAME, _LINEARIZED):
                 return np.stack([np.ones_like(stored), 1 / stored], -1)
             return np.stack([np.ones_like(stored), stored], -1)
 
+    def inverse(self, linear: np.ndarray) -> np.ndarray:
+        """Return w (…) of a basis times the coefficients (…)."""
+        if self.added is None:
+            return linear
+        with np.errstate(divide="ignore"):
+            return 1 / (np.exp(np.clip(linear, -_MOST_POWER, _MOST_POWER)) - self.added)
 
-PLANAR, ALONG_RAYS, DEVICE = DepthModel("planar", 1), DepthModel("along rays", 1), DepthModel("device", 2)
-RANGE = DepthModel("range", 2)  # a depth buffer that was made linear with 0 … 1 taken for −1 … 1, or the other way
+    def linear(self, w: np.ndarray) -> np.ndarray:
+        """Return what `inverse` gives `w` for; NaN where nothing does."""
+        if self.added is None:
+            return w
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(w > 0, np.log(1 / w + self.added), np.nan)
+
+    def slope(self, w: np.ndarray) -> np.ndarray:
+        """Return the derivative of `inverse` where it gives `w`."""
+        return np.ones_like(w) if self.added is None else -w * (1 + self.added * w)
+
+
+RANGE_NAME, _LINEARIZED = "range", "logarithmic as device"
+_MOST_POWER = 60.0  # of e
+_BITS = {"bits of 32-bit floats": (np.uint32, np.float32), "bits of 16-bit floats": (np.uint16, np.float16)}
+PLANAR, ALONG_RAYS = DepthModel("planar", 1, 1.0), DepthModel("along rays", 1, 1.0)
+DEVICE = DepthModel("device", 2, 1.5)
+# A depth buffer that was made linear with 0 … 1 taken for −1 … 1, or the other way.
+RANGE = DepthModel(RANGE_NAME, 2, 1.5)
 MODELS = (PLANAR, ALONG_RAYS, DEVICE, RANGE)
+# Logarithms of z and of 1 + z: as stored, and as they become if they are made linear like device depth.
+LOGARITHMIC = tuple(DepthModel(name, 2, 2.0, added) for name in ("logarithmic", _LINEARIZED) for added in (0.0, 1.0))
+FLOAT_BITS = tuple(DepthModel(name, 1, 1.5) for name in _BITS)
+RARE = (*LOGARITHMIC, *FLOAT_BITS)  # laws that are tried only with what one of MODELS fits best
+
+
+def _decoded(stored: np.ndarray, integer: type, number: type) -> np.ndarray:
+    """Return the numbers (…) float64 whose bits were read as integers, or as parts of the largest integer."""
+    most = np.iinfo(integer).max
+    scale = most if np.nanmax(np.abs(stored), initial=0) <= 1 else 1
+    whole = np.clip(np.nan_to_num(np.round(stored * scale)), 0, most).astype(integer)
+    return whole.view(number).astype(np.float64)
+
+
 _RANGES = 2.0, 0.5
 _NEAR_RANGE = 0.05  # of the logarithm of the range's factor
 
@@ -73,11 +121,16 @@ class DepthReading:
     def inverse(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
         """Return 1 / planar depth (N,) float64 in units of the camera's translation; 0 for no surface."""
         with np.errstate(invalid="ignore"):
-            w = self.model.basis(stored, ray) @ np.array(self.coefficients)
+            w = self.model.inverse(self.model.basis(stored, ray) @ np.array(self.coefficients))
         return np.where(np.isinf(stored), 0.0, w)
 
 
 AS_GIVEN = DepthReading()
+
+
+def is_from_0_to_1(stored: np.ndarray) -> bool:
+    """Return whether `stored` depths (N,) can be those of a depth buffer."""
+    return bool(np.nanmin(stored) > -_SIGNED and np.nanmax(stored) < 1 + _SIGNED)
 
 
 @dataclass(frozen=True)
@@ -120,8 +173,8 @@ def fit_depth(model: DepthModel, basis: np.ndarray, a: np.ndarray, b: np.ndarray
     basis, a, b, power = basis[ok], a[ok], b[ok], power[ok]
     frame = None if frame is None else frame[ok]
     w = (a * b).sum(-1) / power
-    start = _median_start(basis[:, 0], w, power) if model.terms == 1 else _drawn_start(basis, w, a, b)
-    return None if start is None else DepthReading(model, tuple(_polished(start, basis, a, b, frame).tolist()))
+    start = _median_start(basis[:, 0], w, power) if model.terms == 1 else _drawn_start(model, basis, w, a, b)
+    return None if start is None else DepthReading(model, tuple(_polished(model, start, basis, a, b, frame).tolist()))
 
 
 def _median_start(basis, w, power) -> np.ndarray | None:
@@ -135,8 +188,9 @@ def _median_start(basis, w, power) -> np.ndarray | None:
     return ratio[order][np.searchsorted(total, total[-1] / 2)][None]
 
 
-def _drawn_start(basis, w, a, b) -> np.ndarray | None:
+def _drawn_start(model, basis, w, a, b) -> np.ndarray | None:
     """Return, of the lines through two samples, the one with the smallest logarithms of residuals."""
+    w = model.linear(w)
     one, two = np.random.default_rng(7).integers(len(w), size=(2, _DRAWS))
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (w[two] - w[one]) / (basis[two, 1] - basis[one, 1])
@@ -145,21 +199,23 @@ def _drawn_start(basis, w, a, b) -> np.ndarray | None:
     if not len(lines):
         return None
     some = slice(None, None, max(1, len(w) // 200))
-    trial = basis[some] @ lines.T  # (samples, lines)
+    trial = model.inverse(basis[some] @ lines.T)  # (samples, lines)
     off = ((a[some][:, None] * trial[..., None] - b[some][:, None]) ** 2).sum(-1)
     return lines[np.log(off + 1e-4).mean(0).argmin()]
 
 
-def _polished(start, basis, a, b, frame=None) -> np.ndarray:
+def _polished(model, start, basis, a, b, frame=None) -> np.ndarray:
     """Return the parameters after iteratively reweighted least squares, with a scale that follows the residuals."""
     found, constant = start, 0.0
     for _ in range(6 if frame is None else 12):
-        off = ((a * (basis @ found)[:, None] - b - constant) ** 2).sum(-1)
+        w = model.inverse(basis @ found)
+        off = ((a * w[:, None] - b - constant) ** 2).sum(-1)
         at = int(0.4 * len(off))
         weight = 1 / (1 + off / max(float(np.partition(off, at)[at]), 1e-8)) ** 2
-        left, right = basis[:, None, :] * a[:, :, None], b
+        tangent = basis * model.slope(w)[:, None]
+        left, right = tangent[:, None, :] * a[:, :, None], b - a * (w - tangent @ found)[:, None]
         if frame is not None:
-            left, right = left - _frame_means(left, weight, frame), b - _frame_means(b, weight, frame)
+            left, right = left - _frame_means(left, weight, frame), right - _frame_means(right, weight, frame)
         normal = np.einsum("n,nij,nik->jk", weight, left, left)
         size = np.sqrt(np.diag(normal)) + 1e-300
         try:
@@ -172,7 +228,7 @@ def _polished(start, basis, a, b, frame=None) -> np.ndarray:
             break
         found = solved / size
         if frame is not None:
-            constant = _frame_means(a * (basis @ found)[:, None] - b, weight, frame)
+            constant = _frame_means(a * model.inverse(basis @ found)[:, None] - b, weight, frame)
     return found
 
 

@@ -38,13 +38,15 @@ class Order:
 
 
 class Reordered:
-    """Clip with its rendered frames in another order, at the same times."""
+    """Clip with its rendered frames in another order, or some of them, at their times."""
 
     def __init__(self, clip: Clip, order: list[int]):
         self._clip, entries = clip, clip.rendered
         self.settings = getattr(clip, "settings", None)
+        times = sorted(entries[index].time for index in order)
         self.rendered = [
-            replace(entries[index], time=entries[place].time, reset=place == 0) for place, index in enumerate(order)
+            replace(entries[index], time=time, reset=place == 0 or (entries[index].reset and index != 0))
+            for place, (index, time) in enumerate(zip(order, times, strict=True))
         ]
         self._given = {entry.file: entry for entry in entries}
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gffe_cl.captures.doctor.hypotheses.cameras import CAMERA_AS_GIVEN, CameraReading, camera_readings
 from gffe_cl.captures.doctor.hypotheses.coarse_search import WideField
-from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN, MODELS, PLANAR, DepthReading, fit_depth
+from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN, MODELS, PLANAR, RARE, DepthReading, fit_depth
 from gffe_cl.captures.doctor.hypotheses.motions import MOTION_AS_GIVEN, MotionReading, motion_readings
 from gffe_cl.captures.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Look
 from gffe_cl.captures.doctor.hypotheses.scoring import Bench, frame_offsets, log_score, mostly_nothing, moving, trimmed
@@ -42,7 +42,7 @@ class Reading:
     @property
     def edits(self) -> float:
         """Number of differences from the sequence as given."""
-        depth = 0 if self.depth == AS_GIVEN else 1.5 if self.depth.model.terms == 2 else 1
+        depth = 0 if self.depth == AS_GIVEN else self.depth.model.cost
         focal = self.camera.focal != 1
         rest = depth + focal + 2 * bool(self.jitter) + bool(self.rows)
         return len(self.motion.parts) + len(self.camera.parts) + rest
@@ -207,6 +207,9 @@ class Search:
         usual = [c for c in camera_readings() if c.is_usual]
         add(self._joint(motions, camera_readings()))
         if not good():
+            best = sorted(found.values(), key=lambda v: -v.total)[:_REFINED]
+            add(one for verdict in best for one in self.fitted(self.full, verdict.reading, RARE))
+        if not good():
             focals = [*FOCALS, *misread_focals(self.full.looks[0])]
             add(self._joint(motions, [CAMERA_AS_GIVEN.with_focal(k) for k in focals if k != 1]))
             refine()
@@ -268,6 +271,8 @@ class Search:
     def _facing(self, reading: Reading) -> Reading:
         """Return the reading with positive depths: negative ones under some axes are positive under the opposite
         axes."""
+        if reading.depth.model.added is not None:  # logarithms are of positive depths
+            return reading
         bench, ray = self.thin, self.thin.reach(reading.camera, reading.motion.step).ray
         if reading.depth != AS_GIVEN and np.nanmedian(reading.depth.inverse(bench.stored, ray)[bench.solid]) < 0:
             depth = replace(reading.depth, coefficients=tuple(-c for c in reading.depth.coefficients))

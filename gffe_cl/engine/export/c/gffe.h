@@ -128,6 +128,8 @@ typedef struct gffe_format {
     int color_type, color_channels; /* float16, float32, unorm16 or unorm8, linear; 3 or 4 channels */
     int depth_type; /* float32, unorm16 or unorm24 */
     int depth_is_device; /* whether depth is that of a depth buffer, in which 1/z is linear, instead of planar depth */
+    int depth_is_logarithmic; /* whether it is log(z / near_z) / log(far_z / near_z); with near_z 0 log(1 + z) /
+                                 log(1 + far_z) */
     double near_z, far_z, depth_range[2]; /* planar depth where the buffer holds the first and the second value of the
                                              range; of device depth greater than 0, one of them perhaps infinite */
     int motion_type, motion_channels; /* float32, float16, unorm16 or snorm16; 2 to 4 channels */

@@ -63,13 +63,13 @@ static int is_small(const gffe_step *step) {
 
 static int is_geometry_ours(const gffe_step *step) {
     const gffe_format *format = &step->format;
-    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device && format->near_z == 0
-           && format->far_z == 1 && format->depth_range[0] == 0 && format->depth_range[1] == 1
-           && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2 && format->motion_scale[0] == 1
-           && format->motion_scale[1] == 1 && format->motion_offset[0] == 0 && format->motion_offset[1] == 0
-           && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous && !format->motion_y_up
-           && !format->motion_dilated && !format->motion_jittered && isnan(format->motion_invalid)
-           && format->camera_motion == GFFE_CAMERA_INCLUDED;
+    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device
+           && !format->depth_is_logarithmic && format->near_z == 0 && format->far_z == 1 && format->depth_range[0] == 0
+           && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2
+           && format->motion_scale[0] == 1 && format->motion_scale[1] == 1 && format->motion_offset[0] == 0
+           && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous
+           && !format->motion_y_up && !format->motion_dilated && !format->motion_jittered
+           && isnan(format->motion_invalid) && format->camera_motion == GFFE_CAMERA_INCLUDED;
 }
 
 static gffe_status need_finite(gffe *g, const char *name, double value) {
@@ -116,7 +116,7 @@ static gffe_status check_format(gffe *g, const gffe_format *format) {
     static const int colors[4] = {GFFE_FLOAT16, GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM8};
     static const int depths[3] = {GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM24};
     static const int motions[4] = {GFFE_FLOAT32, GFFE_FLOAT16, GFFE_UNORM16, GFFE_SNORM16};
-    const double near_z = format->near_z, far_z = format->far_z;
+    const double near_z = format->near_z, far_z = format->far_z, nearer = near_z < far_z ? near_z : far_z;
     gffe_status status = check_type(g, NAMES[COLOR], format->color_type, colors, 4);
     if (!status) status = check_type(g, NAMES[DEPTH], format->depth_type, depths, 3);
     if (!status) status = check_type(g, NAMES[MOTION], format->motion_type, motions, 4);
@@ -134,6 +134,15 @@ static gffe_status check_format(gffe *g, const gffe_format *format) {
         return gffe_fail(g, GFFE_INVALID,
                          "format: device depth needs near_z and far_z greater than 0, got near_z %g, far_z %g", near_z,
                          far_z);
+    if (format->depth_is_logarithmic && format->depth_is_device)
+        return gffe_fail(g, GFFE_INVALID, "format: depth must not be device depth and logarithmic");
+    if (format->depth_is_logarithmic
+        && (!(nearer >= 0) || fmax(near_z, far_z) > GFFE_MOST_PLANES * (nearer > 0 ? nearer : 1)))
+        return gffe_fail(
+            g, GFFE_INVALID,
+            "format: logarithmic depth needs near_z and far_z of 0 or more, up to %g times apart, got near_z"
+            " %g, far_z %g",
+            GFFE_MOST_PLANES, near_z, far_z);
     if (format->motion_scale[0] == 0 || format->motion_scale[1] == 0)
         return gffe_fail(g, GFFE_INVALID, "format: motion_scale must not contain 0, got %g and %g",
                          format->motion_scale[0], format->motion_scale[1]);
@@ -230,6 +239,13 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
         block->given_depth.s[0] = (float)((1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most);
         block->given_depth.s[1] = block->given_depth.s[3] = (float)(far_value * depth_most);
         block->given_depth.s[2] = (float)(1 / farthest);
+    } else if (format->depth_is_logarithmic) {
+        const double above = nearest > 0 ? 0 : 1;
+        block->given_depth.s[0] =
+            (float)(log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most);
+        block->given_depth.s[1] = (float)(near_value * depth_most);
+        block->given_depth.s[2] = (float)nearest;
+        block->given_depth.s[3] = (float)(far_value * depth_most);
     } else {
         block->given_depth.s[0] = (float)((farthest - nearest) / (far_value - near_value) / depth_most);
         block->given_depth.s[1] = (float)(near_value * depth_most);
@@ -245,7 +261,7 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     block->given_types.s[3] = format->camera_motion;
     block->given_channels.s[0] = format->color_channels;
     block->given_channels.s[1] = format->motion_channels;
-    block->depth_is_device = format->depth_is_device != 0;
+    block->depth_law = format->depth_is_device ? 1 : format->depth_is_logarithmic ? 2 : 0;
     block->has_previous = step->converts_after;
 }
 

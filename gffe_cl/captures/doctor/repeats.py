@@ -1,0 +1,58 @@
+"""Frames that were recorded twice, and colors that were: equal to the bit although vectors move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.captures.doctor.findings import FAULT, REPEATED, TWICE, Finding
+from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
+
+_MOVES = 0.3  # pixels: vectors by which nothing stays as it is
+_TEXTURED, _COLORS = 0.1, 16  # share of samples that show a texture, and distinct colors, at least
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Numbers of frames that repeat the frame before them: all of it, or its color alone."""
+
+    whole: list[int]
+    color: list[int]
+
+    def findings(self) -> list[Finding]:
+        found = []
+        if self.whole:
+            sentence = f"{_frames(self.whole)} the same to the bit as the frame before, although vectors move"
+            found.append(Finding(FAULT, "frames", TWICE, sentence, "they are left out", {"frames": self.whole}))
+        if self.color:
+            sentence = f"{_frames(self.color)} the color of the frame before, to the bit, although vectors move"
+            sentence = sentence.replace(" are ", " have ").replace(" is ", " has ")
+            found.append(Finding(FAULT, "color", REPEATED, sentence, figures={"frames": self.color}))
+        return found
+
+
+def repeats(looks: dict[int, Look]) -> Repeats:
+    """Return the frames of `looks` that repeat the one before, as far as samples and cameras tell."""
+    whole, color = [], []
+    for index, look in looks.items():
+        before = look.neighbors.get(PREVIOUS)
+        if before is None or look.motion is None or not np.array_equal(look.color, before.color):
+            continue
+        if not np.nanmedian(np.linalg.norm(look.motion, axis=-1)) > _MOVES or not _shows_something(look):
+            continue
+        pairs = (look.depth, before.depth), (look.motion, before.motion)
+        same = all(b is not None and np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+        (whole if same and look.camera == before.camera else color).append(index)
+    return Repeats(whole, color)
+
+
+def _shows_something(look: Look) -> bool:
+    return bool(look.textured.mean() > _TEXTURED and len(np.unique(look.color, axis=0)) > _COLORS)
+
+
+def _frames(numbers: list[int]) -> str:
+    more = " …" if len(numbers) > _MOST_NAMED else ""
+    named = ", ".join(map(str, numbers[:_MOST_NAMED])) + more
+    return f"frames {named} are" if len(numbers) > 1 else f"frame {named} is"
