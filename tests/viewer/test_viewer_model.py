@@ -92,7 +92,7 @@ def test_values_under_the_pointer_are_those_of_the_picture(session):
     assert status.parts(model)[-1] == f"({x}, {y})   {here}   from ({right:.1f}, {down:.1f})   {there}"
     rows = [(row.label, row.where, row.value) for row in rows_of(model.contents.layers, seen)]
     assert [row[1:] for row in rows if row[0] == "Rendered color"] == [("here", here), ("from", there)]
-    assert [row[1] for row in rows if row[0] == "Final"] == ["here"]
+    assert [row[1] for row in rows if row[0] == "Final"] == [""]
 
 
 def inspected(session, x, y):

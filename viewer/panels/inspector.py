@@ -86,37 +86,32 @@ def _buffers(model: Model) -> None:
 def _values(app: Interface, inspection) -> None:
     """Draw a table for each stage, under its name: layers, and their values."""
     rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
-    names, where = (_widest(texts) for texts in zip(*((row.label, row.where) for row in rows), strict=True))
-    room -= where
+    names = _widest(f"{row.label} {row.where}".strip() for row in rows)
     with widgets.compact():
         for group, of_group in groupby(rows, key=lambda row: row.group):
             imgui.text_disabled(group)
             listed = list(of_group)
             colors = _widest(row.value for row in listed if row.is_color)
-            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room), where)
+            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room))
 
 
 def _widest(texts: Iterable[str]) -> float:
     return max((imgui.calc_text_size(text).x for text in texts), default=0.0)
 
 
-def _table(group: str, rows: list[Row], names: float, where: float) -> None:
-    """Draw the rows of a stage; `names` and `where` are widths of columns."""
-    if not imgui.begin_table(f"###values {group}", 2 + (where > 0), imgui.TableFlags_.row_bg.value):
+def _table(group: str, rows: list[Row], names: float) -> None:
+    """Draw the rows of a stage; `names`: width of the layers' names."""
+    if not imgui.begin_table(f"###values {group}", 2, imgui.TableFlags_.row_bg.value):
         return
     imgui.table_setup_column("layer", imgui.TableColumnFlags_.width_fixed.value, names)
-    if where:
-        imgui.table_setup_column("where", imgui.TableColumnFlags_.width_fixed.value, where)
     imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch.value)
     for row in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text(widgets.cut(row.label, names))
+        where = f" {row.where}" if row.where else ""
+        imgui.text(widgets.cut(row.label, names - imgui.calc_text_size(where).x) + where)
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
-        if where:
-            imgui.text_disabled(row.where)
-            imgui.table_next_column()
         text_color = widgets.RED if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
         widgets.colored(text_color, row.value)
     imgui.end_table()
@@ -138,7 +133,7 @@ def rows_of(layers: Iterable[LayerSpec], inspection: Inspection) -> list[Row]:
     for spec in layers:
         named = ((HERE, inspection.values), (FROM, inspection.origin))
         for where, values in ((where, values[spec.name]) for where, values in named if spec.name in values):
-            told = where if inspection.origin else ""
+            told = where if spec.name in inspection.origin else ""
             text, bad = value_text(spec, values), _is_bad(spec, values)
             rows.append(Row(spec.group, spec.label, spec.description, told, text, spec.view == "color", bad))
     return rows
