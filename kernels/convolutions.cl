@@ -15,11 +15,8 @@
 #define GROUP_WIDTH 32
 #define GROUP_HEIGHT 2
 #define GROUP_ITEMS 64 /* their product */
-#define ROWS 4 /* of pixels that a work-item makes, ... */
-#define ROWS_HALVING 2 /* ... or so many where the image is halved, */
-#define ROWS_OF_PIXELS 2 /* or where weights are of single pixels */
-#define MOST_ROWS 4
-#define MOST_READ 6 /* rows of inputs that it reads for them */
+#define ROWS 2 /* of pixels that a work-item makes */
+#define MOST_READ 5 /* rows of inputs that it reads for them, where the image is halved */
 #define KEPT_BLOCKS 12 /* of inputs, whose weights are in local memory at once */
 #define MOST_TAPS 9 /* weights of an input for an output */
 #define FIRST_PART 4 /* blocks of outputs that a work-item of the first convolution makes */
@@ -165,26 +162,26 @@ INLINE float4 total_of(const Sums sums, const float4 bias) { return convert_floa
 #endif
 
 /* A convolution with `size` weights each way, of an image of `source_blocks` blocks and of another of `beside_blocks`
-   that is joined to it. A work-item makes `rows` pixels of a block of channels, a work-group of 32 x 2 work-items
+   that is joined to it. A work-item makes ROWS pixels of a block of channels, a work-group of 32 x 2 work-items
    shares their weights. `numbers` has, after the roundings, of each block of outputs the bias and the scale of sums.
    `again`: the image rounded once more, if `has_again`. */
-INLINE void convolve(const int size, const int stride, const int rows, __constant Frame *frame,
-                     __global const uint *source, __global const uint *beside, __global const uint4 *weights,
-                     __constant float4 *numbers, __global uint *target, __global uint *again, const int level,
-                     const int source_blocks, const int beside_blocks, const int has_again, __local Kept *kept) {
+INLINE void convolve(const int size, const int stride, __constant Frame *frame, __global const uint *source,
+                     __global const uint *beside, __global const uint4 *weights, __constant float4 *numbers,
+                     __global uint *target, __global uint *again, const int level, const int source_blocks,
+                     const int beside_blocks, const int has_again, __local Kept *kept) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
-    const int x = get_global_id(0), y = get_global_id(1) * rows, target_block = get_global_id(2);
+    const int x = get_global_id(0), y = get_global_id(1) * ROWS, target_block = get_global_id(2);
     const int taps = size * size, blocks = source_blocks + beside_blocks, first = BORDER - size / 2;
     const int pitch = stride * width + 2 * BORDER, last_row = stride * height + 2 * BORDER - 1;
     const int in_plane = pitch * (last_row + 1), in_x = stride * min(x, width - 1) + first;
-    const int read = (rows - 1) * stride + size;
+    const int read = (ROWS - 1) * stride + size;
     const int item = get_local_id(1) * GROUP_WIDTH + get_local_id(0);
     int places[MOST_READ];
-    Sums sums[MOST_ROWS];
+    Sums sums[ROWS];
 #pragma unroll
     for (int j = 0; j < read; ++j) places[j] = min(stride * y + first + j, last_row) * pitch + in_x;
 #pragma unroll
-    for (int p = 0; p < rows; ++p) sums[p] = 0;
+    for (int p = 0; p < ROWS; ++p) sums[p] = 0;
     weights += target_block * blocks * taps;
     for (int from = 0; from < blocks; from += KEPT_BLOCKS, weights += KEPT_BLOCKS * taps) {
         const int count = min(KEPT_BLOCKS, blocks - from);
@@ -203,7 +200,7 @@ INLINE void convolve(const int size, const int stride, const int rows, __constan
 #pragma unroll
                 for (int j = 0; j < size; ++j, w += KEPT_PER_WEIGHTS)
 #pragma unroll
-                    for (int p = 0; p < rows; ++p) sums[p] = added(sums[p], v[p * stride + j], w);
+                    for (int p = 0; p < ROWS; ++p) sums[p] = added(sums[p], v[p * stride + j], w);
             }
         }
     }
@@ -212,7 +209,7 @@ INLINE void convolve(const int size, const int stride, const int rows, __constan
     const float4 zeros = numbers[3];
     const float4 bias = numbers[ROUNDINGS + 2 * target_block], scale = numbers[ROUNDINGS + 2 * target_block + 1];
 #pragma unroll
-    for (int p = 0; p < rows; ++p) {
+    for (int p = 0; p < ROWS; ++p) {
         if (y + p >= height) break;
         const int at = target_block * plane + place_of(x, y + p, out_pitch);
         const float4 steps = first_steps(total_of(sums[p], bias) * scale, numbers);
@@ -232,7 +229,7 @@ INLINE void convolve(const int size, const int stride, const int rows, __constan
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void convolve3(CONVOLUTION) {
     __local Kept kept[KEPT_BLOCKS * MOST_TAPS * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
-    convolve(3, 1, ROWS, frame, source, beside, weights, numbers, target, again, level, source_blocks, beside_blocks,
+    convolve(3, 1, frame, source, beside, weights, numbers, target, again, level, source_blocks, beside_blocks,
              has_again, kept);
 }
 
@@ -240,16 +237,16 @@ __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) voi
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void halve3(CONVOLUTION) {
     __local Kept kept[KEPT_BLOCKS * MOST_TAPS * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
-    convolve(3, 2, ROWS_HALVING, frame, source, beside, weights, numbers, target, again, level, source_blocks,
-             beside_blocks, has_again, kept);
+    convolve(3, 2, frame, source, beside, weights, numbers, target, again, level, source_blocks, beside_blocks,
+             has_again, kept);
 }
 
 /* Weights of single pixels. */
 __kernel __attribute__((reqd_work_group_size(GROUP_WIDTH, GROUP_HEIGHT, 1))) void convolve1(CONVOLUTION) {
     __local Kept kept[KEPT_BLOCKS * KEPT_PER_WEIGHTS];
     if (is_still(asked, changed)) return;
-    convolve(1, 1, ROWS_OF_PIXELS, frame, source, beside, weights, numbers, target, again, level, source_blocks,
-             beside_blocks, has_again, kept);
+    convolve(1, 1, frame, source, beside, weights, numbers, target, again, level, source_blocks, beside_blocks,
+             has_again, kept);
 }
 
 /* The numbers that bytes stand for, along one row from the left to the right neighbor of a pixel. */

@@ -28,8 +28,8 @@ _WEIGHTS = {"weights": "convolutions.weights{layer}"} | _NUMBERS
 _TARGET = {"target": "convolutions.{made}"}
 
 
-def _convolution(name: str, rows: str) -> Kernel:
-    """Return a kernel that makes so many rows of an image of integers."""
+def _convolution(name: str) -> Kernel:
+    """Return a kernel that makes an image of integers."""
     return Kernel(
         name,
         "network{level}",
@@ -40,7 +40,7 @@ def _convolution(name: str, rows: str) -> Kernel:
         }
         | _WEIGHTS,
         _TARGET | {"again": "convolutions.{made_again}"},
-        step=(1, rows),
+        step=(1, "ROWS"),
         group="GROUP_WIDTH",
         group_rows="GROUP_HEIGHT",
         repeats="parts",
@@ -80,9 +80,9 @@ class Convolutions(Stage):
             group="LINE",
             repeats="parts",
         ),
-        _convolution("convolve3", "ROWS"),
-        _convolution("halve3", "ROWS_HALVING"),
-        _convolution("convolve1", "ROWS_OF_PIXELS"),
+        _convolution("convolve3"),
+        _convolution("halve3"),
+        _convolution("convolve1"),
         Kernel(
             "double_size",
             "network{level}",
