@@ -46,7 +46,11 @@ VALUES = {
     "motion_jittered": [{"motion_jittered": True}],
     "motion_invalid": [{"motion_invalid": INVALID}],
 }
-NEEDED = {"device": DEVICE, "movers_only": {"camera_motion": "movers_only", "motion_invalid": INVALID}}
+NEEDED = {
+    "device": DEVICE,
+    "logarithmic": DEVICE | {"depth": "logarithmic"},
+    "movers_only": {"camera_motion": "movers_only", "motion_invalid": INVALID},
+}
 SDKS = {
     "fsr3": FrameFormat.fsr3(
         renderSize=HALF, displaySize=(W, H), motionVectorScale=HALF, cameraNear=0.1, flags=0b11100

@@ -42,13 +42,13 @@ def stored(frame, before, format, size=None, jitter=(0.0, 0.0), jitter_before=(0
 
 def _depth(depth, format):
     """Return stored depth (H, W) float32 of planar depth; depth buffers hold nothing beyond their range."""
-    (low, high), is_device = format.depth_range, format.depth == "device"
-    z, near, far = depth.astype(np.float64), format.near_z, format.far_z
-    if is_device:
-        with np.errstate(divide="ignore"):
-            z, near, far = (1 / np.float64(value) for value in (z, near, far))
+    (low, high), z, near, far = format.depth_range, depth.astype(np.float64), format.near_z, format.far_z
+    added = 0 if near else 1  # of logarithms
+    law = {"linear": lambda z: z, "device": lambda z: 1 / z, "logarithmic": lambda z: np.log(z + added)}[format.depth]
+    with np.errstate(divide="ignore"):
+        z, near, far = (law(np.float64(value)) for value in (z, near, far))
     made = low + (z - near) / (far - near) * (high - low)
-    return (np.clip(made, min(low, high), max(low, high)) if is_device else made).astype(np.float32)
+    return (made if format.depth == "linear" else np.clip(made, min(low, high), max(low, high))).astype(np.float32)
 
 
 def _motion(frame, before, format, ratio, jitter, jitter_before):

@@ -288,6 +288,9 @@ def file_calls(folder):
             lambda value: started(**writing, attributes={"own": value}), {"value": 1.5}
         ),
         "SequenceWriter.add": Call(written("add"), {"entry": entry, "channels": channels, "owned": False}),
+        "SequenceWriter.add_frame": Call(
+            written("add_frame"), {"entry": entry, "frame": gffe_cl.RenderedFrame(COLOR, DEPTH, MOTION, CAMERA, 0.0)}
+        ),
         "SequenceWriter.add, Z": Call(
             lambda z: written("add")(entry=entry, channels=channels | {"Z": z}), {"z": channels["Z"]}
         ),
