@@ -418,7 +418,8 @@ def check(call, name):
     return count
 
 
-def test_misuse_ends_in_one_line(tmp_path):
+def test_misuse_ends_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # some values are paths, from here
     calls = host_calls()
     count = sum(check(call, name) for name, call in calls.items())
     files = file_calls(tmp_path)
