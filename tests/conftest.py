@@ -71,7 +71,7 @@ def device(request):
     """An open Device; tests that take it run once per usable device."""
     info = request.param
     if info.index not in _opened:
-        _opened[info.index] = open_info(info)
+        _opened[info.index] = open_info(info, profiling=True)
     return _opened[info.index]
 
 

@@ -107,12 +107,12 @@ def bench(
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
     parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
     if traffic:
-        _bench_traffic(open_device(device), subject, parsed, frame, _parse_lanes(lanes), options, json_path)
+        _bench_traffic(open_device(device, profiling=True), subject, parsed, frame, _parse_lanes(lanes), options, json_path)
         return
     if device is None:
-        opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
+        opened = [open_info(info, profiling=True) for info in list_devices() if info.works] or [open_device()]
     else:
-        opened = [open_device(device)]
+        opened = [open_device(device, profiling=True)]
     if io:
         _bench_io(opened, subject, parsed, frame, repeats, json_path)
         return

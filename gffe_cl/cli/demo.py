@@ -45,7 +45,7 @@ def demo(
     width, height = parse_size(size)
     if min(width, height) < 32 or max(width, height) > 4096:
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
-    opened = open_device(device)
+    opened = open_device(device, profiling=True)
     out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
     with progress_bars() as progress:
         metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))

@@ -71,7 +71,6 @@ def test_all_declared_kernels_are_launched_and_counted(device, options):
     for name, stage in pipeline.stages.items():
         assert {kernel.name for kernel in stage.kernels} - at_rest == set(moved[name]) - {"fill"}
         assert all(moved[name].values())
-    assert all(stage.launches is None for stage in pipeline.stages.values())
     if "upscale" in options:
         assert moved["sharpening"]["sharpen"] == 2 * (8 + 8)  # of the rendered frame and of the new one
 

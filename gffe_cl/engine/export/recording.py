@@ -21,12 +21,14 @@ from gffe_cl.engine.inference.network import default_model, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import stages_of
-from gffe_cl.engine.stages.base import Board, FrameBlocks, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, FrameBlocks, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec, DeviceFrame, Sizes
+from gffe_cl.engine.stages.commands import Commands, Launch
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
+from gffe_cl.engine.stages.shading_trend import ShadingTrend
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.stages.upscaling import Upscaling
 
@@ -82,15 +84,16 @@ class Plan:
     facts: Mapping[str, Any]
 
 
-class _Tape:
-    """`Recorder` of the stages' commands in one rehearsal."""
+class _Tape(Commands):
+    """Commands that are recorded in one rehearsal, and not enqueued. `names` are those of the buffers, by identity."""
 
     def __init__(self):
         self.operations: list[Operation] = []
         self.names: dict[int, str] = {}
 
-    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
-        arguments = []
+    def launch(self, launch: Launch, given: Mapping[str, Any]) -> None:
+        stage, kernel, arguments = launch.stage, launch.declared, []
+        values = stage.values(kernel, launch.slot, given)
         for argument in stage.program.arguments[kernel.name]:
             value = argument.packed(values[argument.name])
             if isinstance(value, cl.Buffer):
@@ -99,13 +102,17 @@ class _Tape:
                 arguments.append(Given(argument.name, is_frame_block=True))
             else:
                 arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
-        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, tuple(arguments)))
+        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, kernel.grid.format(**given), tuple(arguments)))
 
-    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
-        self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=self._name(buffer), byte=byte))
+    def fill(self, stage: Stage, name: str, byte: int, grid: str) -> None:
+        buffer = self._name(stage.buffer[name])
+        self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=buffer, byte=byte))
 
-    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+    def copy(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
         self.operations.append(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of)))
+
+    def read(self, buffer: cl.Buffer, into: np.ndarray) -> None:
+        """Record nothing: the C host reads by itself."""
 
     def network(self, stage: Stage) -> None:
         self.operations.append(Operation("NETWORK", stage.name))
@@ -134,8 +141,9 @@ class _Rehearsal:
         others[Upload.name].allocate_small()
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
-        for stage in self.all.values():
-            stage.recorder = self.tape
+        self.board.commands = self.tape
+        if trend := self.stages.get(ShadingTrend.name):
+            trend.host_decides = False
         if correction := self.stages.get(ShadingCorrection.name):
             correction.infer = lambda: self.tape.network(correction)
             if options.scn_model or default_model():
@@ -146,7 +154,7 @@ class _Rehearsal:
         step, composition = self._step(number, first), self.all[Composition.name]
         rendered = replace(step, camera=None)
         shown = self.board.device.buffer(1)
-        self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
+        self.board.show(step.frame, step.previous)
         self._learn_names()
         self.tape.names[id(shown)] = "shown.color"
         composition.swap()  # `take` swaps, too

@@ -95,7 +95,7 @@ def _on_worker(known: str, links: bool, function: Callable[..., Any], arguments:
 @lru_cache(maxsize=1)
 def device_of_worker(name: str | None) -> Device:
     """Return the device that a worker's process opens for all of its work."""
-    return open_device(name)
+    return open_device(name, profiling=True)
 
 
 @cache

@@ -47,6 +47,7 @@ from gffe_cl.engine.stages.background import Background
 from gffe_cl.engine.stages.backward_blocks import BackwardBlocks
 from gffe_cl.engine.stages.base import Board, Output, Stage, Step
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, RENDERED, BufferSpec, DeviceFrame, Owner, Sizes
+from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.connectivity import Connectivity
@@ -362,6 +363,7 @@ class Pipeline:
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
         for stage in self.stages.values():
             stage.swap()
+        self.board.show(self._current, self._previous)
         self.board.memory.place(self.board.turn)
         self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and self._previous else False
@@ -393,7 +395,6 @@ class Pipeline:
 
     def _take_rendered(self) -> None:
         """Enqueue the stages' work on the current frame."""
-        self.board.rendered, self.board.previous = self._current, self._previous or self._current
         assert self._current is not None
         step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure, given=self._rest.copy())
         for stage in self.stages.values():
@@ -407,6 +408,7 @@ class Pipeline:
                 self._leaving.append((self._done(), self._previous))
                 del self._times[1:], self._path[1:]
                 self._previous, self._rest["rests"] = None, 0
+                self.board.show(self._need_frame(), None)
                 self._take_rendered()
 
     @property
@@ -775,18 +777,26 @@ class Pipeline:
     def take_timings(self) -> dict[str, float]:
         """Return milliseconds of kernel time per stage since the last call (waits for the device). If
         onnxruntime runs the network, "network" is the wall time there, "network copies" that of copies there and back.
-        Where the queue has no profiling (`Device.profiles`) only "network" is there."""
-        return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
+
+        Raises GffeError where the device's queue has no profiling: open the device with `profiling=True`.
+        """
+        return {stage: sum(kernels.values()) for stage, kernels in self._taken_timings("take_timings").items()}
 
     @pipeline_call
     def take_kernel_timings(self) -> dict[str, dict[str, float]]:
         """Return milliseconds of kernel time by stage and kernel since the last call (waits for the device), as
         `take_timings` does by stage."""
+        return self._taken_timings("take_kernel_timings")
+
+    def _taken_timings(self, what: str) -> dict[str, dict[str, float]]:
+        if not self.device.profiles:
+            raise GffeError(
+                f"{what}: the device's queue has no profiling (expected open_device(profiling=True), or a queue with it)"
+            )
         self._finish()
         self.device.queue.finish()
+        taken, correction = milliseconds_of(self.board.commands.take_events()), self._correction
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
-        stages = stages if self.device.profiles else []
-        timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}
-        correction = self._correction
+        timings = {stage.name: taken.get(stage.name, {}) for stage in stages}
         network = correction.take_network_milliseconds() if correction else {}
-        return timings | {name: {name: milliseconds} for name, milliseconds in network.items()}
+        return timings | {name: {name: ms} for name, ms in network.items()}

@@ -74,10 +74,7 @@ class SceneCuts(Stage):
         self._camera_step = distance(step.frame.camera, step.previous.camera)
         self._jumped = before is not None and self._camera_step > TELEPORT * before
         self.launch("compare_samples", step)
-        if self.recorder is None:
-            queue, counts = self.device.queue, self.buffer["counts"]
-            self._counted = cl.enqueue_copy(queue, self._counts, counts, is_blocking=False)
-            queue.flush()
+        self._counted = self.board.commands.read(self.buffer["counts"], self._counts)
 
     def is_cut(self) -> bool:
         """Return whether the last rendered frame must be treated as a reset. Waits until its samples are counted: they
