@@ -4,7 +4,7 @@
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
     python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
-    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread, no stages
+    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread
     python docs/tools/compare_speed.py --preset performance                  with the options of a preset
     python docs/tools/compare_speed.py --old COMMIT --new FOLDER             a commit or a checkout's folder each
 
@@ -80,7 +80,8 @@ def serve(footage: Path, device: str, scn: bool, host: bool, preset: str | None)
         [cl.Buffer(opened.context, flags, hostbuf=np.load(footage / f"{name}_{k}.npy")) for name in about["arrays"]]
         for k in range(len(about["cameras"]))
     ]
-    pipeline = gffe.Pipeline(opened, about["width"], about["height"], gffe.Options.preset(preset or "balanced", shading_correction=scn))
+    options = gffe.Options.preset(preset or "balanced", shading_correction=scn)
+    pipeline = gffe.Pipeline(opened, about["width"], about["height"], options)
     pipeline.exposure = about["exposure"]
 
     def say(reply: dict) -> None:

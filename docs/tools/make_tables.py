@@ -21,7 +21,7 @@ from gffe_cl.captures.formats import FORMATS
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.cli.commands import app
 from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, PRESETS, Option
-from gffe_cl.engine.pipeline.pipeline import STAGES
+from gffe_cl.engine.pipeline.order import STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec

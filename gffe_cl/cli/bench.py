@@ -107,7 +107,8 @@ def bench(
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
     parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
     if traffic:
-        _bench_traffic(open_device(device, profiling=True), subject, parsed, frame, _parse_lanes(lanes), options, json_path)
+        on = open_device(device, profiling=True)
+        _bench_traffic(on, subject, parsed, frame, _parse_lanes(lanes), options, json_path)
         return
     if device is None:
         opened = [open_info(info, profiling=True) for info in list_devices() if info.works] or [open_device()]

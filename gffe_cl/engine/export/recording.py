@@ -20,7 +20,7 @@ from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 from gffe_cl.engine.inference.network import default_model, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.pipeline import stages_of
+from gffe_cl.engine.pipeline.order import stages_of
 from gffe_cl.engine.stages.base import Board, FrameBlocks, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.engine.stages.commands import Commands, Launch
@@ -102,7 +102,9 @@ class _Tape(Commands):
                 arguments.append(Given(argument.name, is_frame_block=True))
             else:
                 arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
-        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, kernel.grid.format(**given), tuple(arguments)))
+        self.operations.append(
+            Operation("LAUNCH", stage.name, kernel.name, kernel.grid.format(**given), tuple(arguments))
+        )
 
     def fill(self, stage: Stage, name: str, byte: int, grid: str) -> None:
         buffer = self._name(stage.buffer[name])

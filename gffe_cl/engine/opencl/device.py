@@ -417,8 +417,8 @@ def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
 
 
 def open_info(info: DeviceInfo, profiling: bool = False) -> Device:
-    """Open a device that `list_devices` returned, as `open_device` does. Opening it again shares context and kernels until a driver error
-    loses them. Raises GffeError if it is not there or cannot be opened."""
+    """Open a device that `list_devices` returned, as `open_device` does. Opening it again shares context and kernels
+    until a driver error loses them. Raises GffeError if it is not there or cannot be opened."""
     platform, device = (int(part) for part in info.index.split(":"))
     if known := _opened.get(info.index):
         _require_process(known, info.name)

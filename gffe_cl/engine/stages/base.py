@@ -6,7 +6,7 @@ of stages and memory, and the bytes per pixel that must move (`gffe bench`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -87,24 +87,6 @@ class Kernel:
         for kind in ("reads", "writes"):
             for argument, access in getattr(self, kind).items():
                 yield kind, argument, access if isinstance(access, Access) else Access(access)
-
-
-class Output(Owner):
-    """Copy of a stage's result in the buffers of the extrapolated frame, kept on request."""
-
-    def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
-        super().__init__(stage.device, stage.sizes)
-        self.name, self.buffers = stage.name, tuple(specs)
-
-    def choose(self, names: set[str]) -> None:
-        """Keep the buffers `names` from now on, and no others."""
-        specs = [spec for spec in self.buffers if spec.name in names and spec.name not in self.buffer]
-        self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
-
-    def keep(self, of: Mapping[str, cl.Buffer]) -> None:
-        """Enqueue copies of the chosen buffers."""
-        for name, buffer in self.buffer.items():
-            cl.enqueue_copy(self.device.queue, buffer, of[name])
 
 
 @dataclass
@@ -188,6 +170,12 @@ class Board:
     def writer(self) -> BlockWriter:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
+
+    def swap(self) -> None:
+        """Make the results of all stages those of the frame before."""
+        for stage in self.stages.values():
+            if stage.before:
+                stage.swap()
 
     def show(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
         """Make `frame` the rendered frame, after `previous` (None: after a reset).

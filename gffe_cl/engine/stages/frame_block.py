@@ -16,7 +16,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.frame.vectors import length, view_to_view
 from gffe_cl.engine.opencl.program import expand, parse_constants, parse_struct
-from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
+from gffe_cl.engine.options import MAX_LEVELS, Options
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.mu_law import color_law
 

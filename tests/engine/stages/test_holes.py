@@ -8,8 +8,8 @@ from synthetic import Rect, Rects, camera
 from twin_cases import assert_close, frames
 
 from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.outputs import Output
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.base import Output
 from gffe_cl.engine.stages.frame_block import reprojection
 
 

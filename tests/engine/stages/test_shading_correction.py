@@ -62,7 +62,7 @@ def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypa
             made = pipeline.extrapolate()
             before_color(pipeline, following)
             yield bits(made.numpy("color")), bits(made.numpy("gae"))
-            if following and pipeline._current.time < following.time:
+            if following and pipeline.frames.current.time < following.time:
                 pipeline.submit(following)
 
     expected = list(images(Pipeline(device, *size, options), lambda *_: None))
