@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
+from held_device import is_complete, wait_for, while_the_device_waits
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.selftest.scene import CUT, FPS, display_camera, frames
@@ -35,20 +36,16 @@ def make(pipeline, frame):
     return pipeline.extrapolate(display_camera(time, *SIZE), time)
 
 
-def is_complete(event):
-    return event.command_execution_status == cl.command_execution_status.COMPLETE
-
-
 def behind_a_gate(device, pipeline, frame, also):
-    """Submit `frame` to a device that may not begin, and do `also`; returns the event of `submit`."""
-    gate = cl.UserEvent(device.context)
-    try:
+    """Submit `frame` to a device that may not begin, do `also`, and wait for the event of `submit`."""
+
+    def work(gate):
         done = pipeline.submit(frame, wait_for=[gate])
         also()
         assert not is_complete(done)
-    finally:
-        gate.set_status(cl.command_execution_status.COMPLETE)
-    done.wait()
+        return done
+
+    wait_for(while_the_device_waits(device, work))
 
 
 @pytest.mark.parametrize("detects", [True, False])

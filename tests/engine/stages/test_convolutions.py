@@ -1,6 +1,5 @@
 """The network's convolutions as kernels: against their twin and onnxruntime, bit by bit."""
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pyopencl as cl
 import pytest
 import twins
 from device_arrays import copy_to
+from held_device import while_the_device_waits
 from network_stages import made_stages
 from scn_models import integer_model
 from synthetic import Rect, Rects, camera
@@ -218,21 +218,14 @@ def test_the_host_waits_for_nothing(device, default_model, monkeypatch):
         color = np.concatenate([frame.color, np.zeros_like(frame.color[..., :1])], -1)
         copy_to(device, buffers, HostArrays(color, frame.depth, frame.motion))
         frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
-        may_begin, made = cl.UserEvent(device.context), []
 
-        def make(frame=frame, may_begin=may_begin, made=made):
-            pipeline.submit(frame, wait_for=[may_begin])
-            made.append(pipeline.extrapolate())
+        def make(gate, frame=frame):
+            pipeline.submit(frame, wait_for=[gate])
+            return pipeline.extrapolate()
 
-        making = threading.Thread(target=make)
-        making.start()
-        making.join(20)
-        returned = bool(made)
-        may_begin.set_status(cl.command_execution_status.COMPLETE)
-        making.join(20)
-        assert returned, "the host waited for the device"
+        made = while_the_device_waits(device, make)
         assert pipeline._unfinished is None
-    assert made[0].numpy("color").tobytes() != made[0].numpy("gae").tobytes()
+    assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
 
 
 def files_of(folder):

@@ -8,6 +8,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from device_arrays import copy_to
+from held_device import while_the_device_waits
 from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
 from synthetic import Rect, Rects, camera
 from twin_cases import run
@@ -105,20 +106,13 @@ def test_nothing_waits_for_the_decision_that_a_frame_is_still(device, model, mon
         buffers = DeviceFrame.allocate(device, (40, 24), cam, cam, frame.time)
         copy_to(device, buffers, HostArrays(with_alpha(frame.color), frame.depth, frame.motion))
         frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
-        may_begin, made = cl.UserEvent(device.context), []
 
-        def make(frame=frame, may_begin=may_begin, made=made):
-            pipeline.submit(frame, wait_for=[may_begin])
-            made.append(pipeline.extrapolate())
+        def make(gate, frame=frame):
+            pipeline.submit(frame, wait_for=[gate])
+            return pipeline.extrapolate()
 
-        making = threading.Thread(target=make)
-        making.start()
-        making.join(20)
-        returned = bool(made)
-        may_begin.set_status(cl.command_execution_status.COMPLETE)
-        making.join(20)
-        assert returned, "the host waited for the device"
-        assert (bits(made[0].numpy("color")) == bits(made[0].numpy("gae"))) == (k != 2)
+        made = while_the_device_waits(device, make)
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k != 2)
     assert pipeline.stages["shading_trend"].is_still
 
 
