@@ -31,16 +31,15 @@ class Output(Owner):
 
 
 class Outputs:
-    """Outputs of the stages on `board`: `kept` are those that are kept, by stage."""
+    """Outputs of the `stages` on `board`: `kept` are those that are kept, by stage."""
 
-    def __init__(self, board: Board):
-        self._board = board
+    def __init__(self, board: Board, stages: Mapping[str, Stage]):
+        self._board, self._stages = board, stages
         self.kept: dict[str, Output] = {}
 
     def available(self) -> Iterator[tuple[str, BufferSpec]]:
         """Yield what `Pipeline.outputs` does."""
-        stages = self._board.stages.values()
-        writers = [(stage.name, name) for stage in stages for name in stage.outputs()]
+        writers = [(stage.name, name) for stage in self._stages.values() for name in stage.outputs()]
         several = {name for name, count in Counter(name for _, name in writers).items() if count > 1}
         for stage, name in writers:
             if name in several:
@@ -49,8 +48,7 @@ class Outputs:
 
     def choose(self, wanted: set[str] | None) -> None:
         """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""
-        stages = self._board.stages
-        for stage in stages.values():
+        for stage in self._stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}
         for stage, spec in self.available():
@@ -58,4 +56,4 @@ class Outputs:
         for stage, specs in found.items():
             chosen = {spec.name for spec in specs if wanted is None or f"{stage}.{spec.name}" in wanted}
             if chosen or stage in self.kept:
-                self.kept.setdefault(stage, Output(stages[stage], specs)).choose(chosen)
+                self.kept.setdefault(stage, Output(self._stages[stage], specs)).choose(chosen)

@@ -132,7 +132,7 @@ class Pipeline:
         self.stages: dict[str, Any] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self.composition: Composition | None = None  # made with the first frame that brings overlays
-        self._outputs = Outputs(self.board)
+        self._outputs = Outputs(self.board, self.stages)
         copies = bool(self.board.facts.get("copies")) and self.sizes.source == self.sizes.target
         self.frames = RenderedFrames(options, self.fps, copies)
         self.intake.begin(self.board)
@@ -270,7 +270,8 @@ class Pipeline:
         shown_before = None if frame.reset else frames.shown
         shown = self.intake.take(prepared, None if frame.reset else frames.current, frames.times)
         frames.take(self._without_overlays(layers, shown, shown_before), shown, frame.reset)
-        board.swap()
+        for stage in self.stages.values():
+            stage.swap()
         board.show(frames.needed, frames.previous)
         board.memory.place(board.turn)
         self._take_rendered()

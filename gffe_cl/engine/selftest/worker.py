@@ -68,7 +68,7 @@ def compare_form(info: DeviceInfo, form: Form, reference: Reference, cases: list
 
 def run_device(index: str, wanted: dict[str, Any]) -> None:
     info = next(info for info in list_devices() if info.index == index)
-    device = open_info(info)
+    device = open_info(info, profiling=True)
     reference = recorded()
     say(facts=facts_of(device.cl_device), exact_division=device.exact_division)
     cases = wanted["cases"] or list(CASES)

@@ -171,12 +171,6 @@ class Board:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
 
-    def swap(self) -> None:
-        """Make the results of all stages those of the frame before."""
-        for stage in self.stages.values():
-            if stage.before:
-                stage.swap()
-
     def show(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
         """Make `frame` the rendered frame, after `previous` (None: after a reset).
 
