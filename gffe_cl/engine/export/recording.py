@@ -91,8 +91,8 @@ class _Tape(Commands):
         self.operations: list[Operation] = []
         self.names: dict[int, str] = {}
 
-    def launch(self, launch: Launch, given: Mapping[str, Any]) -> None:
-        stage, kernel, arguments = launch.stage, launch.declared, []
+    def launch(self, stage: Stage, launch: Launch, given: Mapping[str, Any]) -> None:
+        kernel, arguments = launch.declared, []
         values = stage.values(kernel, launch.slot, given)
         for argument in stage.program.arguments[kernel.name]:
             value = argument.packed(values[argument.name])

@@ -315,7 +315,7 @@ class Stage(Owner):
             launch.shown = board.shown
         for set_arg, index, argument in launch.given:
             set_arg(index, given[argument])
-        board.commands.launch(launch, given)
+        board.commands.launch(self, launch, given)
 
     def let_go(self) -> None:
         """Drop the buffers, and the kernels that have them as arguments. The stage is of no use any more."""
@@ -333,7 +333,7 @@ class Stage(Owner):
         if kernel.repeats:
             items, group = (*items, given[kernel.repeats]), (*group, 1)
         made = self.program.kernel(kernel.name)
-        launch = Launch(self, kernel, slot, made, items, group)
+        launch = Launch(kernel, slot, made, items, group)
         declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
         for index, argument in enumerate(self.program.arguments[kernel.name]):
             if slot and argument.is_frame_block:

@@ -27,7 +27,6 @@ class Launch:
     is released when they drop it. `declared` is the stage's declaration, `slot` that of the frame block.
     """
 
-    stage: Any
     declared: Any
     slot: str | None
     kernel: cl.Kernel
@@ -48,11 +47,11 @@ class Commands:
         self._queue, self._profiles = device.queue, device.profiles
         self.events: deque[tuple[str, str, cl.Event]] = deque(maxlen=_EVENTS)
 
-    def launch(self, launch: Launch, given: Mapping[str, Any]) -> None:
-        """Enqueue a launch; `given`: the arguments that came with it, by name."""
+    def launch(self, stage: Any, launch: Launch, given: Mapping[str, Any]) -> None:
+        """Enqueue a launch of a stage; `given`: the arguments that came with it, by name."""
         event = cl.enqueue_nd_range_kernel(self._queue, launch.kernel, launch.items, launch.group)
         if self._profiles:
-            self.events.append((launch.stage.name, launch.declared.name, event))
+            self.events.append((stage.name, launch.declared.name, event))
 
     def fill(self, stage: Any, name: str, byte: int, grid: str) -> None:
         """Enqueue setting the first texels of a stage's buffer, as many as `grid` has, to `byte`."""

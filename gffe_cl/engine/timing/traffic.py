@@ -56,9 +56,9 @@ class CountingCommands(Commands):
         self._stages = (pipeline.board.blocks.name, *pipeline.stages)
         self.launches: Launches = {name: [] for name in self._stages}
 
-    def launch(self, launch: Launch, given: Mapping[str, Any]) -> None:
-        super().launch(launch, given)
-        self._note(launch.stage, launch.declared, given)
+    def launch(self, stage: Any, launch: Launch, given: Mapping[str, Any]) -> None:
+        super().launch(stage, launch, given)
+        self._note(stage, launch.declared, given)
 
     def fill(self, stage: Any, name: str, byte: int, grid: str) -> None:
         super().fill(stage, name, byte, grid)

@@ -173,10 +173,7 @@ def _make(folder: Path) -> None:
     device.queue.finish()
     moved = traffic.bytes_per_pixel(pipeline, launches, traffic.counters(pipeline))
     launched = [
-        (name, kernel.name)
-        for name in pipeline.stages
-        for kernel, _ in launches[name]
-        if kernel.name != "fill"
+        (name, kernel.name) for name in pipeline.stages for kernel, _ in launches[name] if kernel.name != "fill"
     ]
     declared = {f"{stage}.{kernel}": nbytes for stage, kernels in moved.items() for kernel, nbytes in kernels.items()}
     (folder / "made").write_text(json.dumps({"launched": launched, "declared": declared}))
