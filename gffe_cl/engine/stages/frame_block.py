@@ -123,7 +123,7 @@ class BlockWriter:
         return self._exposed[1]
 
 
-def _put(block: array[float], words: slice, numbers: Sequence[float]) -> None:
+def _put(block: array[float], words: slice, numbers: Sequence[Any]) -> None:
     """Put numbers into a block, from the first of the `words` on."""
     pack_into(f"{len(numbers)}f", block, 4 * words.start, *numbers)  # NumPy would take longer for so few
 

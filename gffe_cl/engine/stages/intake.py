@@ -163,6 +163,10 @@ def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
     )
 
 
+def _three(buffers: Mapping[str, cl.Buffer]) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+    return buffers["color"], buffers["depth"], buffers["motion"]
+
+
 class Intake:
     """Intake of a pipeline: checks rendered frames, and brings them into device buffers in the layout of `RENDERED`.
 
@@ -211,14 +215,15 @@ class Intake:
         upload, host = self._uploading(), prepared.arrays
         self._count_conversions(frame, host)
         if prepared.format:
-            taken = DeviceFrame(*self._slot(), *seen)
+            color, depth, motion = self._slot()
+            taken = DeviceFrame(color, depth, motion, *seen)
             upload.take(host, taken, step=self._conversion(prepared, taken, previous, times),
                         is_dilated=prepared.format.motion_dilated)  # fmt: skip
             return taken
         shared = upload.shared(host) if prepared.zero_copy else {}
         self.reads_arrays |= bool(shared)
-        buffers = [shared[s.name] for s in RENDERED] if len(shared) == len(RENDERED) else self._slot(shared)
-        taken = DeviceFrame(*buffers, *seen)
+        color, depth, motion = _three(shared) if len(shared) == len(RENDERED) else self._slot(shared)
+        taken = DeviceFrame(color, depth, motion, *seen)
         upload.take(host, taken, shared)
         return taken
 
@@ -251,8 +256,10 @@ class Intake:
         if "depth" in kept and "motion" not in given:
             kept["motion"] = self._zero_motion()
         if not converted:
-            return DeviceFrame(*(kept[spec.name] for spec in RENDERED), *seen)
-        taken = DeviceFrame(*self._slot(kept), *seen)
+            color, depth, motion = _three(kept)
+            return DeviceFrame(color, depth, motion, *seen)
+        color, depth, motion = self._slot(kept)
+        taken = DeviceFrame(color, depth, motion, *seen)
         step = self._conversion(prepared, taken, previous, times)
         self._uploading().convert(converted, taken, step, format.motion_dilated)
         return taken
@@ -267,7 +274,7 @@ class Intake:
         given = conversion(prepared.format, self.sizes.source, *told, *jitters, prepared.geometry)
         return Step(taken, previous, [taken.time, *times], given=given)
 
-    def _slot(self, instead: Mapping[str, cl.Buffer] = {}) -> list[cl.Buffer]:
+    def _slot(self, instead: Mapping[str, cl.Buffer] = {}) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
         """Return buffers of its own for a frame, but for those given `instead`, by name. Two sets are used in turn."""
         if len(self._slots) < 2:
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
@@ -275,7 +282,7 @@ class Intake:
             self._slots.append(made)
         else:
             self._slots.append(self._slots.pop(0))
-        return [instead.get(spec.name) or own for spec, own in zip(RENDERED, self._slots[-1].buffers, strict=True)]
+        return _three({spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED} | dict(instead))
 
     def _count_conversions(self, frame: RenderedFrame, host: HostArrays) -> None:
         """Count the bytes of arrays that the host converted to another type or layout."""
