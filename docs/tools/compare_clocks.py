@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=7)
     parser.add_argument("--pairs", type=int, default=8, help="counted pairs of frames in each turn")
     asked = parser.parse_args()
-    device = gffe.open_device(asked.device)
+    device = gffe.open_device(asked.device, profiling=True)
     width, height = (int(n) for n in asked.size.split("x"))
     loop = loop_of(device, asked.scene, (width, height))
     turns = clocks(loop, device, asked.scn, asked.turns, asked.pairs)

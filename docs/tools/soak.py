@@ -209,7 +209,7 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=20000)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
-    device, start = open_device(), time.monotonic()
+    device, start = open_device(profiling=True), time.monotonic()
     print(device)
     told = soak(device, chosen.frames, chosen.seed, say)
     quarter = max(len(told.milliseconds) // 4, 1)

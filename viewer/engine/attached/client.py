@@ -56,7 +56,8 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
     Parameters
     ----------
     pipeline : Pipeline
-        Frames are looked at when it submits and extrapolates them, on the thread that does.
+        Frames are looked at when it submits and extrapolates them, on the thread that does. Times of kernels are shown
+        if its device was opened with `profiling=True`.
     name : str or None
         What the viewer finds this program by: letters, digits, ".", "_", "-". Default: the name of the script, with a
         number if that is taken.
