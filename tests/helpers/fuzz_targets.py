@@ -29,6 +29,7 @@ from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, na
 from gffe_cl.engine.core.errors import MOST
 from gffe_cl.engine.frame import conventions
 from gffe_cl.engine.frame.camera import predict_camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.options import OPTIONS, Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
@@ -66,6 +67,18 @@ def write_sequence(folder):
         for k, frame in enumerate(seen()):
             entry = FrameEntry(f"frame_{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera)
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+    return folder
+
+
+def write_encoded(folder):
+    """A sequence stored as an engine has it, with geometry of half the size."""
+    given = FrameFormat(depth="logarithmic", near_z=0.01, far_z=100.0, motion_scale=(-1.0, 1.0), motion_dilated=True)
+    with SequenceWriter(folder, W, H, FPS, format=given) as writer:
+        for k, frame in enumerate(seen()):
+            entry = FrameEntry(f"frame_{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera)
+            depth, motion = (np.ascontiguousarray(image[::2, ::2]) for image in (frame.depth / 100, frame.motion))
+            size = {"geometry_size": depth.shape[::-1], "geometry_jitter": (0.25, -0.25)}
+            writer.add_frame(entry, replace(frame, depth=depth, motion=motion, **size))
     return folder
 
 
@@ -168,12 +181,13 @@ def write_spring(root):
 
 
 WRITERS = {
-    "sequence": write_sequence, "folder": write_folder, "blender": write_blender, "unreal": write_unreal,
-    "sintel": write_sintel, "tartanair": write_tartanair, **({"spring": write_spring} if find_spec("h5py") else {}),
+    "sequence": write_sequence, "encoded": write_encoded, "folder": write_folder, "blender": write_blender,
+    "unreal": write_unreal, "sintel": write_sintel, "tartanair": write_tartanair, **({"spring": write_spring} if find_spec("h5py") else {}),
 }  # fmt: skip
 # Which file of each form is mutated, below the folder that the writer gets.
 FILES = {
     "sequence": ("sequence.json", "frame_1.exr"),
+    "encoded": ("sequence.json", "frame_1.exr"),
     "folder": ("sequence.json", "color_1.png", "depth_1.npy", "motion_1.npz"),
     "blender": ("cameras.json", "frame_0001.exr"),
     "unreal": ("Shot.0001.exr",),
