@@ -166,7 +166,7 @@ def test_switches(gffe, scene, tmp_path):
             ["--no-motion"],
             ["--no-crack-closing"],
             ["--hole-filling", "downsample"],
-            ["--hole-filling", "push-pull"],
+            ["--hole-filling", "downsample"],
             ["--hole-filling", "none"],
             ["--background-levels", "3"],
             ["--layers=3"],

@@ -368,7 +368,7 @@ def test_options_change_what_they_should(device):
     }
     cases = {
         "crack_closing": (False, {"final", "frame.filled_by", "frame.disoccluded"}, upto_submit),
-        "hole_filling": ("push-pull", {"final", "frame.color", "frame.depth"}, upto_submit | {"frame.filled_by"}),
+        "hole_filling": ("downsample", {"final", "frame.color", "frame.depth"}, upto_submit | {"frame.filled_by"}),
         "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
         "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
         "history": (4, set(), upto_submit | {"final"}),
@@ -656,7 +656,7 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
     shutil.copytree(kernel_folder(), folder)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))
     setup, text = Setup(), (folder / "holes.cl").read_text()
-    other = Setup(Options(hole_filling="push-pull"))
+    other = Setup(Options(hole_filling="downsample"))
     line = text.count("\n") + 1
     with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
         good, builds = ask(engine, 13, setup, ("final",)).images["final"], engine.builds
