@@ -316,15 +316,6 @@ class Options:
         off=0.0,
         flag="--upscale",
     )
-    upscale_sharpening: float = _option(
-        0.0,
-        "sharpening",
-        "Sharpening of upscaled frames where neighbors differ little; the history is not sharpened.",
-        low=0.0,
-        high=1.0,
-        flag="--sharpening",
-        needs="upscale",
-    )
     overlays: bool = _option(
         True,
         "overlays",

@@ -936,7 +936,7 @@ def stories(engine, setup, slot, mask_of, most=12):
 
 def test_stories_of_upscaling(device):
     """Of a rendered frame: what is behind it; of generated ones: what they are seen through."""
-    setup = Setup(Options(upscale=1, upscale_sharpening=0.3), n=1)
+    setup = Setup(Options(upscale=1), n=1)
     with running(device, Clip()) as engine:
         for story in stories(engine, setup, 8, lambda i: i["upscaling.rejected"] < 10, most=2):
             assert "gathered over time" in story.sentences[0] and "0% of the history" in story.sentences[0]

@@ -40,7 +40,6 @@ CASES = {
         "other orders and levels, no hole filling, predicted cameras, antialiasing over time",
         Options(
             history=3, order=2, levels=3, hole_filling="none", focus_mask=False, static_threshold=0.5, upscale=1,
-            upscale_sharpening=0.5,
         ),
         None,
         knows_cameras=False,

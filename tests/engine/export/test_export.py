@@ -337,13 +337,11 @@ def test_upscaled_frames_have_the_same_bits(device, library, tmp_path, corrected
     options, network = UPSCALED, {}
     if corrected:
         options = replace(options, shading_correction=True, scn_model=str(scn_models.movers_model(tmp_path / "m.onnx")))
-        options = replace(options, upscale_sharpening=0.5)
         network["network"] = network_of(device, options.scn_model, [])
     compared, _ = run_both(
         device, library, options, frames, size, (0.5, 0.75), render_size=render_size, exposure=2.5, **network
     )
     assert {"upscaling.history", "upscaling.color", "presentation.motion"} <= compared
-    assert ("sharpening.rendered" in compared) == corrected
 
 
 @pytest.mark.slow
