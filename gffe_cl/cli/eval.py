@@ -1,5 +1,4 @@
-"""Commands `gffe eval`, which fills the table of methods and sequences, and `gffe study`, its older name for parts of
-that."""
+"""Command `gffe eval`, which fills the table of methods and sequences."""
 
 from __future__ import annotations
 
@@ -184,44 +183,6 @@ def _subjects(texts, encodings, *scenes, **more: float) -> tuple[tuple[Subject, 
     if not chosen:
         raise GffeError("; ".join(broken.values()))
     return tuple(chosen), broken
-
-
-@app.command(hidden=True)
-def study(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes and situations.")] = None,
-    seeds: Annotated[int, typer.Option(help="Number N of seeds, 0 … N−1, of each scene.")] = 3,
-    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "480x270",
-    frames: Annotated[int, typer.Option(help="Number of rendered frames per scene and seed.")] = 10,
-    alpha: Annotated[
-        float, typer.Option(help="Time of the extrapolated frames, in intervals of rendered frames.")
-    ] = 0.5,
-    fps: Annotated[float, typer.Option(help="Frame rate, rendered frames per second.")] = 30.0,
-    disocclusions: Annotated[
-        bool, typer.Option("--disocclusions", help="Disocclusions: compare the ways to fill them.")
-    ] = False,
-    windows: Annotated[bool, typer.Option("--windows", help="Rendering windows: compare them.")] = False,
-    shading: Annotated[bool, typer.Option("--shading", help="Shading correction: measure it.")] = False,
-    scn_model: Annotated[Path | None, typer.Option(help="Shading correction network, an ONNX file.")] = None,
-    scn_provider: Annotated[str | None, typer.Option(help="Runner of the network, as for `gffe run`.")] = None,
-    rate: Annotated[float, typer.Option(help="Turn rate of the camera for --windows, degrees per second.")] = 150.0,
-    device: DeviceOption = None,
-) -> None:
-    """Run parts of `gffe eval` under their older name, after printing the command that does the same."""
-    if disocclusions + windows + shading > 1:
-        raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
-    methods = (
-        "filling" if disocclusions else "window" if windows else "no-scn,gffe,no-focus-mask" if shading
-        else "repeat,papers-way,no-scn,true-motion"
-    )  # fmt: skip
-    given = {
-        "seeds": seeds, "size": size, "frames": frames, "alpha": f"{alpha:g}", "fps": fps, "methods": methods,
-        "turn_rate": rate if windows else 0.0, "scn_model": scn_model, "scn_provider": scn_provider, "device": device,
-        "regions": True,
-    }  # fmt: skip
-    flags = ((f"--{name.replace('_', '-')}", value) for name, value in given.items() if value)
-    words = [word for flag, value in flags for word in ((flag,) if value is True else (flag, str(value)))]
-    warn(f"`gffe study` is now: {shlex.join(['gffe', 'eval', *(scenes or ()), *words])}")
-    evaluate(scenes, **given)
 
 
 def _seeded(text: str, seeds: int) -> list[str]:

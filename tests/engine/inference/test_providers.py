@@ -249,7 +249,7 @@ def test_a_driver_that_fails_as_a_session_is_made(device, tmp_path, monkeypatch)
     assert network.provider == CPU.ort and "no memory" in network.remark
 
 
-@pytest.mark.parametrize("command", ["run", "study", "view"])
+@pytest.mark.parametrize("command", ["run", "eval", "view"])
 def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, monkeypatch, command):
     """... the viewer in its window, too."""
     monkeypatch.setattr(inference, "choose", lambda *_: Choice(CPU, remark="provider webgpu: crashed"))
@@ -258,8 +258,9 @@ def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, mo
     if command == "run":
         tiny_sequence.write(tmp_path / "in", frames=2)
         arguments = ("run", tmp_path / "in", tmp_path / "out", "--no-check")
-    elif command == "study":
-        arguments = ("study", "corridor", "--shading", "--seeds", "1", "--frames", "4", "--size", "64x36")
+    elif command == "eval":
+        options = ("--methods", "gffe", "--frames", "4", "--size", "64x36", "--out", tmp_path / "report")
+        arguments = ("eval", "corridor", *options)
     else:
         pytest.importorskip("imgui_bundle")
         monkeypatch.setattr("gffe_cl.viewer.shell.start.require_display", lambda: None)
