@@ -21,7 +21,7 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import Device, DeviceInfo
@@ -120,6 +120,7 @@ def bench(
         _bench_host(opened, subject, parsed, frame, repeats, options, json_path)
         return
     if methods:
+        require_packages("--methods", "lab", "scipy")
         _bench_methods(opened, subject, parsed, frame, repeats, options, json_path)
         return
     _bench_times(opened, subject, parsed, frame, repeats, kernels, options, json_path)

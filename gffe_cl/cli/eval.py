@@ -28,7 +28,7 @@ from gffe_cl.cli.common import (
     steps,
     warn,
 )
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
@@ -129,6 +129,7 @@ def evaluate(
     follow_links: FollowLinksOption = False,
 ) -> None:
     """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
+    require_packages("eval", "lab", "skimage", "scipy")
     from gffe_cl.captures.scenes import SCENES
     from gffe_cl.engine.options import Options
     from gffe_cl.lab.table.datasets import SceneSubject

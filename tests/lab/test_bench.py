@@ -85,9 +85,7 @@ def test_bench_of_upscaling(gffe, tmp_path):
         (size,) = one["sizes"]
         parts, moved = size["milliseconds"], size["must_move"]
         assert (size["width"], size["height"]) == (64, 48) and parts["upscaling"] > 0
-        assert parts["GAE"] == pytest.approx(
-            sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling"))
-        )
+        assert parts["GAE"] == pytest.approx(sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling")))
         assert 40 < moved["upscaling"] < 150
         assert moved["history"] < 10  # a quarter of the pixels
 

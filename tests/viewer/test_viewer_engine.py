@@ -570,7 +570,7 @@ def test_a_metric_is_described_once(device, monkeypatch):
 
 def test_flip_is_measured_where_it_is_installed(device, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert "pip install flip-evaluator" in METRICS["flip"].missing()
+    assert "pip install '.[lab]'" in METRICS["flip"].missing()
     package = types.ModuleType("flip_evaluator")
     package.evaluate = lambda reference, test, kind, applyMagma: (np.abs(reference - test), None, {})
     monkeypatch.setitem(sys.modules, "flip_evaluator", package)

@@ -260,9 +260,7 @@ def _grid(name: str) -> tuple[str, int]:
     if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
-        raise GffeError(
-            f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, network1 …)"
-        )
+        raise GffeError(f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, network1 …)")
     return f"GFFE_{name.upper()}", 0
 
 

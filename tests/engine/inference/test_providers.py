@@ -249,6 +249,16 @@ def test_a_driver_that_fails_as_a_session_is_made(device, tmp_path, monkeypatch)
     assert network.provider == CPU.ort and "no memory" in network.remark
 
 
+def test_kernels_run_the_network_where_onnxruntime_is_not_installed(monkeypatch):
+    monkeypatch.setattr(inference, "_loaded", {})
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    network = load_network(runtime.cpu_model(runtime.PACKAGED), None)
+    assert network.layers and inference.reason(network, None, on_gpu=False) == "onnxruntime is not installed"
+    runtime.load_onnxruntime.cache_clear()
+    with pytest.raises(NetworkError, match="onnxruntime is not installed"):
+        load_network(runtime.PACKAGED, CPU.name)
+
+
 @pytest.mark.parametrize("command", ["run", "eval", "view"])
 def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, monkeypatch, command):
     """... the viewer in its window, too."""
