@@ -53,23 +53,23 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt Makefile
 		{ echo "error: $(PYTHON) must be Python 3.11 or newer (make PYTHON=python3.12 …)" >&2; exit 2; }
 	@echo "environment: $(VENV), a few seconds"
 	@$(PYTHON) -m venv $(VENV) || { test "$$(id -u)" = 0 && apt-get install -y python3-venv && $(PYTHON) -m venv $(VENV); }
-	@echo "packages: 560 MB on disk, 1 to 3 minutes"
+	@echo "packages: 650 MB on disk, 1 to 3 minutes"
 	@$(PIP) --editable '.[lab,video]' $(QUIETLY)
 	@$(MAKE) --no-print-directory runtime
 	@touch $@
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
-	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
+	@echo "packages of the tests, PyTorch among them: 1.5 GB on disk, 1 to 4 minutes"
 	@$(PIP) --editable '.[test,train,opencv,cluster,webgpu,spring]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-examples: $(VENV)/.installed-for-tests
-	@echo "Panda3D, for the live example: 114 MB on disk"
+	@echo "Panda3D, for the live example: 170 MB on disk"
 	@$(PIP) --editable '.[examples]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-docs: $(VENV)/.installed
-	@echo "packages of the documentation: 80 MB on disk, a few seconds"
+	@echo "packages of the documentation: 70 MB on disk, a few seconds"
 	@$(PIP) --editable '.[docs]' $(QUIETLY)
 	@touch $@
 
