@@ -135,7 +135,7 @@ def evaluate(
     from gffe_cl.lab.table.datasets import SceneSubject
     from gffe_cl.lab.table.methods import LATE_WARP
     from gffe_cl.lab.table.results import results_of
-    from gffe_cl.lab.table.runner import Order
+    from gffe_cl.lab.table.runner import TableOrder
 
     _check(frames, fps, seeds, turn_rate)
     videos = _videos(metrics)
@@ -152,12 +152,12 @@ def evaluate(
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:
-        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh, network))
+        filled = fill("Measuring", TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network))
         built_in = [s for s in chosen if isinstance(s, SceneSubject)]
         late = {}
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
-            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh, network=network))
+            late[turn] = fill(f"Late warp, {turn:g}°", TableOrder(turned, LATE_WARP, recompute=fresh, network=network))
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
