@@ -225,7 +225,7 @@ def asked_texels(warped, surfaces):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces=None):
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces):
     """Color, depth, motion of the warped frame with its holes filled: from `continued_surfaces` within `reach` px,
     else from the block sums."""
     height, width = warped["depth"].shape
