@@ -54,22 +54,22 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt Makefile
 	@echo "environment: $(VENV), a few seconds"
 	@$(PYTHON) -m venv $(VENV) || { test "$$(id -u)" = 0 && apt-get install -y python3-venv && $(PYTHON) -m venv $(VENV); }
 	@echo "packages: 650 MB on disk, 1 to 3 minutes"
-	@$(PIP) --editable . $(QUIETLY)
+	@$(PIP) --editable '.[lab,video]' $(QUIETLY)
 	@$(MAKE) --no-print-directory runtime
 	@touch $@
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
-	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
+	@echo "packages of the tests, PyTorch among them: 1.5 GB on disk, 1 to 4 minutes"
 	@$(PIP) --editable '.[test,train,opencv,cluster,webgpu,spring]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-examples: $(VENV)/.installed-for-tests
-	@echo "Panda3D, for the live example: 114 MB on disk"
+	@echo "Panda3D, for the live example: 170 MB on disk"
 	@$(PIP) --editable '.[examples]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-docs: $(VENV)/.installed
-	@echo "packages of the documentation: 80 MB on disk, a few seconds"
+	@echo "packages of the documentation: 70 MB on disk, a few seconds"
 	@$(PIP) --editable '.[docs]' $(QUIETLY)
 	@touch $@
 
@@ -77,7 +77,7 @@ $(VENV)/.installed-for-docs: $(VENV)/.installed
 # (x86-64, no root); else PoCL, where root can install it.
 .PHONY: runtime
 runtime:
-	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (280 MB to download, 1 to 2 minutes)"
+	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (280 MB to download, 800 MB on disk, 1 to 2 minutes)"
 	@$(VENV)/bin/gffe devices --kind gpu >/dev/null 2>&1 \
 		|| { test "$$(uname -sm)" = "Linux x86_64" && $(PIP) --editable '.[intel]' >$(VENV)/runtime.log 2>&1 \
 			&& $(VENV)/bin/gffe devices >/dev/null 2>&1; } \

@@ -52,22 +52,36 @@ def test_wheel_holds_the_package_and_nothing_else(wheel):
     assert {".css", ".js", ".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}
 
 
-@pytest.mark.parametrize(("resolution", "parts"), [("highest", []), ("lowest-direct", ["--quick"])])
-def test_wheel_works(wheel, resolution, parts, tmp_path):
+LAB = ("-r", ROOT / "pyproject.toml", "--extra", "lab", "--extra", "video")
+ENGINE = ("numpy", "pyopencl", "platformdirs")  # docs/guide.md: for programs that link the engine only
+
+
+@pytest.mark.parametrize(
+    ("needs", "part"),
+    [
+        (LAB, "--all"),
+        ((*LAB, "--resolution", "lowest-direct"), "--quick"),
+        (LAB[:2], "--default"),
+        (ENGINE, "--engine"),
+    ],
+    ids=["newest", "lowest", "default", "engine"],
+)
+def test_wheel_works(wheel, needs, part, tmp_path):
     """In an environment that has nothing but it and the versions that it asks for: all of it with the newest, the
-    demonstration and the self-test with the lowest. Intel's runtime is this one's."""
+    demonstration and the self-test with the lowest, what needs no extras without any, the engine with what it needs.
+    Intel's runtime is this one's."""
     if shutil.which("xvfb-run") is None:
         assert not os.environ.get("CI"), "CI must have xvfb-run"
         pytest.skip("xvfb-run is not installed")
     fresh, working = tmp_path / "environment", tmp_path / "working"
     working.mkdir()
     uv("venv", "--python", sys.executable, fresh)
-    needs = ("-r", ROOT / "pyproject.toml", wheel)
-    uv("pip", "install", "--python", fresh, "--only-binary", ":all:", "--resolution", resolution, *needs)
+    uv("pip", "install", "--python", fresh, "--only-binary", ":all:", *needs)
+    uv("pip", "install", "--python", fresh, "--no-deps", wheel)
     for path in (Path(sys.prefix) / "lib").iterdir():
         if path.is_file() and not (fresh / "lib" / path.name).exists():
             (fresh / "lib" / path.name).symlink_to(path)
-    command = [fresh / "bin" / "python", "-I", TRY, *parts]
+    command = [fresh / "bin" / "python", "-I", TRY, part]
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "OCL_ICD_VENDORS")}
     done = subprocess.run(command, cwd=working, env=environment, capture_output=True, text=True, timeout=3600)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -34,7 +34,7 @@ SIZE, RENDER_SIZE = (96, 54), (112, 64)  # width and height, pixels
 ROUND = 250  # rendered frames
 _OTHERS = (
     ((64, 36), Options(shading_correction=False)),
-    ((33, 71), Options(hole_filling="push-pull", history=3, order=2, shading_correction=False)),
+    ((33, 71), Options(hole_filling="downsample", history=3, order=2, shading_correction=False)),
     ((120, 68), Options(levels=0, soft_silhouettes=False, shading_correction=False)),
     ((96, 54), Options(motion=False, hidden_parts=False, acceleration=False, blocks=False, shading_correction=False)),
 )

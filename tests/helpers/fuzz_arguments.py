@@ -26,7 +26,6 @@ QUICK = {
     "calibrate": ("{sequence}", "{out}"),
     "export": ("{out}",),
     "eval": ("{folder}", "--out", "{out}", "--methods", "repeat"),
-    "study": ("corridor", "--size", "32x32", "--frames", "4", "--seeds", "1"),
     "bench": ("{folder}", "--sizes", "32x32"),
     "train": ("{file}", "--clips", "1"),
     "demo": ("--output", "{file}", "--size", "32x32"),

@@ -29,7 +29,7 @@ CASES = {
     "default-larger": (_DEFAULT, *_LARGER),
     "default-smaller": (_DEFAULT, *_SMALLER),
     "cubic-larger": (Options(history=4, order=3, levels=3, blocks=False), *_LARGER),
-    "push-pull-smaller": (Options(hole_filling="push-pull", blocks=False, acceleration=False), *_SMALLER),
+    "downsample-smaller": (Options(hole_filling="downsample", blocks=False, acceleration=False), *_SMALLER),
     "literal": (
         Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample", resampling="linear"),
         *_SAME,

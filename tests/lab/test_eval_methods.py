@@ -13,7 +13,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 from gffe_cl.lab.metrics import METRICS, RegionErrors
-from gffe_cl.lab.metrics.flicker import Flicker
+from gffe_cl.lab.metrics.flicker import Flicker, blurred
 from gffe_cl.lab.metrics.regions import REGIONS, labels_of, masks
 from gffe_cl.lab.table import baselines, image_space, results, videos
 from gffe_cl.lab.table.datasets import Footage, Guide, Moment, Shot, turned
@@ -234,6 +234,14 @@ def test_regions_by_hand():
     assert found["dynamic disocclusion"].sum() == 40  # before silhouettes
     static = exact_parts(Shot(frame, frame.color, (), None, np.zeros_like(moving)), guide)
     assert np.array_equal(static["static disocclusion"], expected)
+
+
+@pytest.mark.parametrize("height, sigma", [(45, 0.15), (90, 0.9), (3, 4.0)])
+def test_blurring_is_scipys_gaussian(height, sigma):
+    from scipy.ndimage import gaussian_filter
+
+    image = np.random.default_rng(1).normal(size=(height, 61)).astype(np.float32)
+    np.testing.assert_allclose(blurred(image, sigma), gaussian_filter(image, sigma), atol=1e-6)
 
 
 def test_flicker_is_what_alternates():

@@ -122,9 +122,6 @@ def host_calls():
     names = ("opengl", "direct3d", "vulkan", "unity", "unreal")
     calls = {
         "Camera": Call(Camera, {"world_to_view": np.eye(4), **lens}),
-        "Camera.many": Call(
-            Camera.many, {"world_to_views": [np.eye(4).tolist()], "intrinsics": [[1.0, 1.0, 0.0, 0.0]]}
-        ),
         "Camera.look_at": Call(Camera.look_at, {"position": (0, 0, 0), "target": (0, 0, 1), "up": (0, 1, 0), **lens}),
         "Camera.from_pose": Call(
             Camera.from_pose, {"position": np.zeros(3), "direction": (0, 0, 1), "up": (0, 1, 0), **lens}

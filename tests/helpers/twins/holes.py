@@ -33,50 +33,6 @@ def downsample(warped, source_color, source_depth):
     return color_sum, inverse_sum
 
 
-def _upsample(mean, height, width):
-    """Bilinear interpolation of a level (h, w, 4) at the texels of the next finer one."""
-    y, x = np.mgrid[:height, :width]
-    u, v = np.where(x & 1, F(0.25), F(0.75)), np.where(y & 1, F(0.25), F(0.75))
-    total = np.zeros((height, width, 4), F)
-    for tap in range(4):
-        tx = np.clip(((x - 1) >> 1) + (tap & 1), 0, mean.shape[1] - 1)
-        ty = np.clip(((y - 1) >> 1) + (tap >> 1), 0, mean.shape[0] - 1)
-        weight = np.where(tap & 1, u, F(1) - u) * np.where(tap >> 1, v, F(1) - v)
-        total = total + weight[..., None] * mean[ty, tx]
-    return total
-
-
-def _quads(image):
-    """(4, h/2, w/2, …): the four children of each texel of the next level, zeros beyond the border."""
-    height, width = image.shape[:2]
-    padded = np.pad(image, ((0, height % 2), (0, width % 2)) + ((0, 0),) * (image.ndim - 2))
-    return np.stack([padded[k >> 1 :: 2, k & 1 :: 2] for k in range(4)])
-
-
-def push_pull(warped):
-    """(H, W, 4) color and inverse depth for every pixel, from a pyramid of means of the valid ones."""
-    height, width = warped["depth"].shape
-    valid = (warped["filled_by"] != COMMON.BY_NOTHING).astype(F)
-    color = load_color(warped["color"])
-    with np.errstate(all="ignore"):
-        inverse = np.where(np.isinf(warped["depth"]), F(0), F(1) / warped["depth"])
-    weight = valid / (F(1) + np.maximum(color.max(-1), F(0)))
-    values = np.concatenate([color, np.where(valid > 0, inverse, F(0))[..., None]], -1).astype(F)
-    total, count = (_quads(weight[..., None] * values).sum(0), _quads(weight).sum(0))
-    with np.errstate(all="ignore"):
-        means = [np.where(count[..., None] > 0, total / count[..., None], F(0)).astype(F)]
-    weights = [(count > 0).astype(F)]
-    for _ in range(max(1, (max(height, width) - 1).bit_length()) - 1):
-        total, count = _quads(weights[-1][..., None] * means[-1]).sum(0), _quads(weights[-1]).sum(0)
-        with np.errstate(all="ignore"):
-            means.append(np.where(count[..., None] > 0, total / count[..., None], F(0)).astype(F))
-        weights.append(np.minimum(count, F(1)))
-    for level in range(len(means) - 2, -1, -1):
-        w = weights[level][..., None]
-        means[level] = w * means[level] + (F(1) - w) * _upsample(means[level + 1], *means[level].shape[:2])
-    return _upsample(means[0], height, width)
-
-
 _DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
@@ -269,12 +225,9 @@ def asked_texels(warped, surfaces):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces=None):
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces):
     """Color, depth, motion of the warped frame with its holes filled: from `continued_surfaces` within `reach` px,
-    else from the block sums; by push-pull if these are None."""
-    if color_sum is None:
-        filled = push_pull(warped)
-        return _filled(warped, filled[..., :3], filled[..., 3], to_source)
+    else from the block sums."""
     height, width = warped["depth"].shape
     px = centers(height, width)
     b = px.astype(np.float64) / HOLES.DOWNSAMPLING - 0.5

@@ -228,13 +228,3 @@ def generate(depth, motion, disoccluded, gae, color, history, to_shown):
     own = load_color(color)
     changed = np.clip(past + (own - load_color(gae)), F(0), MOST)
     return np.where(seen[..., None], changed, own).astype(np.float16)
-
-
-def sharpen(color, strength):
-    """(H, W, 3) of what is shown, sharpened."""
-    c = np.pad(color[..., :3].astype(F), ((1, 1), (1, 1), (0, 0)), mode="edge")
-    own, around = c[1:-1, 1:-1], [c[:-2, 1:-1], c[1:-1, 2:], c[1:-1, :-2], c[2:, 1:-1]]
-    lumas = np.stack([F(0.25) * (t[..., 0] + t[..., 2]) + F(0.5) * t[..., 1] for t in (own, *around)])
-    less = F(strength) * lumas.min(0)
-    amount = less / np.maximum(F(5) * lumas.max(0) - F(4) * less, F(1e-6))
-    return np.clip(own + amount[..., None] * (F(4) * own - sum(around[1:], around[0])), F(0), MOST).astype(np.float16)

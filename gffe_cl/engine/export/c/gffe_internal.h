@@ -23,7 +23,6 @@ enum {
     GFFE_CELLS,
     GFFE_RUNS,
     GFFE_NETWORK,
-    GFFE_MIP,
     GFFE_LEVEL,
     GFFE_LEVELS
 };
