@@ -77,10 +77,17 @@ def device(request):
 
 @pytest.fixture
 def gffe(monkeypatch, capsys):
-    """Runs `gffe ARGS…` in this process: (exit code, stdout, stderr)."""
+    """Runs `gffe ARGS…` in this process: (exit code, stdout, stderr). Unless it is `checked`, `gffe run` goes without
+    the doctor's look at the input, which takes most of the time of small sequences."""
 
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["gffe", *map(str, args)])
+    def call(*args, checked=False):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", ["gffe", *map(str, args)])
+            if not checked:
+                patch.setattr("gffe_cl.cli.run._check_quickly", lambda *_: False)
+            return run()
+
+    def run():
         code = 0
         try:
             main()

@@ -6,7 +6,7 @@
     python docs/tools/make_results.py                        the tables, from what is recorded
 
 `TABLES` names them.
-The table of unseen sequences is from docs/measured/unseen.json, which docs/tools/make_unseen.py writes.
+The table of unseen sequences is from docs/measured/unseen.json, which docs/unseen/make_unseen.py writes.
 """
 
 from __future__ import annotations

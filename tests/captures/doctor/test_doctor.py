@@ -252,11 +252,11 @@ def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):
 
 def test_a_run_warns_of_what_does_not_fit(gffe, tmp_path):
     bad = written(tmp_path / "bad", broken(clip(), ["motion negated"]))
-    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn")
+    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn", checked=True)
     said = " ".join(err.split())
     assert code == 0 and "warning: motion vectors do not fit depth and cameras (median" in said
     assert f"`gffe check {bad}` has details" in said
-    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check")
+    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check", checked=True)
     assert code == 0 and "do not fit" not in err
 
 

@@ -147,7 +147,7 @@ def test_a_run_detects_the_user_interface_that_its_check_sees(gffe, tmp_path):
         ("auto", hud, ()), ("on", hud, ("--ui-detection", "on")), ("off", hud, ("--ui-detection", "off")),
         ("unchecked", hud, ("--no-check",)), ("plain", plain, ()), ("plain off", plain, ("--ui-detection", "off")),
     ):  # fmt: skip
-        code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options)
+        code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options, checked=True)
         assert code == 0, error
         assert ("user interface detection is on" in text) == (name == "auto")
         assert ("warning: user interface in the color" in error) == (name in ("auto", "on", "off"))
