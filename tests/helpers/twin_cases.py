@@ -38,6 +38,11 @@ CASES = {
 }
 
 
+def time_of(k):
+    """Return the time of rendered frame `k`, seconds: intervals are uneven."""
+    return (k + 0.3 * (k % 2)) / 30
+
+
 def frames(width, height, count=4, spoil=True, scene=SCENE):
     """Yield rendered frames of a camera that moves and turns; with `spoil` some pixels are bad, and vectors noisy."""
     rng = np.random.default_rng(5)
@@ -46,8 +51,8 @@ def frames(width, height, count=4, spoil=True, scene=SCENE):
     ]
     previous = None
     for k in range(count):
-        frame = scene.frame(cameras[k], k / 30, width, height, previous, reset=k == 0)
-        previous = (cameras[k], k / 30)
+        frame = scene.frame(cameras[k], time_of(k), width, height, previous, reset=k == 0)
+        previous = (cameras[k], time_of(k))
         if spoil and k:
             for array, values in (
                 (frame.depth, (np.nan, 0, -3, np.inf, 1e30)),
