@@ -2,8 +2,8 @@
 
     python docs/tools/make_lessons.py [PAGE …]       such as tutorial_own_capture; all, if left out
 
-A block without a language is commands. A block `text` after it is the end of the last command's output, as many lines as
-it has. A block `python` is saved as engine.py and run; a block `text` that is indented replaces the lines of its key in
+A block without a language is commands. A block `text` after it is the end of the last command's output, as many lines
+as it has. A block `python` is saved as engine.py and run; an indented block `text` replaces the lines of its key in
 engine.py. `gffe view` takes a screenshot, in a virtual screen if there is none.
 """
 
@@ -60,7 +60,9 @@ class Lesson:
     def edited(self, block: str) -> None:
         """Put the lines of `block` in the place of those with its key in engine.py."""
         script, key = self.folder / "engine.py", block.partition(":")[0]
-        script.write_text(re.sub(rf"^{re.escape(key)}:.*?\}},\n", lambda _: block, script.read_text(), flags=re.S | re.M))
+        script.write_text(
+            re.sub(rf"^{re.escape(key)}:.*?\}},\n", lambda _: block, script.read_text(), flags=re.S | re.M)
+        )
 
     def written(self, text: str) -> str:
         """Return the page `text` with the output of its commands."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from doctor_clips import COUNT, H, W, assert_restored, clip, made_world, names, tiled, written
+from parameters import few
 from synthetic import Rect, Rects, camera
 
 from gffe_cl.captures.doctor import Repair, examine, open_for_check, quick_warning
@@ -100,7 +101,10 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("fault", NAMED)
+SEEN = ("motion negated", "motion to the next frame", "depth reversed", "camera transposed", "two frames swapped")
+
+
+@pytest.mark.parametrize("fault", few(NAMED, *SEEN, "motion rows"))
 def test_a_fault_is_named_and_repaired(fault):
     diagnosis, frames = repaired([fault])
     assert names(diagnosis) == [NAMED[fault]]

@@ -455,6 +455,7 @@ def small():
     """Clips hardly larger than a crop, and a few crops to validate with."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(clips, "_SIZES", ((288, 264),) * len(clips._SIZES))
+        patch.setattr(clips, "_SAMPLES", 2)
         patch.setattr(training_module, "_VALIDATION_CROPS", 4)
         yield
 
