@@ -3,7 +3,7 @@
     python docs/tools/quality.py              prints how many dB better each is; exit code 1 where a mean is worse
     python docs/tools/quality.py --write      records the values in docs/measured/quality.json
 
-`make quality` runs it after a change of kernels. The figures are those of `gffe eval`, which are the same on all devices.
+`make quality` runs it after a change of kernels. Figures are those of `gffe eval`, the same on all devices.
 """
 
 from __future__ import annotations
