@@ -39,8 +39,8 @@ CASES = {
 
 
 def time_of(k):
-    """Return the time of rendered frame `k`, seconds: intervals are uneven."""
-    return (k + 0.3 * (k % 2)) / 30
+    """Return the time of rendered frame `k`, seconds: the first two intervals are uneven."""
+    return (k - 0.3 * (k == 1)) / 30
 
 
 def frames(width, height, count=4, spoil=True, scene=SCENE):
