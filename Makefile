@@ -1,7 +1,8 @@
 # make demo       install into .venv, then render, extrapolate and measure a scene into out/demo
 # make test       install what the tests need too, then run all of them but the long ones
 # make test-all   those, and then the long ones
-# make recorded   what is recorded of kernels, anew, after a change of them: 10 minutes or so; PICTURES=1: after one that
+# make quality    what a change of kernels does to the quality, by scene and region: five minutes
+# make recorded   what is recorded of kernels, anew, after a change of them: 20 minutes or so; PICTURES=1: after one that
 #                 changes pictures, also what each part is worth and the pictures of the documentation: hours
 # make docs       the documentation as a site, into out/docs
 # PYTHON=…        another interpreter than python3
@@ -16,7 +17,7 @@ PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constrai
 # What pip says is shown only if it fails.
 QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }
 
-.PHONY: demo test test-all recorded docs clean
+.PHONY: demo test test-all quality recorded docs clean
 
 demo: $(VENV)/.installed
 	@echo "demo: about a minute"
@@ -27,6 +28,9 @@ test: $(VENV)/.installed-for-tests
 
 test-all: test $(VENV)/.installed-for-examples
 	$(PYTEST) -m long
+
+quality: $(VENV)/.installed-for-tests
+	$(VENV)/bin/python docs/tools/quality.py
 
 # Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
 recorded: $(VENV)/.installed-for-tests
@@ -40,6 +44,8 @@ ifdef PICTURES
 	$(VENV)/bin/python docs/tools/make_stage_pictures.py
 	$(VENV)/bin/python docs/tools/make_symptoms.py
 endif
+	$(VENV)/bin/python docs/tools/quality.py --write
+	$(VENV)/bin/python docs/tools/make_lessons.py
 	$(VENV)/bin/python docs/tools/make_performance.py
 	$(VENV)/bin/python docs/tools/make_tables.py
 

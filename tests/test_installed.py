@@ -1,6 +1,7 @@
 """Installed copies: what a wheel holds, and that it works with the newest and the lowest versions of what it needs."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,7 +35,9 @@ def wheel(tmp_path_factory):
         (source / "gffe_cl" / name).write_text("not for others")
     (source / "gffe_cl" / "again").symlink_to(source / "gffe_cl")
     (source / "kernels" / "up").symlink_to("..")
-    uv("build", "--out-dir", built, source)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GITHUB_REPOSITORY", "someone/gffe-cl")
+        uv("build", "--out-dir", built, source)
     (path,) = built.glob("*.whl")
     return path
 
@@ -47,6 +50,10 @@ def test_wheel_holds_the_package_and_nothing_else(wheel):
         for path in (ROOT / name).rglob("*")
         if path.is_file() and path.parent.name != "__pycache__"
     }
+    (about,) = (name for name in ZipFile(wheel).namelist() if name.endswith(".dist-info/METADATA"))
+    about = ZipFile(wheel).read(about).decode()
+    assert "Project-URL: Source, https://github.com/someone/gffe-cl\n" in about
+    assert not re.findall(r"\]\((?!https?:|#)", about) and "/raw/main/docs/pictures/demo.webp" in about
     held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == there
     assert {".css", ".js", ".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}

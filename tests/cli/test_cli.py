@@ -460,6 +460,14 @@ def test_render_and_devices(gffe, tmp_path):
     assert any(d["works"] and d["default"] for d in json.loads((tmp_path / "d.json").read_text())["devices"])
 
 
+def test_a_run_says_that_most_frames_look_like_cuts(gffe, scene, tmp_path):
+    for k in (2, 3):
+        _spoil(scene / f"frame_{k:06d}.exr", "Z", lambda a, k=k: a.__setitem__(slice(None), 2.0 + 3 * k))
+    code, text, err = gffe("run", scene, tmp_path / "out", "--no-scn")
+    said = "rendered frames look like cuts: do the motion vectors fit?"
+    assert code == 0 and text.count("cut at ") == 2 and f"2 of 4 {said}" in " ".join(err.split()), text + err
+
+
 def test_bad_pixels_are_counted_once_and_strict_makes_them_errors(gffe, scene, tmp_path):
     _spoil(scene / "frame_000002.exr", "motion.x", lambda a: a.__setitem__((3, 4), np.nan))
     _spoil(scene / "frame_000003.exr", "Z", lambda a: a.__setitem__((5, 5), -1))

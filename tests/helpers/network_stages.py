@@ -30,7 +30,7 @@ def put(stage, **arrays):
 
 
 def images(size, rng):
-    """What a frame may hold: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
+    """Return images of a frame: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
     with each call."""
     height, width = size[1], size[0]
     color = rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16)
@@ -43,7 +43,7 @@ def images(size, rng):
 
 
 def made_stages(device, size, exposure=1.0, seed=1):
-    """A board with the extrapolated frame and the stages around the network, and what they are to work on."""
+    """Return a board with the extrapolated frame and the stages around the network, and their inputs."""
     board, rng = Board(device, Sizes(size, size), Options()), np.random.default_rng(seed)
     now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
     color, depth = images(size, rng)
@@ -68,7 +68,8 @@ def made_stages(device, size, exposure=1.0, seed=1):
 
 
 def moving_frames(size, rng):
-    """(8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise below."""
+    """Return (8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise
+    below."""
     (width, height), shift = size, (3.0, -1.6)
     y, x = np.mgrid[:height, :width].astype(np.float32)
     frames = rng.random((8, height, width)).astype(np.float32)

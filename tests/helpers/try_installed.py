@@ -53,7 +53,7 @@ export exported
 
 
 def run(*command, code=0):
-    """What the command says. AssertionError, with all of it, for another exit code."""
+    """Return the output of a command. AssertionError, with all of it, for another exit code."""
     start = time.monotonic()
     environment = os.environ | {"LIBGL_ALWAYS_SOFTWARE": "1"}
     for _ in range(2 if command[: len(XVFB)] == XVFB else 1):
@@ -93,7 +93,7 @@ class Used:
 
 
 def use_all_names():
-    """A program that uses every public name."""
+    """Run a program that uses every public name."""
     gffe = Used()
     assert gffe.__version__
     gffe.prepare_runtimes()
@@ -194,7 +194,7 @@ def run_all_commands():
 
 
 def view():
-    """A screenshot, a script, and a running program."""
+    """Take a screenshot, run a script, and look into a running program."""
     run(*XVFB, GFFE, "view", "rendered", "--screenshot", "shot.png", "--frame", "3")
     Path("steps.txt").write_text("layer frame.motion\nwait 0.2\nshot script.png\n")
     run(*XVFB, GFFE, "view", "rendered", "--script", "steps.txt")
