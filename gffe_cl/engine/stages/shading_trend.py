@@ -142,7 +142,7 @@ class ShadingTrend(Stage):
         self.launch("measure_changes", step)
         self.launch("find_change", step)
         options = self.board.options
-        if self.host_decides and options.corrects_shading and options.focus_mask and self.recorder is None:
+        if self.host_decides and options.corrects_shading and options.focus_mask:
             self._known = self._changed.open()
         self.launch("blur_rows", step)
         self.launch("find_trend", step)
