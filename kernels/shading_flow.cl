@@ -25,23 +25,13 @@
 #define TEXTURE_CHANGE 2.5f
 #define FAINT 0.00001f /* power of detail, summed over 2x2 pixels, below which there is none */
 
-/* Work-groups have TILE_WIDTH x TILE_HEIGHT work-items, as many as pixels of the smaller image that they make. They do
-   their work in chunks of LANES pixels of a row, with what is around in local memory. */
-#define TILE_WIDTH 16
-#define TILE_HEIGHT 8
-#define ITEMS 128 /* their product */
-#define CHUNKS(pixels) (((pixels) + LANES - 1) / LANES)
-#define TILE __attribute__((reqd_work_group_size(TILE_WIDTH, TILE_HEIGHT, 1)))
-#define ITEM ((int)(get_local_id(1) * TILE_WIDTH + get_local_id(0)))
-#define TILE_X ((int)(get_group_id(0) * TILE_WIDTH))
-#define TILE_Y ((int)(get_group_id(1) * TILE_HEIGHT))
-
-/* Level 1 of both frames, LANES pixels from (x, y) on: colors of the extrapolated one (3), and the brightness of both
-   (2); and how far the detail of brightness, within 2x2 pixels, is the same in both: texture of the surface, which a
-   change of light leaves. */
-INLINE void halve_frames(const int fine, const int height, const int x, const int y, __global const float *frames,
-                         __global float *colors, __global float *brightness, __global float *texture) {
-    const int width = fine / 2, plane = width * height, count = width - x, at = y * width + x;
+/* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2); and how far the detail of
+   brightness, within 2x2 pixels, is the same in both: texture of the surface, which a change of light leaves. */
+WIDE __kernel void halve_frames(__constant Frame *restrict frame, __global const float *frames, __global float *colors,
+                                __global float *brightness, __global float *texture) {
+    const int fine = frame->network_width, width = fine / 2, height = frame->network_height / 2, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
+    if (x >= width || y >= height) return;
     Floats of_frames[2][4], mean[2];
     for (int which = 0; which < 2; ++which) {
         Floats sum = 0.0f;
@@ -67,233 +57,258 @@ INLINE void halve_frames(const int fine, const int height, const int x, const in
                       count, texture + at);
 }
 
-/* Both frames' brightness in a tile's part of an image of `width` by `height`, from the level above. */
-INLINE void halve_brightness(const int width, const int height, const int part, __global const float *fine,
-                             __global float *brightness) {
-    const int chunks = CHUNKS(TILE_WIDTH / part), plane = width * height;
-    for (int i = ITEM; i < chunks * (TILE_HEIGHT / part); i += ITEMS) {
-        const int x = TILE_X / part + LANES * (i % chunks), y = TILE_Y / part + i / chunks;
-        const int count = min(width, (TILE_X + TILE_WIDTH) / part) - x;
-        if (count <= 0 || y >= height) continue;
-        for (int which = 0; which < 2; ++which)
-            store_some_floats(halved(fine + 4 * which * plane, 2 * width, x, y, count), count,
-                              brightness + which * plane + y * width + x);
-    }
-}
-
-/* Makes levels 1 to 3 of both frames' brightness, and of level 1 colors and texture. Nothing of a tile's levels is made
-   of anything else. */
-WIDE TILE __kernel void make_levels(__constant Frame *restrict frame, __global const float *frames,
-                                    __global float *colors, __global float *texture, __global float *brightness1,
+/* Makes levels 2 and 3 of both frames' brightness. */
+WIDE __kernel void halve_brightness(__constant Frame *restrict frame, __global const float *brightness1,
                                     __global float *brightness2, __global float *brightness3) {
-    const int width = frame->network_width / 2, height = frame->network_height / 2;
-    for (int i = ITEM; i < TILE_WIDTH / LANES * TILE_HEIGHT; i += ITEMS) {
-        const int x = TILE_X + LANES * (i % (TILE_WIDTH / LANES)), y = TILE_Y + i / (TILE_WIDTH / LANES);
-        if (x < width && y < height)
-            halve_frames(2 * width, height, x, y, frames, colors, brightness1, texture);
+    const int width = frame->network_width / 8, height = frame->network_height / 8, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (x >= width || y >= height) return;
+    for (int which = 0; which < 2; ++which) {
+        __global float *made = brightness2 + 4 * which * plane;
+        for (int part = 0; part < 4; ++part) {
+            const int fine_x = 2 * x + (part & 1) * LANES, fine_y = 2 * y + (part >> 1), left = 2 * width - fine_x;
+            if (left > 0)
+                store_some_floats(halved(brightness1 + 16 * which * plane, 4 * width, fine_x, fine_y, left), left,
+                                  made + fine_y * 2 * width + fine_x);
+        }
+        store_some_floats(halved(made, 2 * width, x, y, count), count, brightness3 + which * plane + y * width + x);
     }
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    halve_brightness(width / 2, height / 2, 2, brightness1, brightness2);
-    barrier(CLK_GLOBAL_MEM_FENCE);
-    halve_brightness(width / 4, height / 4, 4, brightness2, brightness3);
 }
 
-/* The flow of a tile's pixels and of those around them in local memory, the image's border repeated. */
-#define AROUND 2
+/* Work-groups have as many work-items as pixels of the flow, of a tile, which they work on in local memory, in chunks
+   of LANES pixels of a row. */
+#define TILE_WIDTH 16
+#define TILE_HEIGHT 8
+#define ITEMS 128 /* their product */
+#define TILE __attribute__((reqd_work_group_size(TILE_WIDTH, TILE_HEIGHT, 1)))
+#define ITEM ((int)(get_local_id(1) * TILE_WIDTH + get_local_id(0)))
+#define TILE_X ((int)(get_group_id(0) * TILE_WIDTH))
+#define TILE_Y ((int)(get_group_id(1) * TILE_HEIGHT))
+#define CHUNKS(pixels) (((pixels) + LANES - 1) / LANES)
+
+/* The flow of a tile and AROUND it, in both planes one row after another, the image's border repeated. */
+#define AROUND 3
 #define FLOW_ROWS (TILE_HEIGHT + 2 * AROUND)
 #define FLOW_CHUNKS CHUNKS(TILE_WIDTH + 2 * AROUND)
 #define FLOW_PITCH (LANES * FLOW_CHUNKS)
 #define FLOW_PLANE (FLOW_ROWS * FLOW_PITCH)
-#define FLOW_FLOATS (2 * FLOW_PLANE + 2 * LANES) /* LANES before and after are read, and not used */
 
-/* Loads a flow of an image of `width` by `height`; `doubles`: it is that of the level below. */
-INLINE void load_flow(__global const float *flow, const bool doubles, const int width, const int height,
-                      __local float *near) {
-    const int plane = width * height;
-    for (int i = ITEM; i < FLOW_ROWS * FLOW_CHUNKS; i += ITEMS) {
-        const int row = i / FLOW_CHUNKS, chunk = i % FLOW_CHUNKS, y = clamp(TILE_Y - AROUND + row, 0, height - 1);
-        const Ints x = clamp(TILE_X - AROUND + LANES * chunk + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
-        __local float *out = near + LANES + row * FLOW_PITCH + LANES * chunk;
-        Taps taps;
-        taps_of(x, y, width / 2, height / 2, &taps);
-        for (int axis = 0; axis < 2; ++axis) {
-            const Floats value = doubles ? 2.0f * interpolate(flow + axis * (plane / 4), &taps)
-                                         : gather_floats(flow + axis * plane + y * width, x);
-            store_floats(value, 0, out + axis * FLOW_PLANE);
-        }
-    }
-}
+/* Pixels of an image with two of them for one of the flow, each way: of a tile and PIXELS_AROUND it. */
+#define PIXELS_AROUND 4
+#define PIXEL_ROWS (2 * TILE_HEIGHT + 2 * PIXELS_AROUND)
+#define PIXEL_PITCH (2 * TILE_WIDTH + 2 * PIXELS_AROUND)
+#define PIXEL_CHUNKS (PIXEL_PITCH / LANES)
+#define PIXELS (PIXEL_ROWS * PIXEL_PITCH + 2 * LANES) /* those after the last are read, and not used */
 
-/* A flow where images have two pixels for one of it: in row y, LANES of the left ones or of the `right` ones, of pixels
-   from `column` of the tile on. */
-INLINE Floats flow_at(__local const float *near, const int column, const bool right, const int y) {
-    __local const float *top = near + LANES + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH + column + AROUND;
-    top += right ? 0 : -1;
-    const float u = right ? 0.25f : 0.75f, v = (y & 1) ? 0.25f : 0.75f;
-    return (1.0f - u) * (1.0f - v) * load_floats(0, top) + u * (1.0f - v) * load_floats(0, top + 1)
-           + (1.0f - u) * v * load_floats(0, top + FLOW_PITCH) + u * v * load_floats(0, top + FLOW_PITCH + 1);
-}
-
-/* The previous frame's brightness moved along the flow: an image of `width` by `height`, where `flow_at` is. */
-INLINE Floats warped_at(__global const float *before, __local const float *near, const int width, const int height,
-                        const int column, const bool right, const int y) {
-    const Ints x = 2 * (TILE_X + column + LANE_NUMBERS) + (right ? 1 : 0);
-    Sample there;
-    find_sample(to_floats(x) + flow_at(near, column, right, y), (float)y + flow_at(near + FLOW_PLANE, column, right, y),
-                width, height, &there);
-    return sampled(before, &there);
-}
-
-/* Sums of a tile and of the pixels around it, planes in local memory. */
+/* Sums of a tile and of the pixels next to it. */
 #define SUM_ROWS (TILE_HEIGHT + 2)
 #define SUM_CHUNKS CHUNKS(TILE_WIDTH + 2)
 #define SUM_PITCH (LANES * SUM_CHUNKS)
 #define SUM_PLANE (SUM_ROWS * SUM_PITCH)
 
-/* Mean over the 3x3 pixels around those from (x, y) of the tile on, or over those of them that there are in the image. */
+/* Loads the flow of an image of `width` by `height`; `doubles`: from that of the level below. */
+INLINE void load_flow(__global const float *flow, const bool doubles, const int width, const int height,
+                      __local float *near) {
+    const int plane = width * height;
+    for (int i = ITEM; i < FLOW_ROWS * FLOW_CHUNKS; i += ITEMS) {
+        const int row = i / FLOW_CHUNKS, column = LANES * (i % FLOW_CHUNKS);
+        const int y = clamp(TILE_Y - AROUND + row, 0, height - 1);
+        const Ints x = clamp(TILE_X - AROUND + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
+        Taps taps;
+        taps_of(x, y, width / 2, height / 2, &taps);
+        for (int axis = 0; axis < 2; ++axis) {
+            const Floats value = doubles ? 2.0f * interpolate(flow + axis * (plane / 4), &taps)
+                                         : gather_floats(flow + axis * plane + y * width, x);
+            store_floats(value, 0, near + axis * FLOW_PLANE + row * FLOW_PITCH + column);
+        }
+    }
+}
+
+/* One plane of the flow, interpolated at pixels from (x, y) on; x is even with several lanes. */
+INLINE Floats flow_at(__local const float *near, const int x, const int y) {
+    __local const float *top = near + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH - TILE_X + AROUND;
+    __local const float *bottom = top + FLOW_PITCH;
+#if LANES == 8
+    const float8 above = vload8(0, top + (x >> 1) - 1), below = vload8(0, bottom + (x >> 1) - 1);
+    const float8 a = above.s01122334, b = above.s12233445, c = below.s01122334, d = below.s12233445;
+#else
+    const int left = (x - 1) >> 1;
+    const float a = top[left], b = top[left + 1], c = bottom[left], d = bottom[left + 1];
+#endif
+    const Floats u = ((x + LANE_NUMBERS) & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
+    const float v = (y & 1) ? 0.25f : 0.75f;
+    return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
+}
+
+/* Brightness of an image of `width` by `height` at pixels from (x, y) on: in the extrapolated frame and, moved along the
+   flow, in the previous one. */
+INLINE void load_both(__global const float *brightness, __local const float *near, const int width, const int height,
+                      const int x, const int y, Floats *now, Floats *moved) {
+    __global const float *row = brightness + y * width;
+    const Ints column = clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
+    *now = x >= 0 && x + LANES <= width ? load_floats(0, row + x) : gather_floats(row, column);
+    SampleRuns there;
+    find_sample_runs(row_indices(x) + flow_at(near, x, y), (float)y + flow_at(near + FLOW_PLANE, x, y), width, height,
+                     &there);
+    *moved = sampled_by_runs(brightness + width * height, &there);
+}
+
+/* LANES pairs of pixels that follow one another. */
+INLINE void load_pairs(__local const float *p, Floats *left, Floats *right) {
+#if LANES == 8
+    const float16 pairs = vload16(0, p);
+    *left = pairs.even;
+    *right = pairs.odd;
+#else
+    *left = p[0];
+    *right = p[1];
+#endif
+}
+
+/* Mean over the 3x3 pixels around those of the tile from (x, y) on, or over those of them that there are. */
 INLINE Floats mean_around(__local const float *sums, const int width, const int height, const int x, const int y) {
-    const int first = max(TILE_Y + y - 1, 0) - TILE_Y + 1, last = min(TILE_Y + y + 1, height - 1) - TILE_Y + 1;
+    const int top = max(y, 1 - TILE_Y), bottom = min(y + 2, height - TILE_Y);
     Floats sum = 0.0f, columns = 0.0f;
     for (int dx = -1; dx <= 1; ++dx) {
-        const Ints column = TILE_X + x + LANE_NUMBERS + dx, there = (column >= 0) & (column < width);
+        const Ints column = TILE_X + x + dx + LANE_NUMBERS, there = (column >= 0) & (column < width);
         Floats of_column = 0.0f;
-        for (int row = first; row <= last; ++row) of_column += load_floats(0, sums + row * SUM_PITCH + x + 1 + dx);
+        for (int row = top; row <= bottom; ++row) of_column += load_floats(0, sums + row * SUM_PITCH + x + 1 + dx);
         sum += there ? of_column : (Floats)(0.0f);
         columns += there ? (Floats)(1.0f) : (Floats)(0.0f);
     }
-    return wide_divide(sum, columns * (float)(last + 1 - first));
+    return wide_divide(sum, columns * (float)(bottom + 1 - top));
 }
 
-/* Left and right pixels of an image near a tile, as they lie in local memory: rows from the third above it on, which
-   are three below the first of these pixels; columns as those of the flow. */
-#define PIXEL_ROWS (2 * TILE_HEIGHT + 6)
-#define PIXEL_ROW (2 * FLOW_PITCH)
-#define ABOVE 3
-
-/* One step of the flow at `level`, by least squares, from the flow `begun`, or, if it `doubles`, from that of the level
-   below. */
+/* Makes a step of the flow at `level`, by least squares, from the flow `begun`, or, if it `doubles`, from that of the
+   level below. */
 WIDE TILE __kernel void step_flow(__constant Frame *restrict frame, const int level, const int doubles,
                                   __global const float *restrict brightness, __global const float *restrict begun,
                                   __global float *restrict flow) {
-    /* both: the sum of both images of which the flow is sought; rest: four times their difference */
-    __local float near[FLOW_FLOATS], both[PIXEL_ROWS * PIXEL_ROW + 2 * LANES], rest[PIXEL_ROWS * PIXEL_ROW];
-    __local float products[PRODUCTS * SUM_PLANE];
+    /* both: sum of both images of which the flow is sought; rest: four times their difference */
+    __local float near[2 * FLOW_PLANE], both[PIXELS], rest[PIXELS], products[PRODUCTS * SUM_PLANE];
     const int fine = frame->network_width >> level, fine_height = frame->network_height >> level;
     const int width = fine / 2, height = fine_height / 2, plane = width * height;
     load_flow(begun, doubles, width, height, near);
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (int i = ITEM; i < PIXEL_ROWS * FLOW_CHUNKS; i += ITEMS) {
-        const int row = i / FLOW_CHUNKS, column = LANES * (i % FLOW_CHUNKS) - AROUND, y = 2 * TILE_Y - ABOVE + row;
+    for (int i = ITEM + PIXEL_CHUNKS; i < (PIXEL_ROWS - 1) * PIXEL_CHUNKS; i += ITEMS) {
+        const int row = i / PIXEL_CHUNKS, column = LANES * (i % PIXEL_CHUNKS);
+        const int x = 2 * TILE_X - PIXELS_AROUND + column, y = 2 * TILE_Y - PIXELS_AROUND + row;
         if (y < 0 || y >= fine_height) continue;
-        const Ints x = 2 * clamp(TILE_X + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
-        for (int right = 0; right < 2; ++right) {
-            const int at = row * PIXEL_ROW + right * FLOW_PITCH + column + AROUND;
-            const Floats now = gather_floats(brightness + y * fine + right, x);
-            const Floats before = warped_at(brightness + 4 * plane, near, fine, fine_height, column, right, y);
-            store_floats(now + before, 0, both + LANES + at);
-            store_floats(4.0f * (before - now), 0, rest + at);
-        }
+        Floats now, moved;
+        load_both(brightness, near, fine, fine_height, x, y, &now, &moved);
+        store_floats(now + moved, 0, both + row * PIXEL_PITCH + column);
+        store_floats(4.0f * (moved - now), 0, rest + row * PIXEL_PITCH + column);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     /* Means over 2x2 pixels of products of gradients and differences: xx, xy, yy, xr, yr. */
     for (int i = ITEM; i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
-        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS) - 1;
-        if (TILE_Y + row - 1 < 0 || TILE_Y + row - 1 >= height) continue;
-        const Ints x = TILE_X + column + LANE_NUMBERS;
+        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS);
+        if (TILE_Y + row < 1 || TILE_Y + row > height) continue;
+        const Ints x = TILE_X - 1 + column + LANE_NUMBERS;
         Floats sums[PRODUCTS];
         for (int k = 0; k < PRODUCTS; ++k) sums[k] = 0.0f;
-        for (int part = 0; part < 4; ++part) {
-            const int right = part & 1, y = 2 * (TILE_Y + row - 1) + (part >> 1);
-            const int at = (y - 2 * TILE_Y + ABOVE) * PIXEL_ROW + right * FLOW_PITCH + column + AROUND;
-            __local const float *here = both + LANES + at;
-            Floats before = load_floats(0, here + (right ? -FLOW_PITCH : FLOW_PITCH - 1));
-            Floats after = load_floats(0, here + (right ? 1 - FLOW_PITCH : FLOW_PITCH));
-            if (right) {
-                after = x == width - 1 ? load_floats(0, here) : after;
-            } else {
-                before = x == 0 ? load_floats(0, here) : before;
+        for (int part = 0; part < 2; ++part) {
+            const int y = 2 * (TILE_Y - 1 + row) + part;
+            const int at = (y - 2 * TILE_Y + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
+            __local const float *here = both + at;
+            Floats before, left, right, after, top[2], bottom[2], difference[2];
+            load_pairs(here - 1, &before, &left);
+            load_pairs(here + 1, &right, &after);
+            load_pairs(here - (y > 0 ? PIXEL_PITCH : 0), &top[0], &top[1]);
+            load_pairs(here + (y < fine_height - 1 ? PIXEL_PITCH : 0), &bottom[0], &bottom[1]);
+            load_pairs(rest + at, &difference[0], &difference[1]);
+            const Floats gradient[2] = {right - (x == 0 ? left : before), (x == width - 1 ? right : after) - left};
+            for (int side = 0; side < 2; ++side) {
+                const Floats gradient_y = bottom[side] - top[side];
+                sums[0] += gradient[side] * gradient[side];
+                sums[1] += gradient[side] * gradient_y;
+                sums[2] += gradient_y * gradient_y;
+                sums[3] += gradient[side] * difference[side];
+                sums[4] += gradient_y * difference[side];
             }
-            const Floats above = load_floats(0, here - (y > 0 ? PIXEL_ROW : 0));
-            const Floats below = load_floats(0, here + (y < fine_height - 1 ? PIXEL_ROW : 0));
-            const Floats gradient_x = after - before, gradient_y = below - above, change = load_floats(0, rest + at);
-            sums[0] += gradient_x * gradient_x;
-            sums[1] += gradient_x * gradient_y;
-            sums[2] += gradient_y * gradient_y;
-            sums[3] += gradient_x * change;
-            sums[4] += gradient_y * change;
         }
         for (int k = 0; k < PRODUCTS; ++k)
-            store_floats(0.25f * sums[k], 0, products + k * SUM_PLANE + row * SUM_PITCH + column + 1);
+            store_floats(0.25f * sums[k], 0, products + k * SUM_PLANE + row * SUM_PITCH + column);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (int i = ITEM; i < TILE_WIDTH / LANES * TILE_HEIGHT; i += ITEMS) {
-        const int row = i / (TILE_WIDTH / LANES), column = LANES * (i % (TILE_WIDTH / LANES));
-        const int count = width - TILE_X - column, at = (TILE_Y + row) * width + TILE_X + column;
-        if (count <= 0 || TILE_Y + row >= height) continue;
+    for (int i = ITEM; i < CHUNKS(TILE_WIDTH) * TILE_HEIGHT; i += ITEMS) {
+        const int x = LANES * (i % CHUNKS(TILE_WIDTH)), y = i / CHUNKS(TILE_WIDTH);
+        const int count = width - TILE_X - x, at = (TILE_Y + y) * width + TILE_X + x;
+        if (count <= 0 || TILE_Y + y >= height) continue;
         Floats mean[PRODUCTS];
-        for (int k = 0; k < PRODUCTS; ++k) mean[k] = mean_around(products + k * SUM_PLANE, width, height, column, row);
+        for (int k = 0; k < PRODUCTS; ++k) mean[k] = mean_around(products + k * SUM_PLANE, width, height, x, y);
         const Floats xx = mean[0] + FLAT, xy = mean[1], yy = mean[2] + FLAT, xr = mean[3], yr = mean[4];
         const Floats determinant = xx * yy - xy * xy;
         const Floats step_x = wide_divide(xy * yr - yy * xr, determinant),
                      step_y = wide_divide(xy * xr - xx * yr, determinant);
         const Floats longer = wide_greater(fabs(step_x), fabs(step_y)),
                      excess = wide_greater((1.0f / LONGEST) * longer, (Floats)(1.0f));
-        __local const float *here = near + LANES + (row + AROUND) * FLOW_PITCH + column + AROUND;
+        __local const float *here = near + (y + AROUND) * FLOW_PITCH + x + AROUND;
         store_some_floats(load_floats(0, here) + wide_divide(step_x, excess), count, flow + at);
         store_some_floats(load_floats(0, here + FLOW_PLANE) + wide_divide(step_y, excess), count, flow + plane + at);
     }
 }
 
-/* Makes the mean squared differences nearby, at level 2: means over 2x2 pixels of level 1 of the brightness of both
-   frames, in place and along the flow; and of its change from the previous interval's, in place and along the flow. */
+/* Makes mean squared differences nearby, at level 2: means over 2x2 pixels of level 1 of the brightness of both frames,
+   in place and along the flow; and of its change from the previous interval's, in place and along the flow. */
 WIDE TILE __kernel void find_differences(__constant Frame *restrict frame, __global const float *restrict brightness,
                                          __global const float *restrict coarser, __global const float *restrict flow,
                                          __global const float *restrict trends, __global float *restrict differences) {
-    __local float near[FLOW_FLOATS], squares[DIFFERENCES * SUM_PLANE];
+    __local float near[2 * FLOW_PLANE], still[PIXELS], along[PIXELS], squares[DIFFERENCES * SUM_PLANE];
     const int fine = frame->network_width / 2, fine_height = frame->network_height / 2;
     const int width = fine / 2, height = fine_height / 2, plane = width * height;
+    __global const float *repeated = trends + 4 * REPEATED * plane;
     load_flow(flow, false, width, height, near);
     barrier(CLK_LOCAL_MEM_FENCE);
 
+    for (int i = ITEM + 2 * PIXEL_CHUNKS; i < (PIXEL_ROWS - 2) * PIXEL_CHUNKS; i += ITEMS) {
+        const int row = i / PIXEL_CHUNKS, column = LANES * (i % PIXEL_CHUNKS);
+        const int x = 2 * TILE_X - PIXELS_AROUND + column, y = 2 * TILE_Y - PIXELS_AROUND + row;
+        if (y < 0 || y >= fine_height) continue;
+        Floats now, moved;
+        load_both(brightness, near, fine, fine_height, x, y, &now, &moved);
+        const Ints there = y * fine + clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(fine - 1));
+        const Floats in_place = gather_floats(brightness + 4 * plane, there) - now, followed = moved - now;
+        store_floats(in_place * in_place, 0, still + row * PIXEL_PITCH + column);
+        store_floats(followed * followed, 0, along + row * PIXEL_PITCH + column);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
     for (int i = ITEM; i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
-        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS) - 1, y = TILE_Y + row - 1;
+        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS), y = TILE_Y - 1 + row;
         if (y < 0 || y >= height) continue;
-        const Ints x = clamp(TILE_X + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1)), at = y * width + x;
-        Floats still = 0.0f, along = 0.0f, repeated[4];
-        for (int part = 0; part < 4; ++part) {
-            const int right = part & 1, fine_y = 2 * y + (part >> 1);
-            const Ints fine_at = fine_y * fine + 2 * x + right;
-            const Floats now = gather_floats(brightness, fine_at);
-            const Floats before = gather_floats(brightness + 4 * plane, fine_at) - now;
-            const Floats moved = warped_at(brightness + 4 * plane, near, fine, fine_height, column, right, fine_y) - now;
-            still += before * before;
-            along += moved * moved;
-            repeated[part] = gather_floats(trends + 4 * REPEATED * plane, fine_at);
+        const Ints x = clamp(TILE_X - 1 + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1)), at = y * width + x;
+        const int first = (2 * row - 2 + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
+        Floats of_still[4], of_along[4], of_repeated[4];
+        for (int part = 0; part < 2; ++part) {
+            load_pairs(still + first + part * PIXEL_PITCH, &of_still[2 * part], &of_still[2 * part + 1]);
+            load_pairs(along + first + part * PIXEL_PITCH, &of_along[2 * part], &of_along[2 * part + 1]);
         }
-        __local const float *here = near + LANES + (row - 1 + AROUND) * FLOW_PITCH + column + AROUND;
+        for (int part = 0; part < 4; ++part)
+            of_repeated[part] = gather_floats(repeated, (2 * y + (part >> 1)) * fine + 2 * x + (part & 1));
+        __local const float *here = near + (row - 1 + AROUND) * FLOW_PITCH + column - 1 + AROUND;
         const Floats flow_x = load_floats(0, here), flow_y = load_floats(0, here + FLOW_PLANE);
-        const Floats changed = gather_floats(coarser, at) - gather_floats(coarser + plane, at);
         Sample there;
         find_sample(2.0f * to_floats(x) + 0.5f + flow_x, 2.0f * (float)y + 0.5f + flow_y, fine, fine_height, &there);
-        const Floats again = changed - mean_of_quad(repeated),
-                     again_along = changed - sampled(trends + 4 * REPEATED * plane, &there);
-        __local float *out = squares + row * SUM_PITCH + column + 1;
-        store_floats(0.25f * still, 0, out);
-        store_floats(0.25f * along, 0, out + SUM_PLANE);
+        const Floats changed = gather_floats(coarser, at) - gather_floats(coarser + plane, at);
+        const Floats again = changed - mean_of_quad(of_repeated), again_along = changed - sampled(repeated, &there);
+        __local float *out = squares + row * SUM_PITCH + column;
+        store_floats(0.25f * (of_still[0] + of_still[1] + of_still[2] + of_still[3]), 0, out);
+        store_floats(0.25f * (of_along[0] + of_along[1] + of_along[2] + of_along[3]), 0, out + SUM_PLANE);
         store_floats(again * again, 0, out + 2 * SUM_PLANE);
         store_floats(again_along * again_along, 0, out + 3 * SUM_PLANE);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (int i = ITEM; i < TILE_WIDTH / LANES * TILE_HEIGHT; i += ITEMS) {
-        const int row = i / (TILE_WIDTH / LANES), column = LANES * (i % (TILE_WIDTH / LANES));
-        const int count = width - TILE_X - column, at = (TILE_Y + row) * width + TILE_X + column;
-        if (count <= 0 || TILE_Y + row >= height) continue;
+    for (int i = ITEM; i < CHUNKS(TILE_WIDTH) * TILE_HEIGHT; i += ITEMS) {
+        const int x = LANES * (i % CHUNKS(TILE_WIDTH)), y = i / CHUNKS(TILE_WIDTH);
+        const int count = width - TILE_X - x, at = (TILE_Y + y) * width + TILE_X + x;
+        if (count <= 0 || TILE_Y + y >= height) continue;
         for (int k = 0; k < DIFFERENCES; ++k)
-            store_some_floats(mean_around(squares + k * SUM_PLANE, width, height, column, row), count,
+            store_some_floats(mean_around(squares + k * SUM_PLANE, width, height, x, y), count,
                               differences + k * plane + at);
     }
 }

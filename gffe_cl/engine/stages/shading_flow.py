@@ -73,15 +73,23 @@ class ShadingFlow(Stage):
         ),
     )  # fmt: skip
     kernels = (
-        _tiled(
-            "make_levels",
+        Kernel(
+            "halve_frames",
             "network1",
             {"frames": Access("network_input.frames", planes=6)},
             {
                 "colors": "shading_flow.colors",
+                "brightness": "shading_flow.brightness1",
                 "texture": "shading_flow.texture",
-                **{f"brightness{level}": f"shading_flow.brightness{level}" for level in range(1, _LEVELS + 1)},
             },
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "halve_brightness",
+            "network3",
+            {"brightness1": "shading_flow.brightness1", "brightness2": "shading_flow.brightness2"},
+            {"brightness2": "shading_flow.brightness2", "brightness3": "shading_flow.brightness3"},
+            step=("LANES", 1),
         ),
         _tiled(
             "step_flow",
@@ -123,7 +131,8 @@ class ShadingFlow(Stage):
         """Find the flow, coarsest level first, and fill `candidates`; nothing after a reset and in still frames."""
         if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             return
-        self.launch("make_levels", step)
+        self.launch("halve_frames", step)
+        self.launch("halve_brightness", step)
         begun = "no_flow"
         for level in range(_LEVELS, 0, -1):
             for number in range(_STEPS):
