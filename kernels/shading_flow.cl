@@ -147,10 +147,10 @@ INLINE void load_both(__global const float *brightness, __local const float *nea
     __global const float *row = brightness + y * width;
     const Ints column = clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
     *now = x >= 0 && x + LANES <= width ? load_floats(0, row + x) : gather_floats(row, column);
-    SampleRuns there;
-    find_sample_runs(row_indices(x) + flow_at(near, x, y), (float)y + flow_at(near + FLOW_PLANE, x, y), width, height,
-                     &there);
-    *moved = sampled_by_runs(brightness + width * height, &there);
+    Sample there;
+    find_sample(row_indices(x) + flow_at(near, x, y), (float)y + flow_at(near + FLOW_PLANE, x, y), width, height,
+                &there);
+    *moved = sampled(brightness + width * height, &there);
 }
 
 /* LANES pairs of pixels that follow one another. */
