@@ -140,8 +140,8 @@ INLINE Floats flow_at(__local const float *near, const int x, const int y) {
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
 }
 
-/* Brightness of an image of `width` by `height` at pixels from (x, y) on: in the extrapolated frame and, moved along the
-   flow, in the previous one. */
+/* Brightness of an image of `width` by `height` at pixels from (x, y) on: in the extrapolated frame and, moved along
+   the flow, in the previous one. */
 INLINE void load_both(__global const float *brightness, __local const float *near, const int width, const int height,
                       const int x, const int y, Floats *now, Floats *moved) {
     __global const float *row = brightness + y * width;

@@ -127,8 +127,8 @@ __kernel void find_change(__constant Frame *restrict frame, __global const uchar
     if (sum > FEW) atomic_or(changed, 1);
 }
 
-/* Planes, in the third dimension, blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond
-   the image there is nothing. */
+/* Planes, in the third dimension, blurred along rows: a cell counts the less the farther away it is, none farther than
+   the reach; beyond the image there is nothing. */
 WIDE __kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;

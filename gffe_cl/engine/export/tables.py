@@ -51,9 +51,7 @@ _GRIDS = (
     "cells", "runs", "network",
 )  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
-_FLAGS = {
-    name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")
-}
+_FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 
 

@@ -54,7 +54,7 @@ class ShadingFlow(Stage):
             "texture", np.float32, (), "network1", "how far detail of brightness within 2×2 pixels of half the"
             " resolution is that of the previous frame, 0 to 1: texture of the surface",
         ),
-        BufferSpec("begun", np.float32, (), "network2", "the flow between two steps, any level", planes=2, scratch=True),
+        BufferSpec("begun", np.float32, (), "network2", "the flow between steps, of any level", planes=2, scratch=True),
         BufferSpec(
             "no_flow", np.float32, (), f"network{_LEVELS + 1}", "zeros, with which it begins", planes=2, scratch=True
         ),
