@@ -163,10 +163,6 @@ def methods_text() -> str:
     return "\n".join(textwrap.wrap(text, LINE, break_on_hyphens=False))
 
 
-def convolutions_text() -> str:
-    return "\n".join(textwrap.wrap(gpu_model.convolutions_text(), LINE, break_on_hyphens=False))
-
-
 def methods_plot() -> str:
     points = [
         Point(row["milliseconds"], row["psnr"], _label(row), "#2f6fde" if row["method"] in OURS else "#d98b1f")
@@ -180,7 +176,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
     "model": gpu_model.model_table,
-    "model_text": convolutions_text,
     "model_assumptions": gpu_model.assumptions_table,
     "io": io_table,
     "gpu": gpu_table,

@@ -71,7 +71,7 @@ def write_sequence(folder):
 
 
 def write_encoded(folder):
-    """A sequence stored as an engine has it, with geometry of half the size."""
+    """Write a sequence as an engine stores it, with geometry of half the size, and return its folder."""
     given = FrameFormat(depth="logarithmic", near_z=0.01, far_z=100.0, motion_scale=(-1.0, 1.0), motion_dilated=True)
     with SequenceWriter(folder, W, H, FPS, format=given) as writer:
         for k, frame in enumerate(seen()):

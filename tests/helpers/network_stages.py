@@ -81,7 +81,8 @@ def moving_frames(size, rng):
 
 
 def made_before_the_device_begins(pipeline, frame):
-    """The new frame that is made while the device has not begun with `frame`, of arrays; the host must not wait."""
+    """Return the new frame that is made while the device has not begun with `frame`, of arrays; the host must not
+    wait."""
     device, size = pipeline.device, frame.depth.shape[::-1]
     buffers = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
     color = np.concatenate([frame.color, np.zeros_like(frame.color[..., :1])], -1)

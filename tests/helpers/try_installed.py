@@ -158,7 +158,7 @@ def run_commands(given):
 
 
 def run_without_extras():
-    """The viewer and a comparison work; who needs an extra names it."""
+    """Run the viewer and a comparison, which work, and commands that name the extra they need."""
     run_commands(RENDERED)
     view()
     for command, extra in (("eval", "lab"), ("demo", "lab,video"), ("bench --methods", "lab"), ("train out", "train")):

@@ -17,7 +17,7 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import OVERLAYS
-from gffe_cl.engine.inference.network import default_model, load_network
+from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import stages_of
@@ -34,7 +34,6 @@ MOST_PIXELS = 16384  # each way, of the images that C takes
 # Rendered and extrapolated images: tiny, and as large as C takes them, for there are levels that others do not have.
 _SIZES = ((51, 29), (67, 39)), ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
 _LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects",)  # that frames bring
-_SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 
 @dataclass(frozen=True)
@@ -50,13 +49,14 @@ class Given:
 
 @dataclass(frozen=True)
 class Operation:
-    """Enqueued operation: `kind` is "LAUNCH" of a `kernel` over a `grid` with `arguments`, "FILL" of a buffer with a
-    `byte`, as many of its texels as `grid` has, "COPY" from `source`, or "NETWORK", where the network runs."""
+    """Enqueued operation: `kind` is "LAUNCH" of a `kernel` over a `grid`, so often as `repeats` says, with `arguments`,
+    "FILL" of a buffer with a `byte`, as many of its texels as `grid` has, or "COPY" from `source`."""
 
     kind: str
     stage: str
     kernel: str = ""
     grid: str = "once"
+    repeats: int = 1
     arguments: tuple[Given, ...] = ()
     buffer: str = ""
     byte: int = 0
@@ -71,8 +71,8 @@ class Operation:
 class Plan:
     """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
     without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color",
-    "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of small ones, memory
-    that is `lent` while frames are extrapolated, and the stages in order."""
+    "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of those that are no
+    images, memory that is `lent` while frames are extrapolated, and the stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -99,16 +99,14 @@ class _Tape:
                 arguments.append(Given(argument.name, is_frame_block=True))
             else:
                 arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
-        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, tuple(arguments)))
+        repeats = values[kernel.repeats] if kernel.repeats else 1
+        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, repeats, tuple(arguments)))
 
     def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
         self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=self._name(buffer), byte=byte))
 
     def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
         self.operations.append(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of)))
-
-    def network(self, stage: Stage) -> None:
-        self.operations.append(Operation("NETWORK", stage.name))
 
     def take(self) -> list[Operation]:
         taken, self.operations = self.operations, []
@@ -134,12 +132,10 @@ class _Rehearsal:
         others[Upload.name].allocate_small()
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
+        if correction := self.stages.get(ShadingCorrection.name):
+            correction.use(load_network(options.scn_model, OPENCL))
         for stage in self.all.values():
             stage.recorder = self.tape
-        if correction := self.stages.get(ShadingCorrection.name):
-            correction.infer = lambda: self.tape.network(correction)
-            if options.scn_model or default_model():
-                correction.upload("head", load_network(options.scn_model or default_model()).head)
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """Return the operations of each occasion, in one set of circumstances."""
@@ -234,8 +230,8 @@ class _Rehearsal:
 def record(device: Device, options: Options, int64: bool) -> Plan:
     """Return the operations of a pipeline with these options. `int64`: whether keys take 64-bit atomics.
 
-    Raises GffeError where that depends on the size of images or changes from frame to frame, and with the detection of
-    user interfaces.
+    Raises GffeError where that depends on the size of images or changes from frame to frame, with the detection of user
+    interfaces, and for a network that OpenCL kernels cannot run.
     """
     if options.ui_detection:
         raise GffeError("export: user interface detection is not exported (expected a mask in the overlays, or none)")
@@ -280,13 +276,13 @@ def _difference(take: list[Operation], expected: list[Operation]) -> str:
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
-    """Return the initial values of small buffers that are not zero."""
+    """Return the initial values, by name, of buffers that are no images, where they are not zero: weights."""
     found = {}
-    for name, stage in rehearsal.stages.items():
+    for stage in rehearsal.stages.values():
         for spec in stage.buffers:
-            if spec.grid == "once" and not spec.part_of and spec.nbytes(rehearsal.sizes) <= _SMALL:
-                values = np.empty(spec.nbytes(rehearsal.sizes), np.uint8)
-                cl.enqueue_copy(stage.device.queue, values, stage.buffer[spec.name])
+            if spec.grid == "once" and not spec.part_of:
+                values, buffer = np.empty(spec.nbytes(rehearsal.sizes), np.uint8), stage.buffer[spec.name]
+                cl.enqueue_copy(stage.device.queue, values, buffer)
                 if values.any():
-                    found[f"{name}.{spec.name}"] = values.tobytes()
+                    found[rehearsal.tape.names[id(buffer)]] = values.tobytes()
     return found

@@ -110,7 +110,10 @@ def _load(path: Path, provider: str | None, on_cpu: Path, on_gpu: bool) -> Netwo
             return KernelNetwork(on_cpu)
         except NotInKernels as why:
             if provider == OPENCL:
-                raise NetworkError(f"{on_cpu}: OpenCL kernels cannot run it: {why}") from None
+                raise NetworkError(
+                    f"{on_cpu}: OpenCL kernels cannot run it: {why} (expected a network of integers, as"
+                    " `gffe train --integers` makes it)"
+                ) from None
             remark = f"{on_cpu.name}: onnxruntime runs the network, as OpenCL kernels cannot: {why}"
     return Network(path, provider or CPU.name, on_cpu, remark)
 

@@ -159,7 +159,7 @@ class BufferSpec:
     may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
     `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
     holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
-    `border`: pixels that are stored around each plane.
+    `border`: pixels that are stored around each plane. `byte`: what all of its bytes are at first.
     """
 
     name: str
@@ -180,6 +180,7 @@ class BufferSpec:
     known_where: tuple[str, int] | None = None
     packing: Packing | None = None
     border: int = 0
+    byte: int = 0
 
     @property
     def channels(self) -> int:
@@ -261,10 +262,11 @@ class Owner:
         self.nbytes = 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """Return new device buffers by name, with all bits zero."""
-        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
-        for buffer in made.values():
-            cl.enqueue_fill_buffer(self.device.queue, buffer, b"\0", 0, buffer.size)
+        """Return new device buffers by name, all of whose bytes are the `byte` of their description."""
+        made = {}
+        for spec in specs:
+            made[spec.name] = buffer = self.device.buffer(spec.nbytes(self.sizes), spec.mapped)
+            cl.enqueue_fill_buffer(self.device.queue, buffer, bytes([spec.byte]), 0, buffer.size)
             self.nbytes += buffer.size
         return made
 

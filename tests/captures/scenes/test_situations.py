@@ -14,7 +14,7 @@ from gffe_cl.lab.table.datasets import parse_subject
 W, H = 64, 36
 TIME, STEP = 0.7, 1 / 30
 MOVING = ("handheld", "cab", "wipers", "quantized", "entering", "railings")  # cameras
-MOVERS, SHADING = ("bars", "ropes", "balls", "rotors"), ("lamps", "shadows", "fan", "screen")
+MOVERS, SHADING = ("bars", "ropes", "balls", "rotors", "marbles"), ("lamps", "shadows", "fan", "screen")
 
 
 def render(device, scene, time=TIME, other_time=TIME - STEP, size=(W, H), camera=None, **more):
