@@ -8,6 +8,7 @@
 
 #include "frame.h"
 #include "simd.h"
+#include "nearest.h"
 #include "mover_grid.h"
 
 #define NOWHERE -1.0e9f  /* px: far off any image */
@@ -74,11 +75,14 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
     if (frame->entering && !(met > 0.0f)) met = entering_depth(src_x, src_y, px_prev, frame, f);
     int known = order > 0 && met > 0.0f;
     while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
-    float8 weights = frame->polynomial[0];
-#pragma unroll
-    for (int k = 1; k < MAX_ORDER; ++k)  /* some drivers fail on an index that is not a constant */
-        if (known == k + 1) weights = frame->polynomial[k];
-    const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
+    const float4 a = frame->polynomial[0], b = frame->polynomial[1], c = frame->polynomial[2], d = frame->polynomial[3];
+    const float weight[MAX_ORDER] = { /* some drivers fail on an index that is not a constant */
+        known < 2 ? a.x : known == 2 ? a.y : known == 3 ? a.w : known == 4 ? b.z : c.z,
+        known == 2 ? a.z : known == 3 ? b.x : known == 4 ? b.w : c.w,
+        known == 3 ? b.y : known == 4 ? c.x : d.x,
+        known == 4 ? c.y : d.y,
+        d.z,
+    };
     float3 predicted = p0;
     if (known > 0) {
         const float3 p1_prev = unproject(px_prev, met, frame->from_previous.source_inverse);
@@ -98,12 +102,23 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
     return (float3)(project(target_pos, frame->to_target.target), target_pos.z);
 }
 
-/* target_position: planes of x, y and depth. */
+/* Prepares the keys of all target pixels for the dilated warp's offers: those at the places of LANES source pixels, and
+   a source image's width or height further, if the target is larger. */
+INLINE void forget_targets(const int src_x, const int src_y, __constant Frame *frame, __global Key *keys,
+                           __global uint *winners) {
+    const int width = frame->target_width, count = min(LANES, frame->source_width - src_x);
+    for (int y = src_y; y < frame->target_height; y += frame->source_height)
+        for (int x = src_x; x < width; x += frame->source_width)
+            for (int k = 0; k < min(count, width - x); ++k) forget(keys, winners, y * width + x + k);
+}
+
+/* target_position: planes of x, y and depth. `keys` and `winners` are the dilated warp's. */
 WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
                                      __global const float4 *velocity, __global const uint2 *bend,
-                                     __global const uint2 *view_velocity, __global float *target_position) {
+                                     __global const uint2 *view_velocity, __global float *target_position,
+                                     __global Key *keys, __global uint *winners) {
     const Tracked fragments = {.depth = depth,
                                .motion = motion,
                                .dynamic_mask = dynamic_mask,
@@ -115,6 +130,7 @@ WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global 
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
+    if (frame->dilates) forget_targets(src_x, src_y, frame, keys, winners);
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const bool whole = src_x + LANES <= source_width;
     bool movers = false;

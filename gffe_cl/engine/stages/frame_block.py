@@ -68,7 +68,7 @@ class BlockWriter:
                 "to_source": _reprojection(camera, frame.camera),
                 "target_to_previous": _reprojection(camera, before.camera),
                 "zoom": (camera.fx / frame.camera.fx, camera.fy / frame.camera.fy),
-                "polynomial": padded(polynomial_weights(times[: order + 1], time, MAX_ORDER)),
+                "polynomial": one_after_another(polynomial_weights(times[: order + 1], time, MAX_ORDER)),
             }
         _put(block, values)
         made = np.frombuffer(block, np.uint8)
@@ -178,8 +178,9 @@ def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> n
     return weights
 
 
-def padded(weights: np.ndarray) -> np.ndarray:
-    """Return the weights in rows of 8, float8 in the kernel, one after another."""
-    rows = np.zeros((len(weights), 8), np.float32)
-    rows[:, : weights.shape[1]] = weights
-    return rows.ravel()
+def one_after_another(weights: np.ndarray) -> np.ndarray:
+    """Return those of order 1, of order 2 and so on, which have 1, 2 … weights, and zeros to fill the last row."""
+    rows = np.zeros(math.prod(FRAME["polynomial"].shape), np.float32)
+    triangle = np.tril_indices(len(weights))
+    rows[: len(triangle[0])] = weights[triangle]
+    return rows

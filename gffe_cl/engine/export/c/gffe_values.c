@@ -75,11 +75,11 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
-/* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
-   (gffe_cl/engine/stages/prediction.py). */
+/* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, one after
+   another (gffe_cl/engine/stages/frame_block.py). */
 static void polynomial(const gffe_step *step, int most, float *weights) {
     int order, i, k;
-    memset(weights, 0, (size_t)most * 8 * sizeof *weights);
+    memset(weights, 0, (size_t)(most * (most + 1) / 2) * sizeof *weights);
     for (order = 1; order <= most && order < step->time_count; ++order)
         for (i = 1; i <= order; ++i) {
             const double node = step->times[i] - step->times[0];
@@ -88,7 +88,7 @@ static void polynomial(const gffe_step *step, int most, float *weights) {
                 const double other = step->times[k] - step->times[0];
                 if (k != i) weight *= (step->time - step->times[0] - other) / (node - other);
             }
-            weights[8 * (order - 1) + i - 1] = (float)weight;
+            weights[order * (order - 1) / 2 + i - 1] = (float)weight;
         }
 }
 
