@@ -65,6 +65,8 @@ typedef struct {
     int bends; /* whether movers' acceleration continues */
     int collects; /* whether there is a background */
     int dilates; /* whether the dilated warp makes the new frame */
+    int detects; /* whether samples are counted that tell a cut */
+    int automatic; /* whether the static threshold follows from the frame */
     float upscale_sharpening;
 } Frame;
 

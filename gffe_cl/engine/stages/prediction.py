@@ -36,7 +36,7 @@ class PositionPrediction(NearestStage):
     kernels = (
         Kernel(
             "predict_positions",
-            "source",
+            "predictions",
             {
                 "depth": "rendered.depth",
                 "motion": Access("rendered.motion", DYNAMIC_PIXELS),

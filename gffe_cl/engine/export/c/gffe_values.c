@@ -39,6 +39,16 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
         return;
     }
+    if (grid == GFFE_MEASURES) { /* the samples of a cut, and those of residuals below them */
+        gffe_grid_size(step, GFFE_RESIDUALS, 0, size);
+        size[1] += GFFE_CUT_SAMPLES_Y * GFFE_RESIDUAL_ROWS;
+        return;
+    }
+    if (grid == GFFE_PREDICTIONS) { /* the frame block's row, after all others */
+        size[0] = (size_t)step->source[0];
+        size[1] = (size_t)step->source[1] + 1;
+        return;
+    }
     if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
     if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
