@@ -199,8 +199,8 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     return true;
 }
 
-/* What is measured at a subset of the pixels, before anything else is done with a rendered frame: writes its block,
-   too. The first SAMPLES_Y rows of work-groups count the samples of a cut: cut_counts[row * COUNTS + what].
+/* What is measured at a subset of the pixels, before anything else is done with a rendered frame. The first row of
+   work-groups writes its block. The next SAMPLES_Y count the samples of a cut: cut_counts[row * COUNTS + what].
    The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
    distance, and, of every fourth of their pixels, of the steps of motion over that distance. From them the last
    work-group finds the threshold, and the steps of quantized motion. */
@@ -210,9 +210,12 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
                 __global int *cut_counts, __global int *pending, __global int *histogram,
                 __global float *threshold_squared, __global float *motion_steps) {
     const int width = given.source_width, height = given.source_height, item = get_local_id(0);
-    const int row = (int)get_global_id(1) - SAMPLES_Y, first = row * RESIDUAL_ROWS * RESIDUAL_STRIDE;
+    const int row = (int)get_global_id(1) - (SAMPLES_Y + 1), first = row * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], is_last;
-    if (get_global_id(0) == 0 && get_global_id(1) == 0) *frame = given;
+    if (get_global_id(1) == 0) { /* a row of its own: it takes many registers */
+        if (get_global_id(0) == 0) *frame = given;
+        return;
+    }
     if (row < 0 ? !given.detects || get_group_id(0) > 0 : !given.automatic) return;
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);

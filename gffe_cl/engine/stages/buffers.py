@@ -86,7 +86,7 @@ class Sizes:
             return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
         if grid == "measures":
             columns, rows = self.of("residuals")
-            return columns, CUT_SAMPLES[1] * RESIDUAL_ROWS + rows
+            return columns, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS + rows
         if grid == "predictions":
             return self.source[0], self.source[1] + 1
         image = self.source if lies_on_source(grid) else self.target
@@ -155,10 +155,10 @@ class BufferSpec:
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
     "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the rendered
-    image), "measures" (these and the residuals, one below the other) and "predictions" ("source" and a row more).
-    `components` name its channels; a single one goes without. `view` is its meaning, and so how to show it: "color"
-    (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world" (position in the
-    view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
+    image), "measures" (a row, these and the residuals, one below the other) and "predictions" ("source" and a row
+    more). `components` name its channels; a single one goes without. `view` is its meaning, and so how to show it:
+    "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
+    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
     `mapped`: the host works in it. `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the
     stage is through. `part_of`: the buffer in which it lies. `planar`: on the device the channels lie one after
     another, each an image. `transient`: written in each `extrapolate` before it is read, so until the next `submit` it

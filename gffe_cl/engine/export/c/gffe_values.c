@@ -39,9 +39,9 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
         return;
     }
-    if (grid == GFFE_MEASURES) { /* the samples of a cut, and those of residuals below them */
+    if (grid == GFFE_MEASURES) { /* the frame block's row, the samples of a cut, those of residuals */
         gffe_grid_size(step, GFFE_RESIDUALS, 0, size);
-        size[1] += GFFE_CUT_SAMPLES_Y * GFFE_RESIDUAL_ROWS;
+        size[1] += (1 + GFFE_CUT_SAMPLES_Y) * GFFE_RESIDUAL_ROWS;
         return;
     }
     if (grid == GFFE_PREDICTIONS) { /* the frame block's row, after all others */
