@@ -6,28 +6,20 @@
 
 #define KNEE 3.0f /* with 3 the slope is continuous at w; less compresses more */
 
-/* For colors of type F with the square root `roots`. Few are brighter than w. */
+/* For colors of type F with the square root `roots`. */
 #define DEFINE_COLOR_CODE(F, roots, encode, decode)                                                                    \
     INLINE F encode(const F c, const float offset) {                                                                   \
         const F size = fabs(c), root = roots(size);                                                                    \
-        const float white_root = 2.0f * offset;                                                                        \
-        F code = 0.5f * size + offset * root;                                                                          \
-        if (any(root > white_root)) {                                                                                  \
-            const float below = (KNEE - 1.0f) * white_root * white_root;                                               \
-            const F bright = KNEE * white_root * roots(white_root * root) - below;                                     \
-            code = root > white_root ? bright : code;                                                                  \
-        }                                                                                                              \
-        return offset > 0.0f ? copysign(code, c) : c;                                                                  \
+        const float white_root = 2.0f * offset, below = (KNEE - 1.0f) * white_root * white_root;                       \
+        const F dark = 0.5f * size + offset * root, bright = KNEE * white_root * roots(white_root * root) - below;     \
+        return offset > 0.0f ? copysign(root > white_root ? bright : dark, c) : c;                                     \
     }                                                                                                                  \
     INLINE F decode(const F code, const float offset) {                                                                \
         const F size = fabs(code);                                                                                     \
         const float white_root = 2.0f * offset, white = white_root * white_root;                                       \
-        F root = roots(2.0f * size + offset * offset) - offset;                                                        \
-        if (any(size > white)) {                                                                                       \
-            const F sum = size + (KNEE - 1.0f) * white;                                                                \
-            const F bright = sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root);                             \
-            root = size > white ? bright : root;                                                                       \
-        }                                                                                                              \
+        const F dark = roots(2.0f * size + offset * offset) - offset, sum = size + (KNEE - 1.0f) * white;              \
+        const F bright = sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root);                                 \
+        const F root = size > white ? bright : dark;                                                                   \
         return offset > 0.0f ? copysign(root * root, code) : code;                                                     \
     }
 
