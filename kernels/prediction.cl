@@ -140,7 +140,10 @@ WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, _
                                .view_velocity = view_velocity};
     const int source_width = given.source_width, source_height = given.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
-    if (src_x == 0 && src_y == source_height) *frame = given; /* in a row of its own: it takes many registers */
+    if (src_y == source_height) { /* a row of its own: it takes many registers */
+        if (src_x == 0) *frame = given;
+        return;
+    }
     if (src_x >= source_width || src_y >= source_height) return;
     if (given.dilates) forget_targets(src_x, src_y, &given, keys, winners);
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
