@@ -9,16 +9,17 @@
 
 #define MOST_RESTS 3 /* as long as any kernel looks back */
 #define MAX_ORDER 5   /* of prediction */
+#define WEIGHT_ROWS 4 /* of four numbers each: MAX_ORDER (MAX_ORDER + 1) / 2 in all */
 #define MAX_LEVELS 4  /* of the background */
 
 typedef struct {
-    float8
-        polynomial[MAX_ORDER]; /* [order - 1], component i - 1: factor of P_i - P_0 in the polynomial of that order */
     Reprojection to_previous; /* source -> previous */
     Reprojection from_previous; /* previous -> source */
     Reprojection to_target; /* source -> target */
     Reprojection to_source; /* target -> source */
     Reprojection target_to_previous;
+    /* The factors of P_1 - P_0 to P_o - P_0 in the polynomial of order o: of order 1, then of order 2, and so on. */
+    float4 polynomial[WEIGHT_ROWS];
     float4 color_law; /* mu_law.h, at this frame's exposure */
     float4 to_render; /* display -> source: scale x, y, offset x, y in pixels */
     float4 to_display; /* source -> display */
@@ -63,6 +64,9 @@ typedef struct {
     int softens; /* whether silhouettes are made soft */
     int bends; /* whether movers' acceleration continues */
     int collects; /* whether there is a background */
+    int dilates; /* whether the dilated warp makes the new frame */
+    int detects; /* whether samples are counted that tell a cut */
+    int automatic; /* whether the static threshold follows from the frame */
 } Frame;
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */

@@ -5,6 +5,7 @@
 #include "frame.h"
 #include "blocks.h"
 #include "encode.h"
+#include "scene_cuts.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
@@ -12,7 +13,7 @@
 #define THRESHOLD_HIGH 4.0f
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
-#define GROUP 64                 /* work-items per work-group that counts */
+#define GROUP 64                 /* work-items per work-group that counts: a row of SAMPLES_X samples */
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 #define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
@@ -42,16 +43,16 @@ INLINE float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
-INLINE Ints static_residual(const Ints src_x, const int src_y, __constant Frame *frame, __global const float *depth,
-                            __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x,
-                            Floats *mv_y) {
-    const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
-    const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
+INLINE Ints static_residual(const Ints src_x, const int src_y, const int width, const int height,
+                            const Reprojection to_previous, __global const float *depth, __global const float2 *motion,
+                            Floats *residual_x, Floats *residual_y, Floats *mv_x, Floats *mv_y) {
+    const Ints there = src_x < (src_y < height ? width : 0);
+    const Ints src = there ? src_y * width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
     __global const float *mv_px = (__global const float *)motion;
     *mv_x = gather_floats(mv_px, 2 * src);
     *mv_y = gather_floats(mv_px, 2 * src + 1);
-    const Wide3 px_static = wide_reproject(px_x, px_y, z, frame->to_previous);
+    const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
     *residual_x = px_static.x - (px_x + *mv_x);
     *residual_y = px_static.y - (px_y + *mv_y);
     return there & (z > 0.0f) & !isinf(z) & isfinite(*mv_x) & isfinite(*mv_y) & (px_static.z > 0.0f);
@@ -87,6 +88,7 @@ INLINE void count_steps(__local int *histogram, const Ints counts, const Floats 
 
 INLINE int sum_of(__local const int *histogram, const int first) {
     int sum = 0;
+#pragma unroll 1
     for (int b = first; b < RESIDUAL_BINS; ++b) sum += histogram[b];
     return sum;
 }
@@ -95,6 +97,7 @@ INLINE int sum_of(__local const int *histogram, const int first) {
 INLINE int quantile_bin(__local const int *histogram, const float share, int *below) {
     const float least = share * (float)sum_of(histogram, 0);
     *below = 0;
+#pragma unroll 1
     for (int b = 0; b < RESIDUAL_BINS; ++b) {
         *below += histogram[b];
         if ((float)*below >= least) return b;
@@ -167,9 +170,9 @@ INLINE Floats beyond(const Floats residual, const Floats mv, const float times, 
 }
 
 /* The groups that count in rows of sampled pixels. */
-INLINE int counting_groups(__constant Frame *frame) {
+INLINE int counting_groups(const int width, const int height) {
     const int samples_x = RESIDUAL_STRIDE * LANES * GROUP, samples_y = RESIDUAL_STRIDE * RESIDUAL_ROWS;
-    return ((frame->source_width + samples_x - 1) / samples_x) * ((frame->source_height + samples_y - 1) / samples_y);
+    return ((width + samples_x - 1) / samples_x) * ((height + samples_y - 1) / samples_y);
 }
 
 /* Adds a work-group's counts to those of all groups; then, in the last of the `groups` that does so, puts their sums
@@ -196,31 +199,50 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     return true;
 }
 
-/* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a
-   short distance, and, of every fourth of these pixels, of the steps of motion over that distance. From them the last
+/* What is measured at a subset of the pixels, before anything else is done with a rendered frame. The first row of
+   work-groups writes its block. The next SAMPLES_Y count the samples of a cut: cut_counts[row * COUNTS + what].
+   The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
+   distance, and, of every fourth of their pixels, of the steps of motion over that distance. From them the last
    work-group finds the threshold, and the steps of quantized motion. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-find_threshold(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
-               __global int *pending, __global int *histogram, __global float *threshold_squared,
-               __global float *motion_steps) {
-    const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
-    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
-    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
+measure_samples(const Frame given, __global Frame *frame, __global const half *color, __global const float *depth,
+                __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
+                __global int *cut_counts, __global int *pending, __global int *histogram,
+                __global float *threshold_squared, __global float *motion_steps) {
+    const int width = given.source_width, height = given.source_height, item = get_local_id(0);
+    const int row = (int)get_global_id(1) - (SAMPLES_Y + 1), first = row * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], is_last;
+    if (get_global_id(1) == 0) { /* a row of its own: it takes many registers */
+        if (get_global_id(0) == 0) *frame = given;
+        return;
+    }
+    if (row < 0 ? !given.detects || get_group_id(0) > 0 : !given.automatic) return;
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
+    if (row < 0) {
+        count_sample(item, row + SAMPLES_Y, width, height, given.camera_step, given.to_previous, color, depth, motion,
+                     color_prev, depth_prev, counts);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (item < COUNTS) cut_counts[(row + SAMPLES_Y) * COUNTS + item] = counts[item];
+        return;
+    }
+    const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
+    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, height);
+#pragma unroll 1
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, near_x, near_y, mv_x, mv_y, near_mv_x, near_mv_y;
-        const Ints use = static_residual(src_x, src_y, frame, depth, motion, &x, &y, &mv_x, &mv_y);
-        const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, frame, depth, motion,
-                                              &near_x, &near_y, &near_mv_x, &near_mv_y);
+        const Ints use =
+            static_residual(src_x, src_y, width, height, given.to_previous, depth, motion, &x, &y, &mv_x, &mv_y);
+        const Ints near_use =
+            static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, width, height, given.to_previous, depth,
+                            motion, &near_x, &near_y, &near_mv_x, &near_mv_y);
         count_residuals(counts, use, x, y);
         count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
         if (src_y != first) continue;
         count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, mv_x + x, near_mv_x, near_mv_x + near_x);
         count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, mv_y + y, near_mv_y, near_mv_y + near_y);
     }
-    if (!add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, counting_groups(frame), &is_last, pending)) return;
+    if (!add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, counting_groups(width, height), &is_last, pending)) return;
 #pragma unroll 1
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
     if (item) return;
@@ -254,7 +276,8 @@ refine_threshold(__constant Frame *restrict frame, __global const float *depth, 
                  __global float *quantization_error) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
-    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame->source_height);
+    const int width = frame->source_width, height = frame->source_height;
+    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, height);
     __local int counts[LOOKUPS * RESIDUAL_BINS], is_last;
     if (!is_quantized(motion_steps)) {
         if (first == 0 && get_global_id(0) < STEP_CLASSES) quantization_error[get_global_id(0)] = 0.0f;
@@ -264,12 +287,13 @@ refine_threshold(__constant Frame *restrict frame, __global const float *depth, 
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, mv_x, mv_y;
-        const Ints use = static_residual(src_x, src_y, frame, depth, motion, &x, &y, &mv_x, &mv_y);
+        const Ints use =
+            static_residual(src_x, src_y, width, height, frame->to_previous, depth, motion, &x, &y, &mv_x, &mv_y);
         for (int k = 1; k <= LOOKUPS; ++k)
             count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, 0.5f * (float)k, motion_steps),
                             beyond(y, mv_y, 0.5f * (float)k, motion_steps + 2));
     }
-    if (!add_counts(counts, LOOKUPS * RESIDUAL_BINS, counting_groups(frame), &is_last, pending) || item) return;
+    if (!add_counts(counts, LOOKUPS * RESIDUAL_BINS, counting_groups(width, height), &is_last, pending) || item) return;
     int low = 0, lookups = 1;
     while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
     while (lookups < LOOKUPS

@@ -8,6 +8,7 @@
 
 #include "frame.h"
 #include "simd.h"
+#include "nearest.h"
 #include "mover_grid.h"
 
 #define NOWHERE -1.0e9f  /* px: far off any image */
@@ -27,7 +28,7 @@ typedef struct {
 } Tracked;
 
 /* Displacement of a fragment by acceleration after alpha intervals. */
-INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
+INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
@@ -35,7 +36,7 @@ INLINE float3 bent(const int cell, __constant Frame *frame, const Tracked f) {
    out of the image that its motion is not believed. Inside, where something hid it, it is that of a static surface.
    Outside it is the fragment's own depth times the ratio that the nearest known fragment of its mover has, straight
    inward from that border; of a static surface without any. */
-INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, __constant Frame *frame,
+INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, const Frame *frame,
                             const Tracked f) {
     const int width = frame->source_width, height = frame->source_height, src = src_y * width + src_x;
     const float out_x = fmax(-px_prev.x, px_prev.x - (float)width), out_y = fmax(-px_prev.y, px_prev.y - (float)height);
@@ -57,7 +58,7 @@ INLINE float entering_depth(const int src_x, const int src_y, const float2 px_pr
 }
 
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-INLINE float3 predicted_position(const int src_x, const int src_y, __constant Frame *frame, const Tracked f) {
+INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
@@ -74,11 +75,24 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
     if (frame->entering && !(met > 0.0f)) met = entering_depth(src_x, src_y, px_prev, frame, f);
     int known = order > 0 && met > 0.0f;
     while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
-    float8 weights = frame->polynomial[0];
-#pragma unroll
-    for (int k = 1; k < MAX_ORDER; ++k)  /* some drivers fail on an index that is not a constant */
-        if (known == k + 1) weights = frame->polynomial[k];
-    const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
+    const float4 a = frame->polynomial[0], b = frame->polynomial[1], c = frame->polynomial[2], d = frame->polynomial[3];
+    const float weight[MAX_ORDER] = {
+        /* some drivers fail on an index that is not a constant */
+        known < 2    ? a.x
+        : known == 2 ? a.y
+        : known == 3 ? a.w
+        : known == 4 ? b.z
+                     : c.z,
+        known == 2   ? a.z
+        : known == 3 ? b.x
+        : known == 4 ? b.w
+                     : c.w,
+        known == 3   ? b.y
+        : known == 4 ? c.x
+                     : d.x,
+        known == 4 ? c.y : d.y,
+        d.z,
+    };
     float3 predicted = p0;
     if (known > 0) {
         const float3 p1_prev = unproject(px_prev, met, frame->from_previous.source_inverse);
@@ -98,12 +112,24 @@ INLINE float3 predicted_position(const int src_x, const int src_y, __constant Fr
     return (float3)(project(target_pos, frame->to_target.target), target_pos.z);
 }
 
-/* target_position: planes of x, y and depth. */
-WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global const float *depth,
+/* Prepares the keys of all target pixels for the dilated warp's offers: those at the places of LANES source pixels, and
+   a source image's width or height further, if the target is larger. */
+INLINE void forget_targets(const int src_x, const int src_y, const Frame *frame, __global Key *keys,
+                           __global uint *winners) {
+    const int width = frame->target_width, count = min(LANES, frame->source_width - src_x);
+    for (int y = src_y; y < frame->target_height; y += frame->source_height)
+        for (int x = src_x; x < width; x += frame->source_width)
+            for (int k = 0; k < min(count, width - x); ++k) forget(keys, winners, y * width + x + k);
+}
+
+/* Writes the new frame's block, too, as the first that works on it. target_position: planes of x, y and depth. `keys`
+   and `winners` are the dilated warp's. */
+WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
                                      __global const float4 *velocity, __global const uint2 *bend,
-                                     __global const uint2 *view_velocity, __global float *target_position) {
+                                     __global const uint2 *view_velocity, __global float *target_position,
+                                     __global Key *keys, __global uint *winners) {
     const Tracked fragments = {.depth = depth,
                                .motion = motion,
                                .dynamic_mask = dynamic_mask,
@@ -112,15 +138,20 @@ WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global 
                                .velocity = velocity,
                                .bend = bend,
                                .view_velocity = view_velocity};
-    const int source_width = frame->source_width, source_height = frame->source_height;
+    const int source_width = given.source_width, source_height = given.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    if (src_y == source_height) { /* a row of its own: it takes many registers */
+        if (src_x == 0) *frame = given;
+        return;
+    }
     if (src_x >= source_width || src_y >= source_height) return;
+    if (given.dilates) forget_targets(src_x, src_y, &given, keys, winners);
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const bool whole = src_x + LANES <= source_width;
     bool movers = false;
     if (whole) {
         const Floats z = load_floats(0, depth + src);
-        const Wide3 target = wide_reproject(row_centers(src_x), (Floats)((float)src_y + 0.5f), z, frame->to_target);
+        const Wide3 target = wide_reproject(row_centers(src_x), (Floats)((float)src_y + 0.5f), z, given.to_target);
         const Ints valid = (z > 0.0f) & (target.z > 0.0f);
         store_floats(valid ? target.x : (Floats)(NOWHERE), 0, target_position + src);
         store_floats(valid ? target.y : (Floats)(NOWHERE), 0, target_position + plane + src);
@@ -130,7 +161,7 @@ WIDE __kernel void predict_positions(__constant Frame *restrict frame, __global 
     if (whole && !movers) return;
     for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
         if (whole && !dynamic_mask[k]) continue;
-        const float3 place = predicted_position(src_x + k - src, src_y, frame, fragments);
+        const float3 place = predicted_position(src_x + k - src, src_y, &given, fragments);
         target_position[k] = place.x;
         target_position[plane + k] = place.y;
         target_position[2 * plane + k] = place.z;

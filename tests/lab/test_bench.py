@@ -315,6 +315,7 @@ Instructions executed for kernel 'splat':
                2 - call _Z10vload_halfmPU3AS1KDh()
                1 - call _Z6vload4mPU3AS3Kf()
                1 - call _Z10atomic_incPU3AS1Vj()
+               1 - call llvm.memcpy.p1i8.p0i8.i64()
 
 Instructions executed for kernel 'set_frame':
                1 - call llvm.memcpy.p1i8.p0i8.i64()
@@ -327,7 +328,7 @@ Instructions executed for kernel 'clear':
 def test_counts_are_parsed():
     loaded = 4096 + 100 * 8 + 7 * 32 + 3 * 8 + 2 * 2 + 4
     stored = 1024 + 10 * 8 + 5 * 32 + 3 * 8 + 4
-    executed = 1024 + 256 + 100 + 10 + 7 + 5 + 3 + 2 + 1 + 1  # neither addresses nor private memory
+    executed = 1024 + 256 + 100 + 10 + 7 + 5 + 3 + 2 + 1 + 1 + 1  # neither addresses nor private memory
     assert list(counting.parse_counts(PRINTED)) == [("splat", loaded, stored, executed), ("clear", 0, 2048, 512)]
     with pytest.raises(GffeError, match="how many bytes"):
         list(counting.parse_counts(PRINTED + "   3 - call _Z21async_work_group_copyPU3AS3fPU3AS1Kfm9ocl_event()"))

@@ -155,10 +155,10 @@ class _Rehearsal:
         found = {"leave_out": self.tape.take()}
         composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
         for occasion, work in (
+            ("cut", lambda: self._count_samples(rendered)),
             ("rendered", lambda: self._take_rendered(rendered)),
             ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
             ("present", lambda: self._present(rendered)),
-            ("cut", lambda: self._count_samples(rendered)),
             ("compose", lambda: composition.compose(shown, step.alpha)),
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
             ("convert_color", lambda: self._convert(rendered, "color")),
@@ -170,7 +170,8 @@ class _Rehearsal:
                 lambda: self._convert(rendered, "depth", "motion", is_small=True, is_dilated=True),
             ),
         ):
-            self.board.blocks.forget()
+            if occasion != "rendered":  # after "cut", which writes the block
+                self.board.blocks.forget()
             work()
             found[occasion] = self.tape.take()
         return found

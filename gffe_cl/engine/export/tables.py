@@ -19,7 +19,15 @@ from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages import mu_law, scene_cuts
 from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
-from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
+from gffe_cl.engine.stages.buffers import (
+    BLOCK,
+    CUT_SAMPLES,
+    LEAST_ALIGNMENT,
+    RESIDUAL_ROWS,
+    TILE_GROUP,
+    BufferSpec,
+    texel_of,
+)
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
 
@@ -48,7 +56,7 @@ GIVEN = {
 }
 _GRIDS = (
     "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
-    "cells", "runs", "network",
+    "cells", "runs", "network", "measures", "predictions",
 )  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
@@ -63,6 +71,7 @@ def config(options: Options) -> str:
         "TILE": texel_of("tiles")[0],
         "TILE_GROUP": TILE_GROUP,
         "RESIDUAL_STRIDE": texel_of("residuals")[0],
+        "RESIDUAL_ROWS": RESIDUAL_ROWS,
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
         "CELL": texel_of("cells")[0],

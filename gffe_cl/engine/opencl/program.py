@@ -53,8 +53,13 @@ class Argument:
 
     @property
     def is_frame_block(self) -> bool:
-        """Whether it is the pointer to the frame block that a kernel reads."""
-        return self.buffer and self.read_only and self.type == "Frame"
+        """Whether it is the pointer to the frame block, which a kernel reads, or writes if it brings the frame."""
+        return self.buffer and self.type == "Frame"
+
+    @property
+    def brings_frame(self) -> bool:
+        """Whether it is a frame block by value: the kernel writes it to the device, for those after it."""
+        return not self.buffer and self.type == "Frame"
 
     @property
     def numpy_type(self) -> Any:

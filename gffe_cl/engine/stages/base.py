@@ -253,6 +253,13 @@ class Stage(Owner):
             name: {argument.name for argument in arguments if not argument.is_number}
             for name, arguments in self.program.arguments.items()
         }
+        # The argument by which a kernel brings the frame block.
+        self._brought = {
+            name: argument.name
+            for name, arguments in self.program.arguments.items()
+            for argument in arguments
+            if argument.brings_frame
+        }
         self._check()
 
     @classmethod
@@ -290,14 +297,17 @@ class Stage(Owner):
     def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
         """Enqueue a kernel over its grid, in rows of work-items.
 
-        Arguments come by name: `frame`, the frame block of `step`; the buffers that the kernel declares; and numbers,
+        Arguments come by name: `frame`, the frame block of `step`, which is written before unless the kernel brings it;
+        the buffers that the kernel declares; and numbers,
         or other buffers, given here. Numbers must not change from frame to frame: those are members of the frame block.
         The sides are rounded up to whole groups: kernels guard against the padding.
         """
         board, slot = self.board, None
         if step is not None:
             slot = step.slot
-            if board.blocks.held.get(slot) is not step.key:
+            if brought := self._brought.get(name):
+                given[brought], board.blocks.held[slot] = step.block(board), step.key
+            elif board.blocks.held.get(slot) is not step.key:
                 board.blocks.set(step)
         key = board.turn, name, slot
         if given:
@@ -401,24 +411,15 @@ class FrameBlocks(Stage):
         BufferSpec(slot, np.uint8, (), "once", f"frame block of the {slot} frame", planes=FRAME.itemsize, scratch=True)
         for slot in ("rendered", "new")
     )
-    kernels = (
-        Kernel(
-            "set_frame",
-            "once",
-            writes={"frame": "frame_block.{slot}"},
-            group=1,
-            choices={"slot": ("rendered", "new")},
-        ),
-    )
+    kernels = (Kernel("set_frame", "once", group=1),)
 
     def __init__(self, board: Board):
         super().__init__(board)
         self.held: dict[str, object] = {}  # the step's key whose block each buffer holds
 
     def set(self, step: Step) -> None:
-        """Enqueue writing the block of `step` into its buffer."""
-        self.launch("set_frame", slot=step.slot, given=step.block(self.board))
-        self.held[step.slot] = step.key
+        """Enqueue writing the block of `step` into its buffer, for kernels that do not bring it."""
+        self.launch("set_frame", step)
 
     def forget(self) -> None:
         """Make the blocks be written again before they are used."""

@@ -36,12 +36,12 @@ XY = ("x", "y")
 
 _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
-_HOLES, _CUTS = constants("holes.cl"), constants("scene_cuts.cl")
+_HOLES, _HISTORY = constants("holes.cl"), constants("history.cl")
 DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
 TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
-CUT_SAMPLES = (_CUTS["SAMPLES_X"], _CUTS["SAMPLES_Y"])  # at most, of the rendered image
+CUT_SAMPLES = (_HISTORY["SAMPLES_X"], _HISTORY["SAMPLES_Y"])  # at most, of the rendered image
 RUN_PIXELS = constants("upload.cl")["RUN_PIXELS"]
-RESIDUAL_STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
+RESIDUAL_STRIDE, RESIDUAL_ROWS = _HISTORY["RESIDUAL_STRIDE"], _HISTORY["RESIDUAL_ROWS"]  # pixels, samples
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
@@ -84,6 +84,11 @@ class Sizes:
             return self.level_starts(int(grid.removeprefix("levels")))[-1], 1
         if grid == "cut_samples":
             return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
+        if grid == "measures":
+            columns, rows = self.of("residuals")
+            return columns, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS + rows
+        if grid == "predictions":
+            return self.source[0], self.source[1] + 1
         image = self.source if lies_on_source(grid) else self.target
         side_x, side_y = texel_of(grid)
         texels = -(-image[0] // side_x), -(-image[1] // side_y)
@@ -149,9 +154,10 @@ class BufferSpec:
     "levels1" … (so many of these one after another), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
-    "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled") and "cut_samples" (so many of the
-    rendered image). `components` name its channels; a single one goes without. `view` is its meaning, and so how to
-    show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
+    "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the rendered
+    image), "measures" (a row, these and the residuals, one below the other) and "predictions" ("source" and a row
+    more). `components` name its channels; a single one goes without. `view` is its meaning, and so how to show it:
+    "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
     (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
     `mapped`: the host works in it. `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the
     stage is through. `part_of`: the buffer in which it lies. `planar`: on the device the channels lie one after

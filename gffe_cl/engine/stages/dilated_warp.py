@@ -11,7 +11,7 @@ _KEYS: dict[str, Access | str] = {"keys": "dilated_warp.keys", "winners": "dilat
 
 class DilatedWarp(NearestStage):
     """Carries every pixel's place to where the nearest surface around it moves, and resamples the rendered frame from
-    there. Every pixel is filled."""
+    there. Every pixel is filled. Position prediction has emptied the keys."""
 
     name = "dilated_warp"
     kernels = (
@@ -46,7 +46,6 @@ class DilatedWarp(NearestStage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        self.clear_keys("", "target")
         for splat_pass in self.passes:
             self.launch("splat_dilated", step, **{"pass": splat_pass})
         self.launch("resample_dilated", step)

@@ -85,8 +85,10 @@ class BlockWriter:
                 *_reprojection(source, camera), *_reprojection(camera, source), *_reprojection(camera, before.camera),
             ))  # fmt: skip
             _put(block, _ZOOM, (camera.fx / source.fx, camera.fy / source.fy))
-            for row, weights in enumerate(_polynomial(times[: order + 1], time)):
-                _put(block, slice(_POLYNOMIAL.start + 8 * row, _POLYNOMIAL.stop), weights)
+            start = _POLYNOMIAL.start  # of the weights of order 1, of order 2 and so on, which have 1, 2 ...
+            for weights in _polynomial(times[: order + 1], time):
+                _put(block, slice(start, _POLYNOMIAL.stop), weights)
+                start += len(weights)
         integers = memoryview(block).cast("B").cast("i")
         integers[_HAS_PREVIOUS], integers[_HAS_OVERLAYS], integers[_ORDER] = previous is not None, overlays, order
         for name, numbers in (given or {}).items():

@@ -9,11 +9,13 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step, share_of
-from gffe_cl.engine.stages.buffers import RESIDUAL_STRIDE, BufferSpec
+from gffe_cl.engine.stages.buffers import CUT_SAMPLES, RESIDUAL_STRIDE, BufferSpec
 from gffe_cl.engine.stages.color_code import CODED_AT_ONCE
+from gffe_cl.engine.stages.scene_cuts import SceneCuts
 
 _CONSTANTS = constants("history.cl")
 _SAMPLED = RESIDUAL_STRIDE**-2
+_CUTS = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
 _CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
@@ -100,14 +102,18 @@ class HistoryTracking(Stage):
     )
     kernels = (
         Kernel(
-            "find_threshold",
-            "residuals",
+            "measure_samples",
+            "measures",
             {
-                "depth": Access("rendered.depth", _SAMPLED),
-                "motion": Access("rendered.motion", _SAMPLED),
+                "color": Access("rendered.color", 4 * _CUTS),
+                "depth": Access("rendered.depth", _SAMPLED + _CUTS),
+                "motion": Access("rendered.motion", _SAMPLED + _CUTS),
+                "color_prev": Access("previous.color", 4 * _CUTS),
+                "depth_prev": Access("previous.depth", 4 * _CUTS),
                 "pending": "history.pending",
             },
             {
+                "cut_counts": "scene_cuts.counts",
                 "pending": "history.pending",
                 "histogram": "history.residual_histogram",
                 "threshold_squared": "history.static_threshold_squared",
@@ -159,6 +165,11 @@ class HistoryTracking(Stage):
 
     def __init__(self, board: Board):
         self.positions = board.facts["positions"] = board.options.history
+        self.detects = board.facts["detects"] = SceneCuts.name in board.stages
+        if not self.detects:  # it counts nothing for them
+            measure, *others = self.kernels
+            nothing: dict[str, Any] = {"cut_counts": Access("history.pending", planes=0)}
+            self.kernels = (replace(measure, writes={**measure.writes, **nothing}), *others)
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             *others, track = self.kernels
             planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
@@ -174,16 +185,24 @@ class HistoryTracking(Stage):
         self.buffers = tuple(replace(spec, **changes.get(spec.name, {})) for spec in self.buffers)
         super().__init__(board)
         threshold = board.options.static_threshold
-        self.automatic = threshold is None
+        self.automatic = board.facts["automatic"] = threshold is None and board.options.motion
+        self._measured: object | None = None  # the key of the last step whose samples were measured
         if threshold is not None:
             self.upload("static_threshold_squared", np.array([threshold**2], np.float32))
+
+    def measure(self, step: Step) -> None:
+        """Count the samples of a cut, and find the automatic threshold, of a rendered frame with a previous one, unless
+        that is done."""
+        if self._measured is not step.key and (self.automatic or self.detects):
+            self._measured = step.key
+            self.launch("measure_samples", step)
 
     def rendered(self, step: Step) -> None:
         """Run Algorithm 1. Without a previous frame, or without motion estimation, everything is static."""
         previous = step.previous if self.board.options.motion else None
         before = previous or step.frame
         if self.automatic and previous is not None:
-            self.launch("find_threshold", step)
+            self.measure(step)
             self.launch("refine_threshold", step)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(

@@ -8,16 +8,17 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.acceleration import Acceleration
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
 
 NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
 
-class PositionPrediction(Stage):
+class PositionPrediction(NearestStage):
     """Predicts where every fragment will be at t + α, projected with the target camera: by the polynomial of degree m
-    through m + 1 positions. m = 1 is the paper's choice, to which the acceleration of movers may be added."""
+    through m + 1 positions. m = 1 is the paper's choice, to which the acceleration of movers may be added. Prepares
+    the keys of the dilated warp, which follows."""
 
     name = "prediction"
     buffers = (
@@ -35,7 +36,7 @@ class PositionPrediction(Stage):
     kernels = (
         Kernel(
             "predict_positions",
-            "source",
+            "predictions",
             {
                 "depth": "rendered.depth",
                 "motion": Access("rendered.motion", DYNAMIC_PIXELS),
@@ -46,22 +47,33 @@ class PositionPrediction(Stage):
                 "bend": Access("acceleration.bend", DYNAMIC_PIXELS),
                 "view_velocity": Access("acceleration.view_velocity", DYNAMIC_PIXELS),
             },
-            {"target_position": "prediction.target_position"},
+            {
+                "target_position": "prediction.target_position",
+                "keys": "dilated_warp.keys",
+                "winners": "dilated_warp.winners",
+            },
             step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
         board.facts["bends"] = Acceleration.name in board.stages
+        board.facts["dilates"] = self.dilates = not board.options.warps_footprints
+        (predict,) = self.kernels
         if not board.facts["bends"]:  # it reads nothing of them
-            (predict,) = self.kernels
             nothing = dict.fromkeys(("velocity", "bend", "view_velocity"), Access("history.history", planes=0))
-            self.kernels = (replace(predict, reads={**predict.reads, **nothing}),)
+            predict = replace(predict, reads={**predict.reads, **nothing})
+        if not self.dilates:  # it writes nothing of them
+            nothing = dict.fromkeys(("keys", "winners"), Access("prediction.target_position", planes=0))
+            predict = replace(predict, writes={**predict.writes, **nothing})
+        self.kernels = (predict,)
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
         if step.target_position is not None:
             self._replace(step.target_position)
+            if self.dilates:
+                self.board.stages["dilated_warp"].clear_keys("", "target")
             return
         self.launch("predict_positions", step)
 

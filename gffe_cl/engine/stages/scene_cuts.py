@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Stage, Step
 from gffe_cl.engine.stages.buffers import CUT_SAMPLES, BufferSpec
 from gffe_cl.engine.stages.frame_block import distance
 
-_CONSTANTS = constants("scene_cuts.cl")
 COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
-_SHARE = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
 
 # Thresholds of a cut; docs/cuts.md has the margins of frames and cuts.
 LEAST_SAMPLES = 64  # to say anything
@@ -27,30 +24,17 @@ TELEPORT = 10.0  # times the step before it, of a step beyond half of the view
 
 class SceneCuts(Stage):
     """Tests whether the previous frame shows any part of the present one. Depths are compared along the motion vectors,
-    and so is the contrast between neighbors, which does not depend on the light."""
+    and so is the contrast between neighbors, which does not depend on the light. History tracking counts the samples.
+    """
 
     name = "scene_cuts"
+    builds_at_once = False  # it has no kernels of its own
     buffers = (
         BufferSpec(
             "counts", np.int32, COUNTED, "once", "of each row of samples of the rendered frame: how many are so",
             planes=CUT_SAMPLES[1], scratch=True,
         ),
     )  # fmt: skip
-    kernels = (
-        Kernel(
-            "compare_samples",
-            "cut_samples",
-            {
-                "color": Access("rendered.color", 4 * _SHARE),
-                "depth": Access("rendered.depth", _SHARE),
-                "motion": Access("rendered.motion", _SHARE),
-                "color_prev": Access("previous.color", 4 * _SHARE),
-                "depth_prev": Access("previous.depth", 4 * _SHARE),
-            },
-            {"counts": "scene_cuts.counts"},
-            group="SAMPLES_X",
-        ),
-    )
 
     def __init__(self, board: Board):
         super().__init__(board)
@@ -66,14 +50,14 @@ class SceneCuts(Stage):
         return options.cut_detection
 
     def rendered(self, step: Step) -> None:
-        """Count samples, and copy the counts to the host, which does not wait. Without a previous frame there is
+        """Have samples counted, and copy the counts to the host, which does not wait. Without a previous frame there is
         nothing to compare."""
         before, self._camera_step, self._counted = self._camera_step, None, None
         if step.previous is None:
             return
         self._camera_step = distance(step.frame.camera, step.previous.camera)
         self._jumped = before is not None and self._camera_step > TELEPORT * before
-        self.launch("compare_samples", step)
+        self.board.stages["history"].measure(step)
         self._counted = self.board.commands.read(self.buffer["counts"], self._counts)
 
     def is_cut(self) -> bool:

@@ -47,6 +47,7 @@ _MEMORY = re.compile(r"(load|store) global \((\d+) bytes\)")
 _GLOBAL = r"PU3AS1V?K?(Dh|[a-z])"  # a pointer to global memory, and its type, in C++'s mangled names
 _VECTOR = re.compile(rf"call _Z\d+v(load|store)a?_?(?:half)?(\d*)(?:_rt[ezpn])?(?:Dv\d+_)?\w*{_GLOBAL}\w*\(\)")
 _ATOMIC = re.compile(rf"call _Z\d+atom(?:ic)?_\w+{_GLOBAL}\w*\(\)")
+_FRAME_BLOCK = "call llvm.memcpy.p1i8.p0i8"  # its copy from an argument to global memory, once a frame
 # Instructions that leave nothing for a GPU to execute: addresses, moves between names, variables that are registers.
 _FREE = re.compile(
     r"(getelementptr|phi|bitcast|extractelement|insertelement|shufflevector|alloca|(load|store) private)\b"
@@ -123,6 +124,8 @@ def _moved(times: int, instruction: str) -> tuple[int, int]:
     if atomic := _ATOMIC.match(instruction):
         nbytes = times * _BYTES[atomic[1]]
         return nbytes, nbytes
+    if instruction.startswith(_FRAME_BLOCK):
+        return 0, 0
     if "AS1" in instruction or re.search(r"llvm\.mem\w+\.[\w.]*p1", instruction):
         raise GffeError(f"oclgrind: how many bytes does '{instruction}' move?")
     return 0, 0

@@ -323,6 +323,7 @@ EXCESSES = {
     ("hidden_parts.fill_hidden_parts", "sm_86", "registers"): ("two ways to fill; most work-items do neither", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
+    ("prediction.predict_positions", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("scenes/scene.shade", "sm_86", "memory"): (_SCENES, ""),
     ("scenes/scene.shade", "sm_86", "registers"): (_SCENES, ""),
     ("scenes/scene.shade", "dg2-g10", "memory"): (_SCENES, ""),

@@ -15,8 +15,7 @@ W, H = 48, 150
 OPTIONS = Options(shading_correction=False)
 # Kernels in which several work-groups change one place, by atomics.
 SHARING = (
-    "compare_samples",
-    "find_threshold",
+    "measure_samples",
     "refine_threshold",
     "find_reach",
     "splat",

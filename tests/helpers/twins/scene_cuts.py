@@ -1,4 +1,4 @@
-"""NumPy twin of kernels/scene_cuts.cl; `twins/__init__.py` describes all twins."""
+"""NumPy twin of kernels/scene_cuts.h; `twins/__init__.py` describes all twins."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,7 @@ from gffe_cl.engine.opencl.program import constants
 from twins.common import F, invalid, reproject
 from twins.warp import load_color
 
-CUTS = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("scene_cuts.cl").items()})
+CUTS = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("scene_cuts.h").items()})
 
 
 def _brightness(color, x, y):

@@ -305,12 +305,12 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     step->coded = !step->rests;
     status = gffe_convert(g, given, g->has_previous);
     if (!status) status = gffe_take_overlays(g);
-    if (!status) status = look_for_cut(g);
     if (status) return status;
     if (!g->has_previous) forget(g);
     remember(g, time);
     gffe_swap(g, 0);
-    status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST);
+    status = look_for_cut(g);
+    if (!status) status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST);
     return status ? status : gffe_mark(g, done);
 }
 

@@ -39,6 +39,16 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
         return;
     }
+    if (grid == GFFE_MEASURES) { /* the frame block's row, the samples of a cut, those of residuals */
+        gffe_grid_size(step, GFFE_RESIDUALS, 0, size);
+        size[1] += (1 + GFFE_CUT_SAMPLES_Y) * GFFE_RESIDUAL_ROWS;
+        return;
+    }
+    if (grid == GFFE_PREDICTIONS) { /* the frame block's row, after all others */
+        size[0] = (size_t)step->source[0];
+        size[1] = (size_t)step->source[1] + 1;
+        return;
+    }
     if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
     if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
@@ -67,11 +77,11 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     return (size[0] + 2 * border) * (size[1] + 2 * border) * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
-/* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
-   (gffe_cl/engine/stages/prediction.py). */
+/* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, one after
+   another (gffe_cl/engine/stages/frame_block.py). */
 static void polynomial(const gffe_step *step, int most, float *weights) {
     int order, i, k;
-    memset(weights, 0, (size_t)most * 8 * sizeof *weights);
+    memset(weights, 0, (size_t)(most * (most + 1) / 2) * sizeof *weights);
     for (order = 1; order <= most && order < step->time_count; ++order)
         for (i = 1; i <= order; ++i) {
             const double node = step->times[i] - step->times[0];
@@ -80,7 +90,7 @@ static void polynomial(const gffe_step *step, int most, float *weights) {
                 const double other = step->times[k] - step->times[0];
                 if (k != i) weight *= (step->time - step->times[0] - other) / (node - other);
             }
-            weights[8 * (order - 1) + i - 1] = (float)weight;
+            weights[order * (order - 1) / 2 + i - 1] = (float)weight;
         }
 }
 

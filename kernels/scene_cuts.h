@@ -1,8 +1,6 @@
 /* Cuts: whether the frame before shares any content with this frame (not in the paper, whose cuts are given). A
    lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of color only
-   the contrast between neighbors. */
-
-#include "frame.h"
+   the contrast between neighbors. History tracking counts the samples, beside those of its threshold (history.cl). */
 
 #define SAMPLES_X 64             /* the lattice, over an image of any size; a row of it is a work-group */
 #define SAMPLES_Y 36
@@ -49,6 +47,7 @@ INLINE void compare_depth(const float2 px_prev, const float expected, const int 
     const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
     float nearest = INFINITY, farthest = 0.0f;
     bool any_sky = false, all_sky = true;
+#pragma unroll 1
     for (int tap = 0; tap < 4; ++tap) {
         const int x = clamp(x0 + (tap & 1), 0, width - 1), y = clamp(y0 + (tap >> 1), 0, height - 1);
         const float z = depth_prev[y * width + x];
@@ -64,21 +63,14 @@ INLINE void compare_depth(const float2 px_prev, const float expected, const int 
                  : nearest <= expected * (1.0f + DEPTH_AGREES) && farthest >= expected * (1.0f - DEPTH_AGREES);
 }
 
-/* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; it has passed nearer surfaces. */
-__kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1))) void
-compare_samples(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
-                __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
-                __global int *counts) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const float camera_step = frame->camera_step;
-    const Reprojection to_previous = frame->to_previous;
+/* Counts one sample of a row. `camera_step`: world units that the camera has moved; it has passed nearer surfaces. */
+INLINE void count_sample(const int column, const int row, const int source_width, const int source_height,
+                         const float camera_step, const Reprojection to_previous, __global const half *color,
+                         __global const float *depth, __global const float2 *motion, __global const half *color_prev,
+                         __global const float *depth_prev, __local int *found) {
     const int columns = min(source_width, SAMPLES_X), rows = min(source_height, SAMPLES_Y);
-    const int column = get_local_id(0), row = get_global_id(1);
-    __local int found[COUNTS];
-    if (column < COUNTS) found[column] = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
     const int x = (2 * column + 1) * source_width / (2 * columns), y = (2 * row + 1) * source_height / (2 * rows);
-    const float z = column < columns ? depth[y * source_width + x] : -1.0f;
+    const float z = column < columns && row < rows ? depth[y * source_width + x] : -1.0f;
     if (!INVALID_DEPTH(z)) {
         atomic_inc(found + VALID);
         if (z < camera_step) atomic_inc(found + PASSED);
@@ -93,6 +85,7 @@ compare_samples(__constant Frame *restrict frame, __global const half *color, __
             const int x_prev = (int)px_prev.x, y_prev = (int)px_prev.y;
             const bool arms =
                 has_arms(x, y, source_width, source_height) && has_arms(x_prev, y_prev, source_width, source_height);
+#pragma unroll 1
             for (int axis = 0; axis < 2 && compared && right && arms; ++axis) {
                 const int dx = axis ? 0 : ARM, dy = axis ? ARM : 0;
                 const float now = contrast(color, x, y, dx, dy, source_width);
@@ -104,6 +97,4 @@ compare_samples(__constant Frame *restrict frame, __global const half *color, __
             }
         }
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (column < COUNTS) counts[row * COUNTS + column] = found[column];
 }
