@@ -3,7 +3,7 @@
 #include "simd.h"
 
 #define DIRECTIONS 8             /* direction k + 4 is opposite to k */
-#define AT_ONCE 4 /* pixels that are read at once: a march waits for memory a quarter of `reach` times at most */
+#define AT_ONCE 16 /* pixels that are read at once, so a march rarely waits for memory */
 
 INLINE int2 direction(const int k) {
     const int quarter = k & 3, sign = k < 4 ? 1 : -1;
@@ -23,6 +23,28 @@ INLINE int steps_within(const int reach, const int2 d, const int x, const int y,
     int steps = min(min(room(x, d.x, width), room(y, d.y, height)), (int)((float)reach / step) + 1);
     while (steps > 0 && (float)steps * step > (float)reach) --steps;
     return steps;
+}
+
+/* Which of AT_ONCE steps from `first` on, up to `last`, meet a pixel that has another value in a mask, in bits; `offset`:
+   of a step. */
+INLINE uint others_from(const int first, const int last, const int dst, const int offset, __global const uchar *mask,
+                        const uchar value) {
+    uint others = 0;
+#pragma unroll
+    for (int k = 0; k < AT_ONCE; ++k) others |= (uint)(mask[dst + min(first + k, last) * offset] != value) << k;
+    return others;
+}
+
+INLINE int first_of(const uint bits) { return 31 - (int)clz(bits & -bits); }
+
+/* The first of `steps` steps that meets a pixel with another value in a mask, counted from 1; 0: none. */
+INLINE int first_other(const int dst, const int offset, const int steps, __global const uchar *mask,
+                       const uchar value) {
+    for (int t = 1; t <= steps; t += AT_ONCE) {
+        const uint others = others_from(t, steps, dst, offset, mask, value);
+        if (others) return min(t + first_of(others), steps);
+    }
+    return 0;
 }
 
 /* A value for each direction. On GPUs, which index no registers, it is a vector: AT and SET select among its

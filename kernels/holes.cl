@@ -41,21 +41,6 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
 
-/* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1;
-   0: none. */
-INLINE int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask,
-                        const uchar hole) {
-    int t = 1;
-    for (; t + AT_ONCE <= steps; t += AT_ONCE) {
-        bool any = false;
-        for (int k = 0; k < AT_ONCE; ++k) any |= mask[dst + (t + k) * offset] != hole;
-        if (any) break;
-    }
-    for (; t <= steps; ++t)
-        if (mask[dst + t * offset] != hole) return t;
-    return 0;
-}
-
 /* Steps from a hole's pixel in row y to the first pixel beside the hole up and down its column; 0: none within reach.
    Holes at the image's border are as long as the image is, and the next row need not look along them again. */
 typedef struct {
@@ -101,7 +86,7 @@ INLINE void find_border(const int dst_x, const int dst_y, const int width, const
             if (goes_on && d.x == 0)
                 t = d.y > 0 ? column->down : column->up;
             else
-                t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
+                t = first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
             if (d.x == 0 && d.y > 0) column->down = t;
             if (d.x == 0 && d.y < 0) column->up = t;
             lane_t[lane] = t;

@@ -19,7 +19,7 @@ from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages import correction, mu_law, scene_cuts
 from gffe_cl.engine.stages.base import FrameBlocks, Kernel, NearestStage, Stage
-from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
+from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, WALKERS, BufferSpec, texel_of
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
 
@@ -48,7 +48,7 @@ GIVEN = {
 }
 _GRIDS = (
     "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
-    "cells", "runs", "network",
+    "cells", "runs", "network", "walk", "list_source", "list_target",
 )  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {"LANES": "GFFE_TAKES_LANES", "RUN": "GFFE_TAKES_RUN", "EXACT_DIVISION": "GFFE_TAKES_EXACT_DIVISION"}
@@ -65,6 +65,7 @@ def config(options: Options) -> str:
         "RESIDUAL_STRIDE": texel_of("residuals")[0],
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
+        "WALKERS": WALKERS,
         "CELL": texel_of("cells")[0],
         "RUN_PIXELS": texel_of("runs")[0],
         "NETWORK_TEXEL": texel_of("network")[0],
@@ -257,7 +258,7 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
 def _grid(name: str) -> tuple[str, int]:
     """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its size.
     Raises GffeError for a grid that C does not have."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip|network)(\d+)", name)):
+    if name not in _GRIDS and (found := re.fullmatch(r"(flat_level|levels|level|mip|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
         raise GffeError(

@@ -14,7 +14,7 @@ from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
 from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
 from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
-from gffe_cl.engine.stages.warp import DISOCCLUDED, MIXED
+from gffe_cl.engine.stages.warp import DISOCCLUDED, HOLES, MIXED
 
 _CONSTANTS = constants("background.cl")
 EMPTY, SHOWN, REMEMBERED, EDGE = (_CONSTANTS[name] for name in ("EMPTY", "SHOWN", "REMEMBERED", "EDGE"))
@@ -29,7 +29,6 @@ STATES = (
 REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state == REMEMBERED)
 OPEN = share_of("open", "background.state_0", lambda state: (state == EMPTY) | (state == REMEMBERED))  # to offers
 PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # whether there is a next level
-HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
 _SPARES = 8  # times the alignment: lent memory beyond this stage's needs, because its parts are aligned

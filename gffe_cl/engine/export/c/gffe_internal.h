@@ -9,7 +9,7 @@
 extern "C" {
 #endif
 
-/* Grids of buffers and launches; a level or a number of levels goes with the last three. */
+/* Grids of buffers and launches; a level or a number of levels goes with the last four. */
 enum {
     GFFE_ONCE,
     GFFE_SOURCE,
@@ -23,8 +23,12 @@ enum {
     GFFE_CELLS,
     GFFE_RUNS,
     GFFE_NETWORK,
+    GFFE_WALK,
+    GFFE_LIST_SOURCE,
+    GFFE_LIST_TARGET,
     GFFE_MIP,
     GFFE_LEVEL,
+    GFFE_FLAT_LEVEL,
     GFFE_LEVELS
 };
 
