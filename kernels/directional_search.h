@@ -3,7 +3,12 @@
 #include "simd.h"
 
 #define DIRECTIONS 8             /* direction k + 4 is opposite to k */
-#define AT_ONCE 16 /* pixels that are read at once, so a march rarely waits for memory */
+/* Pixels that are read at once: GPUs' marches rarely wait for memory then. */
+#if LANES == 1
+#define AT_ONCE 16
+#else
+#define AT_ONCE 1
+#endif
 
 INLINE int2 direction(const int k) {
     const int quarter = k & 3, sign = k < 4 ? 1 : -1;
@@ -47,44 +52,5 @@ INLINE int first_other(const int dst, const int offset, const int steps, __globa
     return 0;
 }
 
-/* A value for each direction. On GPUs, which index no registers, it is a vector: AT and SET select among its
-   components. FLOATS_AT and INTS_AT give those of LANES directions from k on, SET_FLOATS and SET_INTS store them. */
-#if LANES == 8
-typedef int DirectionInts[DIRECTIONS];
-typedef float DirectionFloats[DIRECTIONS];
-#define AT(values, k) ((values)[k])
-#define SET(values, k, value) ((values)[k] = (value))
-#define FLOATS_AT(values, k) load_floats(0, (values) + (k))
-#define INTS_AT(values, k) load_ints(0, (values) + (k))
-#define SET_FLOATS(values, k, value) store_floats(value, 0, (values) + (k))
-#define SET_INTS(values, k, value) store_ints(value, 0, (values) + (k))
-#else
-typedef int8 DirectionInts;
-typedef float8 DirectionFloats;
-#define AT(values, k)                                                                                                  \
-    ((k) < 4 ? ((k) < 2 ? ((k) == 0 ? (values).s0 : (values).s1) : ((k) == 2 ? (values).s2 : (values).s3))             \
-             : ((k) < 6 ? ((k) == 4 ? (values).s4 : (values).s5) : ((k) == 6 ? (values).s6 : (values).s7)))
-#define SET(values, k, value)                                                                                          \
-    ((values).s0 = (k) == 0 ? (value) : (values).s0, (values).s1 = (k) == 1 ? (value) : (values).s1,                   \
-     (values).s2 = (k) == 2 ? (value) : (values).s2, (values).s3 = (k) == 3 ? (value) : (values).s3,                   \
-     (values).s4 = (k) == 4 ? (value) : (values).s4, (values).s5 = (k) == 5 ? (value) : (values).s5,                   \
-     (values).s6 = (k) == 6 ? (value) : (values).s6, (values).s7 = (k) == 7 ? (value) : (values).s7)
-#define FLOATS_AT AT
-#define INTS_AT AT
-#define SET_FLOATS SET
-#define SET_INTS SET
-#endif
-
 /* Whether direction k is among those of a set, which has a bit for each. */
 INLINE bool has(const int directions, const int k) { return (directions >> k) & 1; }
-
-/* The same of LANES directions from k on, ... */
-INLINE Ints wide_has(const int directions, const int k) { return ((Ints)(directions) >> (k + LANE_NUMBERS) & 1) != 0; }
-
-/* ... and the set of those for which a condition holds. */
-INLINE int set_of(const Ints condition, const int k) {
-    int lane_bit[LANES], bits = 0;
-    store_ints(condition ? (Ints)(1) << (k + LANE_NUMBERS) : (Ints)(0), 0, lane_bit);
-    for (int lane = 0; lane < LANES; ++lane) bits |= lane_bit[lane];
-    return bits;
-}
