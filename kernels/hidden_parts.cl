@@ -184,7 +184,7 @@ WALK __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by, __global uint *edges,
                                      __global uint *offered) {
-    __local Side sides[TEAMS][TEAM];
+    __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.source_depth = source_depth,
                            .depth_prev = depth_prev,
                            .source_motion = source_motion,
@@ -194,15 +194,16 @@ WALK __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
                            .depth = depth,
                            .motion = motion,
                            .filled_by = filled_by};
-    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM, k = item % TEAM;
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     if (get_global_id(0) == 0) edges[0] = offered[0] = 0;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
-        /* A work-item per direction ... */
+        /* Team by team look into all directions ... */
         const uint hole = entry_of(open, first + team);
-        if (hole < MIXED_FLAG) sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
+        for (int k = item % TEAM; hole < MIXED_FLAG && k < DIRECTIONS; k += TEAM)
+            sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
         barrier(CLK_LOCAL_MEM_FENCE);
 
-        /* ... and one per hole. */
+        /* ... and one work-item fills a hole. */
         const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
         const int dst_x = (int)own % width, dst_y = (int)own / width;
         if (own < MIXED_FLAG && !fill_entering(dst_x, dst_y, frame, images))

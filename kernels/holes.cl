@@ -330,14 +330,15 @@ WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
                                     __global const uint *open, __global const uchar *disoccluded,
                                     __global const uchar *filled_by, __global const float *depth, __global half *color,
                                     __global float *border_lines, __global uint *beyond) {
-    __local Side sides[TEAMS][TEAM];
-    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM, k = item % TEAM;
+    __local Side sides[TEAMS][DIRECTIONS];
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     if (get_global_id(0) == 0) *beyond = 0;
     if (!frame->stays) find_border_lines(get_global_id(0), get_global_size(0), frame, codes, border_lines);
     if (!frame->collects) return;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         const uint hole = entry_of(open, first + team);
-        if (is_of_background(hole, filled_by))
+        const bool is_filled = is_of_background(hole, filled_by);
+        for (int k = item % TEAM; is_filled && k < DIRECTIONS; k += TEAM)
             sides[team][k] = look((int)hole % width, (int)hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth,
                                   color);
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -456,17 +457,18 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                                  __global const float *source_depth, __global const uchar *is_dynamic,
                                  __global const float *border_lines, __global half *color, __global float *depth,
                                  __global float2 *motion, __global uint *beyond) {
-    __local Side sides[TEAMS][TEAM];
+    __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.codes = codes, .border_lines = border_lines, .color = color, .depth = depth, .motion = motion};
-    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM, k = item % TEAM;
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     const int reach = max(LEAST_REACH, width / REACH_SHARE);
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         const uint hole = entry_of(open, first + team);
-        if (is_unfilled(hole, filled_by)) {
-            const int dst_x = (int)hole % width, dst_y = (int)hole / width;
-            Side s = look(dst_x, dst_y, k, reach, frame, filled_by, BY_HOLE_FILLING, depth, color);
+        const bool is_open = is_unfilled(hole, filled_by);
+        const int hole_x = (int)hole % width, hole_y = (int)hole / width;
+        for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM) {
+            Side s = look(hole_x, hole_y, k, reach, frame, filled_by, BY_HOLE_FILLING, depth, color);
             if (s.meets) {
-                const float3 px_source = static_source(dst_x, dst_y, s.inverse, frame->to_source);
+                const float3 px_source = static_source(hole_x, hole_y, s.inverse, frame->to_source);
                 s.is_outside = is_out_of_screen(px_source, frame);
                 s.can_be_there = !s.is_outside && can_be_at(px_source, frame, source_depth) && is_dynamic[s.px] == 0
                                  && filled_by[s.px] != BY_HIDDEN_PART;

@@ -2,8 +2,12 @@
    list instead of a mask of the whole image. Element 0 of a list is its length, which an earlier kernel sets to 0, and
    there is room for every pixel behind it. Results must not depend on the order. */
 
-#define WALK_GROUP 128 /* work-items of a group that walks a list ... */
-#define TEAM 8         /* ... and of one team, which works on one pixel: one work-item per direction */
+#define WALK_GROUP 64 /* work-items of a group that walks a list ... */
+#if LANES == 1
+#define TEAM 8 /* ... and of a team, which works on one pixel */
+#else
+#define TEAM 1
+#endif
 #define TEAMS (WALK_GROUP / TEAM)
 #define MIXED_FLAG 0x80000000u /* of an entry of warp.open: the pixel is no hole, but mixed */
 
