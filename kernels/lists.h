@@ -57,10 +57,11 @@ INLINE int scan_for(const uchar value, __global const uchar *mask, const int end
     const int own = get_local_id(0) * SCAN_BYTES, at = get_global_id(0) * SCAN_BYTES;
     if (own == 0) *found_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    const bool is_whole = at + SCAN_BYTES <= end;
-    if (!is_whole || any(as_uchar16(*(__global const uint4 *)(mask + at)) == (uchar16)(value)))
-        for (int k = 0; k < min(SCAN_BYTES, end - at); ++k)
-            if (mask[at + k] == value) found[atomic_inc(found_count)] = (ushort)(own + k);
+    ulong2 equal = (ulong2)(1);
+    if (at + SCAN_BYTES <= end)
+        equal = as_ulong2(as_uchar16(*(__global const uint4 *)(mask + at)) == (uchar16)(value));
+    for (int k = 0; (equal.x | equal.y) && k < min(SCAN_BYTES, end - at); ++k)
+        if (mask[at + k] == value) found[atomic_inc(found_count)] = (ushort)(own + k);
     barrier(CLK_LOCAL_MEM_FENCE);
     return at - own;
 }
