@@ -56,6 +56,7 @@ class Silhouettes(Stage):
             "softened", np.float16, RGBA, "target", "new colors at silhouettes", "color", scratch=True, transient=True,
             packing=RGB9E5,
         ),
+        BufferSpec("soft", np.uint32, (), "list_target", "pixels that change", scratch=True, transient=True),
     )  # fmt: skip
     kernels = (
         Kernel(
@@ -73,6 +74,7 @@ class Silhouettes(Stage):
                 "behind": Access("silhouettes.behind", LAYERED),
                 "share": Access("silhouettes.share", LAYERED),
                 "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
+                "soft": Access("silhouettes.soft", planes=0),
             },
             step=("LANES", 1),
         ),
@@ -94,19 +96,19 @@ class Silhouettes(Stage):
             {
                 "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
                 "softened": Access("silhouettes.softened", SOFTENED),
+                "soft": Access("silhouettes.soft", SOFTENED),
             },
             step=("LANES", 1),
         ),
         Kernel(
             "apply_softened",
-            "target",
+            "walk",
             {
-                "marked": "silhouettes.marked",
-                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
+                "soft": Access("silhouettes.soft", SOFTENED),
                 "softened": Access("silhouettes.softened", SOFTENED),
             },
             {"color": Access("frame.color", SOFTENED)},
-            step=("RUN", 1),
+            group="WALK_GROUP",
         ),
     )
 
