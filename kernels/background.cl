@@ -577,9 +577,9 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
     return true;
 }
 
-/* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where the frame before still showed
-   the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
-   one surface, the mean is shown. */
+/* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where the frame before still
+   showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two
+   estimates of one surface, the mean is shown. */
 WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
                                     __global const float *depth_prev, __global const uchar *state_prev,
                                     __global const half *frame_color, __global const float *frame_depth,

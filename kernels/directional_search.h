@@ -30,8 +30,8 @@ INLINE int steps_within(const int reach, const int2 d, const int x, const int y,
     return steps;
 }
 
-/* Which of AT_ONCE steps from `first` on, up to `last`, meet a pixel that has another value in a mask, in bits; `offset`:
-   of a step. */
+/* Which of AT_ONCE steps from `first` on, up to `last`, meet a pixel that has another value in a mask, in bits;
+   `offset`: of a step. */
 INLINE uint others_from(const int first, const int last, const int dst, const int offset, __global const uchar *mask,
                         const uchar value) {
     uint others = 0;

@@ -55,7 +55,8 @@ INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach,
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     const int2 d = direction(k);
     const int offset = d.y * width + d.x;
-    const int t = first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
+    const int t =
+        first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
     Side side = {t != 0, false, false, dst + t * offset, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
     if (t == 0) return side;
     const float z = depth[side.px];
@@ -262,8 +263,7 @@ INLINE int surface_behind(__local const Side *sides) {
     }
     if (!(most > 0.0f)) return far_side(sides);
     int behind = 0;
-    for (int k = 0; k < DIRECTIONS; ++k)
-        behind |= (sides[k].can_be_there && is_as_far(sides[k].inverse, inverse)) << k;
+    for (int k = 0; k < DIRECTIONS; ++k) behind |= (sides[k].can_be_there && is_as_far(sides[k].inverse, inverse)) << k;
     return behind;
 }
 
@@ -339,8 +339,8 @@ WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
         const uint hole = entry_of(open, first + team);
         const bool is_filled = is_of_background(hole, filled_by);
         for (int k = item % TEAM; is_filled && k < DIRECTIONS; k += TEAM)
-            sides[team][k] = look((int)hole % width, (int)hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth,
-                                  color);
+            sides[team][k] =
+                look((int)hole % width, (int)hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
         if (is_of_background(own, filled_by)) mix_far_side((int)own, sides[item], frame, color);
@@ -458,7 +458,8 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                                  __global const float *border_lines, __global half *color, __global float *depth,
                                  __global float2 *motion, __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
-    const Images images = {.codes = codes, .border_lines = border_lines, .color = color, .depth = depth, .motion = motion};
+    const Images images = {
+        .codes = codes, .border_lines = border_lines, .color = color, .depth = depth, .motion = motion};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     const int reach = max(LEAST_REACH, width / REACH_SHARE);
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
@@ -592,9 +593,9 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
     }
 }
 
-/* Fills the rest from the image downsampled 32x, interpolated: after the far side pixels `beyond` its reach. Every work-group fills the pixels under TILE x TILE
-   texels: it sums up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who
-   wants to look at them. */
+/* Fills the rest from the image downsampled 32x, interpolated: after the far side pixels `beyond` its reach. Every
+   work-group fills the pixels under TILE x TILE texels: it sums up those of them, and of the ring around them, that its
+   pixels ask for. The sums are kept for who wants to look at them. */
 SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side, __global const uchar *filled_by,
                       __global const half *codes, __global const half *source_color, __global const float *source_depth,

@@ -29,8 +29,8 @@ INLINE uint entry_of(__global const uint *open, const uint i) { return i < open[
 INLINE void append(const uint entry, __global uint *list) { LISTED(list, atomic_inc(list)) = entry; }
 
 #if LANES == 1
-/* Appends an entry of each work-item that `has` one, with one atomic for a group, all of which must come here. `shared`:
-   two numbers of the group. */
+/* Appends an entry of each work-item that `has` one, with one atomic for a group, all of which must come here.
+   `shared`: two numbers of the group. */
 INLINE void append_of_group(const bool has, const uint entry, __global uint *list, __local uint *shared) {
     const bool is_first = get_local_id(0) == 0 && get_local_id(1) == 0;
     if (is_first) shared[0] = 0;
@@ -58,8 +58,7 @@ INLINE int scan_for(const uchar value, __global const uchar *mask, const int end
     if (own == 0) *found_count = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     ulong2 equal = (ulong2)(1);
-    if (at + SCAN_BYTES <= end)
-        equal = as_ulong2(as_uchar16(*(__global const uint4 *)(mask + at)) == (uchar16)(value));
+    if (at + SCAN_BYTES <= end) equal = as_ulong2(as_uchar16(*(__global const uint4 *)(mask + at)) == (uchar16)(value));
     for (int k = 0; (equal.x | equal.y) && k < min(SCAN_BYTES, end - at); ++k)
         if (mask[at + k] == value) found[atomic_inc(found_count)] = (ushort)(own + k);
     barrier(CLK_LOCAL_MEM_FENCE);

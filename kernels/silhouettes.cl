@@ -168,7 +168,8 @@ INLINE void mark_around(const float2 px, const int width, const int height, __gl
 WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const float *depth,
                                __global const uchar *links, __global const uchar *smooth,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
-                               __global uint *behind, __global uchar *share, __global uchar *marked, __global uint *soft) {
+                               __global uint *behind, __global uchar *share, __global uchar *marked,
+                               __global uint *soft) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
@@ -458,8 +459,8 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
 }
 
 /* The coverage of `count` pixels, at most LANES, and their new colors. */
-INLINE void soften_run(const int dst_x, const int dst_y, const int count, const Source s, const Layers l,
-                       const Shown f, __global uint *softened, uchar *coverage) {
+INLINE void soften_run(const int dst_x, const int dst_y, const int count, const Source s, const Layers l, const Shown f,
+                       __global uint *softened, uchar *coverage) {
     Span p = {dst_x, dst_y, f.width, f.height, false};
     Ints paired;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};

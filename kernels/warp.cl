@@ -196,8 +196,8 @@ INLINE float2 without_rounding(const float2 d) {
 }
 
 /* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block.
-   Returns its entry in the list of open pixels, or NOBODY; a hole has nothing to be resampled. Its key is emptied if the
-   background may fill it. */
+   Returns its entry in the list of open pixels, or NOBODY; a hole has nothing to be resampled. Its key is emptied if
+   the background may fill it. */
 INLINE uint resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to,
                           const int dst_x, const int dst_y, const uint src, const bool smooth, const int unfilled_label,
                           Sample *sample) {

@@ -10,7 +10,6 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
 from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
 from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
@@ -102,9 +101,7 @@ class Background(NearestStage):
             _OFFERED,
             step=("LANES", 1),
         ),
-        Kernel(
-            "settle_level", "flat_level{level}", _SETTLING, _SETTLED, step=("SCAN_BYTES", 1), group="SCAN_GROUP"
-        ),
+        Kernel("settle_level", "flat_level{level}", _SETTLING, _SETTLED, step=("SCAN_BYTES", 1), group="SCAN_GROUP"),
         Kernel("settle_and_push", "level{level}", _SETTLING | _keys("push"), _SETTLED | _PUSHED, step=("RUN", 1)),
         Kernel(
             "project_levels",
