@@ -156,18 +156,19 @@ class BufferSpec:
     "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
-    "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the
-    rendered image), "flat_level0" … (the texels of a level in one row) and "walk" (those that walk a list). A list of
-    pixels (lists.h) has the grid "list_source" or "list_target": its length, and one texel per pixel. `components` name its channels; a single one goes without. `view` is its meaning, and so how to
-    show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
-    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
-    `mapped`: the host works in it. `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the
-    stage is through. `part_of`: the buffer in which it lies. `planar`: on the device the channels lie one after
-    another, each an image. `transient`: written in each `extrapolate` before it is read, so until the next `submit` it
-    may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
-    `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
-    holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
-    `border`: pixels that are stored around each plane.
+    "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the rendered
+    image), "flat_level0" … (the texels of a level in one row) and "walk" (those that walk a list). A list of pixels
+    (lists.h) has the grid "list_source" or "list_target": its length, and one texel per pixel. `components` name its
+    channels; a single one goes without. `view` is its meaning, and so how to show it: "color" (linear RGB), "depth"
+    (view z), "motion" (pixels, from here), "place" (position in pixels), "world" (position in the view space of the
+    rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it.
+    `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the stage is through. `part_of`:
+    the buffer in which it lies. `planar`: on the device the channels lie one after another, each an image. `transient`:
+    written in each `extrapolate` before it is read, so until the next `submit` it may lie in memory that another stage
+    lends; `fleeting`: the same of each `submit`, and of no use after it. `known_where`: a buffer of the same owner,
+    perhaps on a coarser grid, and the least value that it has where this one holds anything; elsewhere it reads as 0.
+    `packing`: its layout on the device, if not by `dtype` and `components`. `border`: pixels that are stored around
+    each plane.
     """
 
     name: str

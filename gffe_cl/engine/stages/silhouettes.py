@@ -28,7 +28,7 @@ SOFTENED = share_of("softened", "silhouettes.coverage")
 
 class Silhouettes(Stage):
     """Unmixes the pixels at silhouettes of the rendered frame, and blends them with the surface behind in the new
-    frame."""
+    frame. The list of open pixels holds the soft ones now: there are no open ones any more."""
 
     name = "silhouettes"
     needs_footprints = True
@@ -56,7 +56,6 @@ class Silhouettes(Stage):
             "softened", np.float16, RGBA, "target", "new colors at silhouettes", "color", scratch=True, transient=True,
             packing=RGB9E5,
         ),
-        BufferSpec("soft", np.uint32, (), "list_target", "pixels that change", scratch=True, transient=True),
     )  # fmt: skip
     kernels = (
         Kernel(
@@ -74,7 +73,7 @@ class Silhouettes(Stage):
                 "behind": Access("silhouettes.behind", LAYERED),
                 "share": Access("silhouettes.share", LAYERED),
                 "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
-                "soft": Access("silhouettes.soft", planes=0),
+                "soft": Access("warp.open", planes=0),
             },
             step=("LANES", 1),
         ),
@@ -96,7 +95,7 @@ class Silhouettes(Stage):
             {
                 "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
                 "softened": Access("silhouettes.softened", SOFTENED),
-                "soft": Access("silhouettes.soft", SOFTENED),
+                "soft": Access("warp.open", SOFTENED),
             },
             step=("LANES", 1),
         ),
@@ -104,7 +103,7 @@ class Silhouettes(Stage):
             "apply_softened",
             "walk",
             {
-                "soft": Access("silhouettes.soft", SOFTENED),
+                "soft": Access("warp.open", SOFTENED),
                 "softened": Access("silhouettes.softened", SOFTENED),
             },
             {"color": Access("frame.color", SOFTENED)},

@@ -16,7 +16,7 @@ _MIXED = BufferSpec(
     transient=True,
 )  # fmt: skip
 _OPEN = BufferSpec(
-    "open", np.uint32, (), "list_target", "pixels that are holes, or mixed with 2^31 added: how many, then their indices",
+    "open", np.uint32, (), "list_target", "how many pixels are holes or mixed, then their indices, plus 2^31 if mixed",
     scratch=True, transient=True,
 )  # fmt: skip
 # Pixels that the background may fill; entries of the list of them.
