@@ -386,6 +386,7 @@ SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int l
                                    __global int *next_px, __global uchar *next_state) {
     const int level_width = level_side(frame->source_width, level),
               level_height = level_side(frame->source_height, level);
+    const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {.color = old_color,
@@ -404,7 +405,7 @@ SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int l
                        .width = level_width};
     for (int x = texel_x; x < min(texel_x + RUN, level_width); ++x)
         if (!frame->has_previous || level_state[texel_y * level_width + x] == EMPTY)
-            settle(x, texel_y, fill_keys, fill_winners, old, frame->from_previous, own);
+            settle(x, texel_y, fill_keys, fill_winners, old, to_current, own);
     if ((texel_x | texel_y) & 1) return;
     const int next_width = (level_width + 1) / 2, end_x = min((texel_x + RUN + 1) / 2, next_width);
     const Level next = {.color = next_color,
@@ -413,8 +414,7 @@ SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int l
                         .state = next_state,
                         .level = level + 1,
                         .width = next_width};
-    for (int x = texel_x / 2; x < end_x; ++x)
-        settle(x, texel_y / 2, push_keys, push_winners, old, frame->from_previous, next);
+    for (int x = texel_x / 2; x < end_x; ++x) settle(x, texel_y / 2, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */

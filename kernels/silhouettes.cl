@@ -170,11 +170,11 @@ WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const 
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked,
                                __global uint *soft) {
+    if (get_global_id(0) + get_global_id(1) == 0) soft[0] = 0;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
-    if (src_x == 0 && src_y == 0) soft[0] = 0;
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
     if (smooth[block_of(src_x, src_y, source_width)]) {
