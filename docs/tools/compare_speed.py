@@ -1,4 +1,4 @@
-"""How long two versions of gffe-cl take for the same frames, in turns on one machine.
+"""Compare the times of two versions of gffe-cl for the same frames, in turns on one machine.
 
     python docs/tools/compare_speed.py                                       61564f7 and this working tree, plaza, 1080p
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
@@ -117,7 +117,7 @@ class Version:
         self.device = self._heard()["device"]
 
     def timed(self, turn: Turn, footage: FrameLoop) -> dict[str, float]:
-        """Milliseconds by part, "GAE" and `CLOCKS` among them."""
+        """Return milliseconds by part, "GAE" and `CLOCKS` among them."""
         until = turn.time(footage.interval)
         asked = {"index": turn.index, "time": turn.frame.time, "reset": turn.frame.reset, "until": until}
         print(json.dumps(asked), file=self.process.stdin, flush=True)
@@ -146,7 +146,7 @@ class Version:
 
 
 def checkout(version: str, folder: Path) -> Path:
-    """The folder of a checkout: `version` itself if it is one, else that commit's files, put into `folder`."""
+    """Return the folder of a checkout: `version` itself if it is one, else that commit's files, put into `folder`."""
     if Path(version).is_dir():
         return Path(version).resolve()
     folder.mkdir()
@@ -158,7 +158,7 @@ def checkout(version: str, folder: Path) -> Path:
 
 
 def called(version: str) -> str:
-    """A version by its commit."""
+    """Return the commit of a version."""
     folder, commit = (version, "HEAD") if Path(version).is_dir() else (str(REPOSITORY), version)
     told = subprocess.run(["git", "-C", folder, "rev-parse", "--short", commit], capture_output=True, text=True)
     return told.stdout.strip() or version
@@ -192,7 +192,7 @@ def store(footage: FrameLoop, folder: Path) -> None:
 
 
 def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
-    """Milliseconds of both versions by part, and the ratios old : new."""
+    """Return milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
     arguments = [str(folder), "--device", device, *flags]
     versions = [Version(tree, *arguments) for tree in trees]
@@ -217,7 +217,7 @@ def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, re
 
 
 def rounded(value):
-    """Without digits that mean nothing."""
+    """Return the report without meaningless digits."""
     if isinstance(value, dict):
         return {key: rounded(inner) for key, inner in value.items()}
     if isinstance(value, list):

@@ -36,7 +36,7 @@ GPUS = (
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What no data sheet says."""
+    """Figures that no data sheet has."""
 
     machine: float  # instructions of the reference GPU for one of LLVM, which may compute a vector of four
     active: float  # share of active work-items among those that run in step

@@ -97,7 +97,7 @@ _FAST = "GAE, preset `performance`"
 
 
 def gpu_table() -> str:
-    """Milliseconds on a GPU by part: of the default, and sums of the preset performance."""
+    """Return milliseconds on a GPU by part: of the default, and sums of the preset performance."""
     default, performance = (recorded(name)["devices"][0]["sizes"] for name in ("gpu", "gpu_performance"))
     parts = [part for part in default[0]["milliseconds"] if part not in ("GAE", "SCN", "misc")]
     rows = [(part, *(f"{one['milliseconds'][part]:.2f}" for one in default)) for part in parts]
@@ -192,7 +192,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def with_tables(text: str) -> str:
-    """The page with all its tables as the records have them now."""
+    """Return the page with all its tables as the records have them now."""
     return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
@@ -231,7 +231,7 @@ def _methods() -> list[dict]:
 
 
 def _method(name: str) -> dict:
-    """On the first device it ran on."""
+    """Return the row of a method on the first device that it ran on."""
     return next(row for row in _methods() if row["method"] == name)
 
 
@@ -240,7 +240,7 @@ def _shares() -> dict[str, float]:
 
 
 def _share_of_error(row: dict, region: str) -> float:
-    """Of the squared error of all pixels."""
+    """Return a region's share of the squared error of all pixels."""
     return _shares()[region] * 10 ** ((row["psnr"] - row["regions"][region]) / 10)
 
 

@@ -19,7 +19,7 @@ from gffe_cl.cli.common import (
     steps,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 
 if TYPE_CHECKING:
     from gffe_cl.engine.options import Options
@@ -37,6 +37,7 @@ def demo(
     options: Options,
 ) -> None:
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
+    require_packages("demo", "lab,video", "skimage", "imageio_ffmpeg")
     from gffe_cl.engine.opencl.device import open_device
     from gffe_cl.lab.demo import METHODS
     from gffe_cl.lab.demo import demo as run_demo

@@ -121,13 +121,14 @@ class Failed(Exception):
 
 
 def opencl_library() -> str:
-    """The loader that this process uses: handles are the same for all loaders, but the tests' library needs one."""
+    """Return the loader that this process uses: handles are the same for all loaders, but the tests' library needs
+    one."""
     with open("/proc/self/maps") as maps:
         return next(line.split()[-1] for line in maps if "libOpenCL" in line)
 
 
 def require_compiler(*names: str) -> None:
-    """Skips the test where there is no C compiler or no CL/cl.h."""
+    """Skip the test where there is no C compiler or none of the headers of OpenCL."""
     for name in names:
         if not shutil.which(name):
             pytest.skip(f"no {name}")
@@ -204,7 +205,8 @@ class Engine:
         self._check(self.library.gffe_set_exposure(self.handle, exposure))
 
     def _call(self, name, arguments, wait_for=None):
-        """With a list of events, the function's `_after` variant, and the event that it makes."""
+        """Call a function and return its result; with a list of events its `_after` variant, and the event that it
+        makes."""
         if wait_for is None:
             self._check(getattr(self.library, f"gffe_{name}")(self.handle, *arguments))
             return None
@@ -224,26 +226,26 @@ class Engine:
         return self._call("submit", (*handles, *cameras, time, int(reset)), wait_for)
 
     def set_format(self, format, jitter=(0.0, 0.0)):
-        """`format`: a FrameFormat, a CFormat or None."""
+        """Set `format`: a FrameFormat, a CFormat or None."""
         made = CFormat.of(format) if isinstance(format, FrameFormat) else format
         self._check(self.library.gffe_set_format(self.handle, made and ct.byref(made)))
         self._check(self.library.gffe_set_geometry_jitter(self.handle, *jitter))
 
     def set_overlays(self, overlays):
-        """`overlays` of device buffers."""
+        """Set `overlays` of device buffers."""
         given = {name: getattr(overlays, name) for name in OVERLAYS}
         told = COverlays(**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
         self._check(self.library.gffe_set_overlays(self.handle, ct.byref(told)))
 
     def extrapolate(self, time, camera=None, wait_for=None):
-        """The frame; with `wait_for` and the event."""
+        """Return the frame; with `wait_for` and the event."""
         made = CFrame()
         camera = camera and ct.byref(CCamera.of(camera))
         event = self._call("extrapolate", (camera, time, ct.byref(made)), wait_for)
         return made if wait_for is None else (made, event)
 
     def present(self, wait_for=None):
-        """As `extrapolate`."""
+        """Return the displayed frame; with `wait_for` and the event."""
         made = CFrame()
         event = self._call("present", (ct.byref(made),), wait_for)
         return made if wait_for is None else (made, event)
@@ -270,7 +272,7 @@ class Engine:
         return image
 
     def bytes_of(self, name):
-        """(planes · height · width, bytes per pixel) uint8."""
+        """Return (planes · height · width, bytes per pixel) uint8."""
         image = self.get(name)
         shape = image.planes * image.height * image.width, image.bytes_per_pixel
         return self.read(image.memory, int(np.prod(shape))).reshape(shape)

@@ -72,7 +72,7 @@ int main(void) {
 
 
 def declarations(folder: Path) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
-    """(type, name, [(type, name) of each parameter]) of every function of the headers."""
+    """Yield (type, name, [(type, name) of each parameter]) of every function of the headers."""
     for header in HEADERS:
         text = re.sub(r"/\*.*?\*/", " ", (folder / header).read_text(), flags=re.S)
         for kind, name, listed in re.findall(r"^((?:const )?\w+(?: \*| ))(gffe_\w+)\(([^()]*)\);", text, re.M):
@@ -89,7 +89,8 @@ def is_pointer(kind: str) -> bool:
 
 
 def calls(folder: Path) -> Iterator[tuple[str, str, str, str]]:
-    """(function, parameter that is NULL, type of what it returns, the call); "failed": of a gffe that was not made."""
+    """Yield (function, parameter that is NULL, type of what it returns, the call); "failed": of a gffe that was not
+    made."""
     for kind, name, parameters in declarations(folder):
         for wrong, (about, own) in enumerate(parameters):
             for value in [] if not is_pointer(about) else ["NULL", "failed"] if about == "gffe *" else ["NULL"]:
@@ -109,7 +110,8 @@ def _good(function: str, kind: str, name: str) -> str:
 
 
 def program(folder: Path) -> str:
-    """Its source: prints "FUNCTION PARAMETER STATUS" for each call, whose status is "-" where it returns none."""
+    """Return the source of a program that prints "FUNCTION PARAMETER STATUS" for each call, whose status is "-" where
+    it returns none."""
     lines = []
     for function, parameter, kind, call in calls(folder):
         lines.append(f'    printf("{function} {parameter} ");')

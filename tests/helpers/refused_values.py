@@ -189,7 +189,7 @@ class Calls:
         self._require_none(host.gffe_adaptive_window(one, one, 1, ct.byref(options), ct.byref(made)))
 
     def _window_camera(self, name, value):
-        """The window and four sizes, with one of them changed."""
+        """Return the results of a call with the window and four sizes, with one of them changed."""
         sides = {"u0": -1.0, "v0": -1.0, "u1": 1.0, "v1": 1.0}
         sides = {k: 1.25 * v for k, v in sides.items()}
         sizes = self.size | {"render_width": 64.0, "render_height": 36.0}
@@ -207,7 +207,7 @@ class Calls:
         self._require_none(self.engine.library.gffe_camera_fault(ct.byref(made)))
 
     def _predicted_at(self, name, value):
-        """Time, times of three frames and order, with one of them changed."""
+        """Return the results of a call with time, times of three frames and order, with one of them changed."""
         times = [0.0, -1.0, -2.0]
         if name.startswith("times"):
             times[int(name[6])] = value
@@ -225,7 +225,7 @@ class Calls:
     # ---- pipelines -------------------------------------------------------------------------------------
 
     def _options(self, name, value):
-        """Sizes and rate, with one of them changed."""
+        """Return the results of a call with sizes and rate, with one of them changed."""
         given = {"width": 83, "height": 61, "render_width": 40, "render_height": 30, "fps": 30.0}
         return given | {name: value}
 
@@ -262,7 +262,7 @@ class Calls:
         self.engine.submit((frame.color, frame.depth, frame.motion), frame.camera, value, frame.display_camera, True)
 
     def _at_zero(self):
-        """Both pipelines take a frame of time 0."""
+        """Submit a frame of time 0 to both pipelines."""
         self._python_submit("time", 0.0, {})
         self._c_submit("time", 0.0, {})
 

@@ -245,30 +245,26 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
         for occasion in performed[0]:
             takes = [taken[occasion] for taken in performed]
-            operations[occasion + "_first" * first] = _require_agreement(takes, rehearsals)
+            operations[occasion + "_first" * first] = _require_agreement(takes)
     buffers = {
         f"{owner.name}.{spec.name}": spec
-        for rehearsal in rehearsals
-        for owner in (rehearsal.board.frame, *rehearsal.all.values())
+        for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
         for spec in owner.buffers
     }
     lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.memory.lent}
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
-def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
-    """Return the operations that every rehearsal enqueues, but for those on buffers that images of its size do not
-    have. Raises GffeError where rehearsals differ."""
-    whole = max(takes, key=len)
-    for take, rehearsal in zip(takes, rehearsals, strict=True):
-        has = set(rehearsal.tape.names.values())
-        expected = [operation for operation in whole if operation.buffers() <= has]
+def _require_agreement(takes: list[list[Operation]]) -> list[Operation]:
+    """Return the operations that every rehearsal enqueues. Raises GffeError where rehearsals differ."""
+    expected = takes[0]
+    for take in takes[1:]:
         if take != expected:
             raise GffeError(
                 f"export: {_difference(take, expected)} depends on the image or the frame, which C does not have"
                 " (expected numbers that change to be members of the frame block, kernels/frame.h)"
             )
-    return whole
+    return expected
 
 
 def _difference(take: list[Operation], expected: list[Operation]) -> str:

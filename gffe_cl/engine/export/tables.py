@@ -258,12 +258,10 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
 def _grid(name: str) -> tuple[str, int]:
     """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its size.
     Raises GffeError for a grid that C does not have."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(flat_level|levels|level|mip|network)(\d+)", name)):
+    if name not in _GRIDS and (found := re.fullmatch(r"(flat_level|levels|level|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
-        raise GffeError(
-            f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
-        )
+        raise GffeError(f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, network1 …)")
     return f"GFFE_{name.upper()}", 0
 
 

@@ -342,8 +342,9 @@ class FrameFormat:
         """Return the description of which `to_json` gave the fields. Raises GffeError for others."""
         given = require_kind(given, dict, "format", "an object")
         names = [f.name for f in fields(cls)]
-        if unknown := next((name for name in given if name not in names), None):
-            raise GffeError(f"format: unknown field '{unknown}' (expected {', '.join(names)})")
+        unknown = [name for name in given if name not in names]
+        if unknown:
+            raise GffeError(f"format: unknown field '{unknown[0]}' (expected {', '.join(names)})")
         values: dict[str, Any] = {
             n: math.inf if isinstance(v, str) and v == _JSON_INFINITY else v for n, v in given.items()
         }

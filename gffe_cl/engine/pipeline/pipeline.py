@@ -66,7 +66,6 @@ from gffe_cl.engine.stages.scene_cuts import SceneCuts
 from gffe_cl.engine.stages.shading import ShadingInputs
 from gffe_cl.engine.stages.shading_flow import ShadingFlow
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
-from gffe_cl.engine.stages.sharpening import Sharpening
 from gffe_cl.engine.stages.silhouettes import Silhouettes
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.stages.upscaling import Upscaling
@@ -96,7 +95,6 @@ STAGES: tuple[type[Stage], ...] = (
     Convolutions,
     ShadingCorrection,
     Upscaling,
-    Sharpening,
 )
 
 

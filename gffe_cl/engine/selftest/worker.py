@@ -18,7 +18,7 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.opencl.device import DeviceInfo, list_devices, open_info
 from gffe_cl.engine.selftest.network import compare_provider
-from gffe_cl.engine.selftest.reference import Comparison, Reference, inputs_digest, recorded
+from gffe_cl.engine.selftest.reference import BufferComparison, Reference, inputs_digest, recorded
 from gffe_cl.engine.selftest.scene import frames
 from gffe_cl.engine.selftest.speed import figures, speed
 from gffe_cl.engine.selftest.workload import CASES, SIZE, Form, forms_of, moments
@@ -52,7 +52,7 @@ def compare_form(info: DeviceInfo, form: Form, reference: Reference, cases: list
     kernels."""
     told: dict[str, Any] = asdict(form) | {"cases": {}}
     for case in cases:
-        comparison = Comparison(reference, case)
+        comparison = BufferComparison(reference, case)
         for moment, buffers in moments(open_info(info), CASES[case], form):
             say(doing=f"{form.name}, {case}, {moment}")
             comparison.add(moment, buffers)

@@ -112,8 +112,8 @@ def texel_of(grid: str) -> tuple[int, int]:
     if grid.startswith("network"):
         side = 2 << network_level(grid)
         return side, side
-    if grid.startswith(("level", "mip")):
-        side = 1 << int(grid.removeprefix("level").removeprefix("mip"))
+    if grid.startswith("level"):
+        side = 1 << int(grid.removeprefix("level"))
         return side, side
     return {
         "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
@@ -153,7 +153,7 @@ class BufferSpec:
 
     `grid` is the grid of its pixels: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
     32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
-    "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
+    "levels1" … (so many of these one after another), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
     "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the rendered

@@ -244,7 +244,7 @@ def _with_sums(parts: dict[str, float]) -> dict[str, float]:
     "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
     scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
-    apart = {name: value for name, value in parts.items() if name == "misc" or name in traffic.UPSCALING}
+    apart = {name: value for name, value in parts.items() if name == "misc" or name == "upscaling"}
     gae = {name: value for name, value in parts.items() if name not in scn and name not in apart}
     return gae | {"GAE": math.fsum(gae.values())} | apart | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
 

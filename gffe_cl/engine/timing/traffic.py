@@ -21,12 +21,11 @@ SCN = {
     "shading_flow": "SCN, flow", "convolutions": "SCN, convolutions", "correction": "SCN, kernels",
     "network": "SCN, network", "network copies": "SCN, copies",
 }  # fmt: skip
-UPSCALING = ("upscaling", "sharpening")
 
 
 def group(stage: str) -> str:
     """Return the group of a stage in tables: "GAE", "SCN" or "upscaling"."""
-    return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
+    return "SCN" if stage in SCN else "upscaling" if stage == "upscaling" else "GAE"
 
 
 def part(stage: str, when: str) -> str:

@@ -54,7 +54,6 @@ VARIED = replace(
 )  # fmt: skip
 DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", shading_inputs=True, hidden_parts=False, blocks=False)
 UPSCALED = replace(DEFAULT, upscale=2.0)
-PYRAMID = replace(DEFAULT, hole_filling="push-pull")
 _libraries: dict = {}
 
 
@@ -326,15 +325,6 @@ def test_cuts_that_nobody_tells_of(device, library):
     assert {"shading.warped_previous", "background.color_3", "holes.downsampled_color"} <= compared
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [(W, H), (3, 8999), (1, 1)], ids=["some", "14 levels", "one level"])
-def test_as_many_levels_as_the_image_has(device, library, size):
-    """Push-pull has one for each halving: what is launched hangs on the size."""
-    compared, _ = run_both(device, library, PYRAMID, moving(device, 3, size), size)
-    levels = {name for name in compared if name.startswith("holes.mean_")}
-    assert len(levels) == max(1, (max(size) - 1).bit_length())
-
-
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("corrected", [False, True], ids=["plain", "corrected"])
@@ -347,13 +337,11 @@ def test_upscaled_frames_have_the_same_bits(device, library, tmp_path, corrected
     options, network = UPSCALED, {}
     if corrected:
         options = replace(options, shading_correction=True, scn_model=str(scn_models.movers_model(tmp_path / "m.onnx")))
-        options = replace(options, upscale_sharpening=0.5)
         network["network"] = network_of(device, options.scn_model, [])
     compared, _ = run_both(
         device, library, options, frames, size, (0.5, 0.75), render_size=render_size, exposure=2.5, **network
     )
     assert {"upscaling.history", "upscaling.color", "presentation.motion"} <= compared
-    assert ("sharpening.rendered" in compared) == corrected
 
 
 @pytest.mark.slow

@@ -231,6 +231,7 @@ def test_invalid_values_are_unknown_and_not_bad(device):
         ({"camera_motion": "movers_only"}, "needs motion_invalid"),
         ({"motion_invalid": math.nan}, "motion_invalid must be a finite number"),
         ({"color_size": (0, 5)}, "color_size must be (width, height)"),
+        ({"geometry_size": (5, 0)}, "geometry_size must be (width, height)"),
     ],
 )
 def test_wrong_descriptions_are_refused(wrong, text):

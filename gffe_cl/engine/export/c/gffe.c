@@ -357,9 +357,8 @@ static cl_mem memory_of(const gffe *g, const char *name) {
 
 static void hand_out(const gffe *g, gffe_frame *made) {
     const cl_mem corrected = memory_of(g, "correction.color"), upscaled = memory_of(g, "upscaling.color");
-    const cl_mem sharpened = memory_of(g, "sharpening.color");
     made->gae = memory_of(g, "frame.color");
-    made->color = sharpened ? sharpened : upscaled ? upscaled : corrected ? corrected : made->gae;
+    made->color = upscaled ? upscaled : corrected ? corrected : made->gae;
     made->depth = memory_of(g, "frame.depth");
     made->motion = memory_of(g, "frame.motion");
     made->dynamic = memory_of(g, "frame.dynamic");
@@ -444,11 +443,9 @@ gffe_status gffe_present(gffe *g, gffe_frame *made) { return gffe_present_after(
 
 gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done) {
     gffe_status status = need_frame(g, made);
-    int sharpened;
     if (done) *done = NULL;
     if (!status) status = gffe_wait_for(g, count, wait_for);
     if (status) return status;
-    sharpened = memory_of(g, "sharpening.rendered") != NULL;
     memset(made, 0, sizeof *made);
     made->camera = g->step.cameras[GFFE_FRAME_DISPLAY];
     made->time = g->step.times[0];
@@ -458,7 +455,7 @@ gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const c
     if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY)
         || (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
-    if (GFFE_UPSCALES) made->color = memory_of(g, sharpened ? "sharpening.rendered" : "upscaling.history");
+    if (GFFE_UPSCALES) made->color = memory_of(g, "upscaling.history");
     if (!status) status = gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
     return status ? status : gffe_mark(g, done);
 }

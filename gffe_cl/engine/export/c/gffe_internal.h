@@ -9,7 +9,7 @@
 extern "C" {
 #endif
 
-/* Grids of buffers and launches; a level or a number of levels goes with the last four. */
+/* Grids of buffers and launches; a level or a number of levels goes with the last three. */
 enum {
     GFFE_ONCE,
     GFFE_SOURCE,
@@ -26,7 +26,6 @@ enum {
     GFFE_WALK,
     GFFE_LIST_SOURCE,
     GFFE_LIST_TARGET,
-    GFFE_MIP,
     GFFE_LEVEL,
     GFFE_FLAT_LEVEL,
     GFFE_LEVELS

@@ -48,7 +48,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
         return;
     }
-    if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
+    if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
     if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
     if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
@@ -69,18 +69,9 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }
 
-/* Returns how many halvings leave one texel of the target; at least one. */
-static int halvings(const gffe_step *step) {
-    const int longer = step->target[0] > step->target[1] ? step->target[0] : step->target[1];
-    int n = 1;
-    while (longer > 1 << n) ++n;
-    return n;
-}
-
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     size_t size[2];
     gffe_grid_size(step, buffer->grid, buffer->level, size);
-    if (buffer->grid == GFFE_MIP && buffer->level > halvings(step)) return 0;
     return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
