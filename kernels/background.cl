@@ -4,13 +4,13 @@
    collected. What is SHOWN is not stored: it is that frame's own pixel. A single level remembers what movers hide, two
    or more, as in the paper, what static surfaces hide, too. Stored positions are two 16-bit offsets from the texel's
    center, x in the lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5.
-   Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold
-   nothing to do RUN at once. */
+   Fragments of B'_l that only meet the surface that they are of are skipped LANES at once. */
 
 #include "frame.h"
 #include "simd.h"
 #include "nearest.h"
 #include "blocks.h"
+#include "lists.h"
 #include "rgb9e5.h"
 #include "color_code.h"
 
@@ -19,14 +19,13 @@
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
-/* Pixel positions from the centers of texels: LANES of them, packed and back. */
-INLINE Ints pack_px(const Floats offset_x, const Floats offset_y, const int level) {
-    const float units = PX_UNITS / (float)(1 << level);
-    const Floats x = clamp(rint(offset_x * units), -PX_UNITS, PX_UNITS - 1.0f);
-    const Floats y = clamp(rint(offset_y * units), -PX_UNITS, PX_UNITS - 1.0f);
-    return (to_ints(x) & 0xFFFF) | (to_ints(y) << 16);
+/* A pixel position from the center of a texel, packed, ... */
+INLINE int pack_px(const float2 offset, const int level) {
+    const float2 units = clamp(rint(offset * (PX_UNITS / (float)(1 << level))), -PX_UNITS, PX_UNITS - 1.0f);
+    return ((int)units.x & 0xFFFF) | ((int)units.y << 16);
 }
 
+/* ... and LANES of them unpacked. */
 INLINE Floats unpack_x(const Ints packed, const int level) {
     return to_floats((packed << 16) >> 16) * ((float)(1 << level) / PX_UNITS);
 }
@@ -322,111 +321,34 @@ typedef struct {
     int level, width;
 } Level;
 
-/* Whether no fragment was offered to any of LANES texels. */
-INLINE bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
-#if LANES == 1
-    return winner_of(keys, winners, first) == NOBODY;
-#elif defined(INT64_ATOMICS)
-    (void)winners;
-    const ulong8 key = vload8(0, keys + first);
-    const ulong4 half_of_them = key.lo & key.hi;
-    return (half_of_them.x & half_of_them.y & half_of_them.z & half_of_them.w) == (ulong)(-1);
-#else
-    (void)keys;
-    return ALL(vload8(0, winners + first) == NOBODY);
-#endif
+/* Puts the winner of the texel at (x, y) into it, a fragment of an old level, and empties its keys. */
+INLINE void settle(const int x, const int y, __global Key *keys, __global uint *winners, const Texels old,
+                   const Reprojection to_current, const Level level) {
+    const int texel = y * level.width + x;
+    const uint winner = winner_of(keys, winners, texel);
+    level.state[texel] = winner == NOBODY ? EMPTY : REMEMBERED;
+    if (winner == NOBODY) return;
+    const bool shown = !(winner & FROM_MEMORY); /* else stored */
+    const int from = (int)(winner & ~FROM_MEMORY);
+    const float2 px = px_of(old, from, from % old.width, from / old.width, shown);
+    const float3 now = reproject(px, depth_of(old, from, shown), to_current);
+    level.color[texel] = shown ? pack_color(load_color(old.frame_color, from)) : old.color[from];
+    level.depth[texel] = now.z;
+    level.px[texel] = pack_px(now.xy - pixel_center(x, y) * (float)(1 << level.level), level.level);
+    forget(keys, winners, texel);
 }
 
-/* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and
-   empties their keys. Of a level that is `begun` what is not EMPTY stays; of others nothing. */
-INLINE void settle(const int first_x, const int texel_y, const int count, const bool begun, __global Key *keys,
-                   __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
-    const int first = texel_y * level.width + first_x;
-    if (begun && count == LANES && !ANY(to_ints(load_bytes(0, level.state + first)) == EMPTY)) return;
-    if (count == LANES && nobody_came(keys, winners, first)) {
-        if (!begun) store_bytes((Bytes)(EMPTY), 0, level.state + first);
-        return;
-    }
-
-    /* Each texel's winner, and what is stored of it: a REMEMBERED fragment, or a pixel that was SHOWN. */
-    uint winner[LANES];
-    int packed[LANES], color[LANES], is_won[LANES], is_shown[LANES], any_shown = 0;
-    float z[LANES], r[LANES], g[LANES], b[LANES];
-    for (int k = 0; k < count; ++k) {  /* loads before stores: those of lanes would wait for them */
-        const bool open = !begun || level.state[first + k] == EMPTY;
-        winner[k] = open ? winner_of(keys, winners, first + k) : NOBODY;
-        is_won[k] = winner[k] != NOBODY;
-        if (!is_won[k]) continue;
-        is_shown[k] = !(winner[k] & FROM_MEMORY);
-        winner[k] &= ~FROM_MEMORY;
-        if (is_shown[k]) {
-            const float3 shown = load_color(old.frame_color, winner[k]);
-            r[k] = shown.x;
-            g[k] = shown.y;
-            b[k] = shown.z;
-            z[k] = old.frame_depth[winner[k]];
-            packed[k] = 0;
-            any_shown = 1;
-        } else {
-            color[k] = (int)old.color[winner[k]];
-            z[k] = old.depth[winner[k]];
-            packed[k] = old.px[winner[k]];
-        }
-    }
-
-    /* Where the winners lie now, relative to their texels. */
-    Ints old_x, old_y;
-    wide_column_and_row(to_ints(load_uints(0, winner)), old.width, &old_x, &old_y);
-    const float old_side = (float)(1 << old.level), side = (float)(1 << level.level);
-    const Ints offset = load_ints(0, packed);
-    const Floats px_x = (to_floats(old_x) + 0.5f) * old_side + unpack_x(offset, old.level);
-    const Floats px_y = (to_floats(old_y) + 0.5f) * old_side + unpack_y(offset, old.level);
-    const Wide3 now = wide_reproject(px_x, px_y, load_floats(0, z), to_current);
-    store_ints(pack_px(now.x - row_centers(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0,
-               packed);
-    store_floats(now.z, 0, z);
-
-    /* Colors that were shown are not packed yet. */
-    if (any_shown) {
-        const Ints shown = pack_colors(load_floats(0, r), load_floats(0, g), load_floats(0, b));
-        store_ints(load_ints(0, is_shown) != 0 ? shown : load_ints(0, color), 0, color);
-    }
-
-    /* Store those that won, and empty all keys. */
-    for (int k = 0; k < count; ++k) {
-        const int texel = first + k;
-        const int before = begun ? level.state[texel] : EMPTY;
-        level.state[texel] = (uchar)(is_won[k] ? REMEMBERED : before);
-        if (!is_won[k]) continue;
-        forget(keys, winners, texel);
-        level.color[texel] = (uint)color[k];
-        level.depth[texel] = z[k];
-        level.px[texel] = packed[k];
-    }
-}
-
-/* RUN texels of a level from column x on. Not to `collect`: visible surfaces stay out. */
-INLINE void settle_run(const int x, const int y, const int collect, __global Key *keys, __global uint *winners,
-                       const Texels old, const Reprojection to_current, const Level level) {
-    const int width = level.width;
-    if (collect && x + RUN <= width && !run_has(level.state + y * width + x, EMPTY)) return;
-    for (int k = 0; k < min(RUN, width - x); k += LANES)
-        settle(x + k, y, min(LANES, width - x - k), collect != 0, keys, winners, old, to_current, level);
-}
-
-/* Completes a level. */
-SCAN __kernel void settle_level(__constant Frame *restrict frame, const int level, __global Key *fill_keys,
-                                __global uint *fill_winners, __global const half *frame_color,
-                                __global const float *frame_depth, __global const uint *old_color,
-                                __global const float *old_depth, __global const int *old_px,
-                                __global const uchar *old_state, __global uint *level_color,
-                                __global float *level_depth, __global int *level_px, __global uchar *level_state) {
+/* Completes a level: its EMPTY texels. Not to `collect`, after a reset: all are EMPTY. */
+SCAN_FLAT __kernel void settle_level(__constant Frame *restrict frame, const int level, __global Key *fill_keys,
+                                     __global uint *fill_winners, __global const half *frame_color,
+                                     __global const float *frame_depth, __global const uint *old_color,
+                                     __global const float *old_depth, __global const int *old_px,
+                                     __global const uchar *old_state, __global uint *level_color,
+                                     __global float *level_depth, __global int *level_px, __global uchar *level_state) {
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint count;
     const int level_width = level_side(frame->source_width, level),
-              level_height = level_side(frame->source_height, level);
-    const int collect = frame->has_previous;
-    const Reprojection to_current = frame->from_previous;
-    const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
-    if (texel_x >= level_width || texel_y >= level_height) return;
+              level_height = level_side(frame->source_height, level), texels = level_width * level_height;
     const Texels old = {.color = old_color,
                         .frame_color = frame_color,
                         .depth = old_depth,
@@ -441,7 +363,16 @@ SCAN __kernel void settle_level(__constant Frame *restrict frame, const int leve
                        .state = level_state,
                        .level = level,
                        .width = level_width};
-    settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
+    if (!frame->has_previous) {
+        const int at = get_global_id(0) * SCAN_BYTES;
+        for (int texel = at; texel < min(at + SCAN_BYTES, texels); ++texel) level_state[texel] = EMPTY;
+        return;
+    }
+    const int first = scan_for(EMPTY, level_state, texels, found, &count);
+    for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
+        const int texel = first + found[i];
+        settle(texel % level_width, texel / level_width, fill_keys, fill_winners, old, frame->from_previous, own);
+    }
 }
 
 /* Completes a level, and begins the next one with the fragments pushed down. */
@@ -455,7 +386,6 @@ SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int l
                                    __global int *next_px, __global uchar *next_state) {
     const int level_width = level_side(frame->source_width, level),
               level_height = level_side(frame->source_height, level);
-    const int collect = frame->has_previous;
     const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
@@ -473,16 +403,18 @@ SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int l
                        .state = level_state,
                        .level = level,
                        .width = level_width};
-    settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
+    for (int x = texel_x; x < min(texel_x + RUN, level_width); ++x)
+        if (!frame->has_previous || level_state[texel_y * level_width + x] == EMPTY)
+            settle(x, texel_y, fill_keys, fill_winners, old, to_current, own);
     if ((texel_x | texel_y) & 1) return;
-    const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
+    const int next_width = (level_width + 1) / 2, end_x = min((texel_x + RUN + 1) / 2, next_width);
     const Level next = {.color = next_color,
                         .depth = next_depth,
                         .px = next_px,
                         .state = next_state,
                         .level = level + 1,
                         .width = next_width};
-    settle(next_x, texel_y / 2, min(LANES, next_width - next_x), false, push_keys, push_winners, old, to_current, next);
+    for (int x = texel_x / 2; x < end_x; ++x) settle(x, texel_y / 2, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */
@@ -526,13 +458,14 @@ INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int 
     }
 }
 
-/* Offers the remembered fragments of all levels, RUN texels per work-item; texels between two levels are EMPTY. */
-SCAN __kernel void project_levels(__constant Frame *restrict frame, const int pass, __global const float *levels_depth,
-                                  __global const int *levels_px, __global const uchar *levels_state,
-                                  __global const uchar *disoccluded, __global const uchar *mixed,
-                                  __global const float *depth, __global Key *keys, __global uint *winners) {
-    const int source_width = frame->source_width;
-    const int texels = frame->level_starts.w;
+/* Offers the remembered fragments of all levels; texels between two levels are EMPTY. */
+SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const int pass,
+                                       __global const float *levels_depth, __global const int *levels_px,
+                                       __global const uchar *levels_state, __global const uchar *disoccluded,
+                                       __global const uchar *mixed, __global const float *depth, __global Key *keys,
+                                       __global uint *winners) {
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint count;
     const int4 starts = frame->level_starts;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Uncovered to = {.width = target_width,
@@ -544,37 +477,23 @@ SCAN __kernel void project_levels(__constant Frame *restrict frame, const int pa
                           .keys = keys,
                           .winners = winners};
     const float2 zoom = frame->zoom;
-    const Reprojection to_target = frame->to_target;
-    const int first = get_global_id(0) * RUN;
-    if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
-    const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
-    const float texel_size = (float)(1 << level);
-    for (int texel = first; texel < first + RUN; texel += LANES) {
-        const Ints remembered = to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED;
-        if (!ANY(remembered)) continue;
-        Ints texel_x, texel_y;
-        wide_column_and_row(LANE_NUMBERS + (texel - start), width, &texel_x, &texel_y);
-        const Ints packed = load_ints(0, levels_px + texel);
-        const Floats px_x = (to_floats(texel_x) + 0.5f) * texel_size + unpack_x(packed, level);
-        const Floats px_y = (to_floats(texel_y) + 0.5f) * texel_size + unpack_y(packed, level);
-        const Floats z_source = load_floats(0, levels_depth + texel);
-        const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
-        const Ints may_reach = remembered & (there.z > 0.0f) & (there.x > -REACH) & (there.y > -REACH)
-                               & (there.x < (float)target_width + REACH) & (there.y < (float)target_height + REACH);
-        if (!ANY(may_reach)) continue;
-        const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z);
-        const Floats side = FOOTPRINT_HALF * texel_size * nearer;
-        const Floats half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
-        int reaches[LANES], x0[LANES], y0[LANES], x1[LANES], y1[LANES];
-        float z[LANES];
-        store_ints(may_reach, 0, reaches);
-        store_floats(there.z, 0, z);
-        store_ints(max(to_ints(ceil(there.x - half_x - 0.5f)), 0), 0, x0);
-        store_ints(max(to_ints(ceil(there.y - half_y - 0.5f)), 0), 0, y0);
-        store_ints(min(to_ints(floor(there.x + half_x - 0.5f)), target_width - 1), 0, x1);
-        store_ints(min(to_ints(floor(there.y + half_y - 0.5f)), target_height - 1), 0, y1);
-        for (int k = 0; k < LANES; ++k)
-            if (reaches[k]) offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), to);
+    const int first = scan_for(REMEMBERED, levels_state, starts.w, found, &count);
+    for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
+        const int texel = first + found[i], level = level_of(texel, starts), in_level = texel - start_of(level, starts);
+        const int width = level_side(frame->source_width, level);
+        const Texels texels = {.px = levels_px, .level = level, .width = width};
+        const float z_source = levels_depth[texel];
+        const float2 px = px_of(texels, texel, in_level % width, in_level / width, false);
+        const float3 there = reproject(px, z_source, frame->to_target);
+        if (!(there.z > 0.0f && there.x > -REACH && there.y > -REACH && there.x < (float)target_width + REACH
+              && there.y < (float)target_height + REACH))
+            continue;
+        const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
+        const float side = FOOTPRINT_HALF * (float)(1 << level) * nearer;
+        const float half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
+        offer_to_pixels(max((int)ceil(there.x - half_x - 0.5f), 0), max((int)ceil(there.y - half_y - 0.5f), 0),
+                        min((int)floor(there.x + half_x - 0.5f), target_width - 1),
+                        min((int)floor(there.y + half_y - 0.5f), target_height - 1), there.z, (uint)texel, to);
     }
 }
 
@@ -658,28 +577,23 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
     return true;
 }
 
-/* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame
-   before still showed the surface its color comes from there, at full resolution. Of a makeshift and what is
-   remembered, two estimates of one surface, the mean is shown. */
-SCAN __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
+/* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where the frame before still
+   showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two
+   estimates of one surface, the mean is shown. */
+WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
                                     __global const float *depth_prev, __global const uchar *state_prev,
                                     __global const half *frame_color, __global const float *frame_depth,
                                     __global const uint *levels_color, __global const float *levels_depth,
                                     __global const int *levels_px, __global const uchar *levels_state,
-                                    __global const uchar *block_class, __global const uchar *disoccluded,
-                                    __global const uchar *mixed, __global const Key *keys, __global const uint *winners,
+                                    __global const uint *open, __global const Key *keys, __global const uint *winners,
                                     __global half *color, __global float *depth, __global float2 *motion,
                                     __global uchar *filled_by) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
-    if (first_x >= target_width || dst_y >= target_height) return;
-    if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
-    const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
+    const int target_width = frame->target_width;
     const Before before = {.color = color_prev, .depth = depth_prev, .state = state_prev};
-    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
-        const int dst = dst_y * target_width + dst_x;
-        if (!(disoccluded[dst] | mixed[dst])) continue;
+    for (uint i = get_global_id(0); i < open[0]; i += get_global_size(0)) {
+        const uint entry = LISTED(open, i);
+        const bool is_hole = entry < MIXED_FLAG;
+        const int dst = (int)(entry & ~MIXED_FLAG), dst_x = dst % target_width, dst_y = dst / target_width;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
         if (IS_OF_MOVER(filled_by[dst])) continue; /* its key may be that of a part that reappears */
@@ -708,10 +622,10 @@ SCAN __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
         if (!frame->has_previous || !shown_before(center, nearest_z, frame, before, &remembered))
             remembered = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner, side,
                                       center, frame, texels);
-        if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
+        if (!is_hole) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
         store_code(remembered, color, dst, frame->code_offset);
         filled_by[dst] = (uchar)(1 + level);
-        if (!disoccluded[dst]) continue;
+        if (!is_hole) continue;
         depth[dst] = nearest_z;
         motion[dst] = px_source.xy - center;
     }

@@ -3,8 +3,7 @@
    warp brought nothing from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface
    there that is not nearer, the mover has no part there, and the hole is left to the background; so it is where the
    frame before showed something farther where that part was then. A mover that enters through the border of the image
-   has parts that no frame has shown: it is continued to that border. RUN pixels without a hole are skipped at once, and
-   so are RUN x LANES without a dynamic pixel within reach.
+   has parts that no frame has shown: it is continued to that border.
 
    A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it
    comes out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the
@@ -17,6 +16,7 @@
 #include "directional_search.h"
 #include "blocks.h"
 #include "flow.h"
+#include "lists.h"
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
@@ -48,19 +48,6 @@ INLINE float2 moves_along(const int x, const int y, const int dst_x, const int d
            + (float2)(divide((float)(dst_x - x), frame->zoom.x), divide((float)(dst_y - y), frame->zoom.y));
 }
 
-/* The first of `steps` pixels, `offset` apart from each other, that is dynamic, counted from 1; 0: none. */
-INLINE int first_dynamic(const int dst, const int offset, const int steps, __global const uchar *is_dynamic) {
-    int t = 1;
-    for (; t + AT_ONCE <= steps; t += AT_ONCE) {
-        uchar any = 0;
-        for (int k = 0; k < AT_ONCE; ++k) any |= is_dynamic[dst + (t + k) * offset];
-        if (any) break;
-    }
-    for (; t <= steps; ++t)
-        if (is_dynamic[dst + t * offset]) return t;
-    return 0;
-}
-
 /* Whether the frame before showed something farther than the mover at (x, y) where its part at px_source of the
    rendered image, at depth z_source, was then: the mover has no part there. */
 INLINE bool was_seen_through(const int x, const int y, const float2 px_source, const float z_source,
@@ -79,13 +66,14 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
 INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
-    const int t =
-        first_dynamic(dst, offset, steps_within(reach_of(frame), d, dst_x, dst_y, width, height), f.is_dynamic);
+    const int steps = steps_within(reach_of(frame), d, dst_x, dst_y, width, height);
+    const int t = first_other(dst, offset, steps, f.is_dynamic, 0);
     if (t == 0) return 0;
     const float z = f.depth[dst + t * offset];
-    for (int k = 1; k < t; ++k) {
-        const int between = dst + k * offset;
-        if (!f.disoccluded[between] && !(f.depth[between] < z * STANDS_BEFORE)) return 0;
+    for (int first = 1; first < t; first += AT_ONCE) {
+        uint shown = others_from(first, t - 1, dst, offset, f.disoccluded, 1);
+        for (; shown; shown &= shown - 1)
+            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * STANDS_BEFORE)) return 0;
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
@@ -96,22 +84,45 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     return was_seen_through(x, y, px_source, z_source, frame, f) ? 0 : t;
 }
 
-/* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by,
-   or else the nearest that is on both sides; -1: none. */
-INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach) {
+/* A direction from a hole: steps to the mover there, 0 if there is none, and what it gives to the hole's mean. */
+typedef struct {
+    int steps;
+    float z, weight, code_x, code_y, code_z, px_x, px_y;
+} Side;
+
+INLINE Side look(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
+    Side side = {0, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    side.steps = steps_to_mover(dst_x, dst_y, d, frame, f);
+    if (side.steps == 0) return side;
+    const int x = dst_x + side.steps * d.x, y = dst_y + side.steps * d.y, there = y * frame->target_width + x;
+    const float3 code = load_code(f.color, there, frame->code_offset);
+    const float2 px = moves_along(x, y, dst_x, dst_y, frame, f);
+    side.z = f.depth[there];
+    side.weight = divide(1.0f, (float)side.steps * step_length(d));
+    side.code_x = code.x;
+    side.code_y = code.y;
+    side.code_z = code.z;
+    side.px_x = px.x;
+    side.px_y = px.y;
+    return side;
+}
+
+/* The direction in which the mover lies that the hole belongs to: one close by, or else the nearest that is on both
+   sides; -1: none. */
+INLINE int owner(__local const Side *sides, const int reach) {
     int nearest = -1, between = -1;
     float least = INFINITY, least_between = INFINITY;
-#pragma unroll
     for (int k = 0; k < DIRECTIONS; ++k) {
-        const float step = step_length(direction(k)), distance = (float)AT(t, k) * step;
-        const int other = (k + 4) & 7;
-        if (AT(t, k) == 0) continue;
+        const int steps = sides[k].steps, opposite = sides[(k + 4) & 7].steps;
+        const float step = step_length(direction(k)), distance = (float)steps * step;
+        const float z = sides[k].z, z_opposite = sides[(k + 4) & 7].z;
+        if (steps == 0) continue;
         if (distance < least) {
             least = distance;
             nearest = k;
         }
-        if (AT(t, other) && (float)(AT(t, k) + AT(t, other)) * step <= (float)reach && distance < least_between
-            && fabs(AT(z, k) - AT(z, other)) <= ONE_OBJECT * fmin(AT(z, k), AT(z, other))) {
+        if (opposite && (float)(steps + opposite) * step <= (float)reach && distance < least_between
+            && fabs(z - z_opposite) <= ONE_OBJECT * fmin(z, z_opposite)) {
             least_between = distance;
             between = k;
         }
@@ -120,34 +131,21 @@ INLINE int owner(const DirectionInts t, const DirectionFloats z, const int reach
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
-    const int width = frame->target_width, dst = dst_y * width + dst_x;
-    DirectionInts t;
-    DirectionFloats z;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        const int2 d = direction(k);
-        const int steps = steps_to_mover(dst_x, dst_y, d, frame, f);
-        const float z_mover = steps ? f.depth[dst + steps * (d.y * width + d.x)] : 0.0f;
-        SET(t, k, steps);
-        SET(z, k, z_mover);
-    }
-    const int of = owner(t, z, reach_of(frame));
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const Side *sides, __constant Frame *frame,
+                             const Images f) {
+    const int of = owner(sides, reach_of(frame)), dst = dst_y * frame->target_width + dst_x;
     if (of < 0) return;
-    const float z_owner = AT(z, of);
+    const float z_owner = sides[of].z;
     float3 sum = (float3)(0.0f);
     float2 px_sum = (float2)(0.0f);
     float z_sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < DIRECTIONS; ++k) {
-        const int steps = AT(t, k);
-        const float z_mover = AT(z, k);
-        if (steps == 0 || !(fabs(z_mover - z_owner) <= ONE_OBJECT * z_owner)) continue;
-        const int2 d = direction(k);
-        const int x = dst_x + steps * d.x, y = dst_y + steps * d.y;
-        const float weight = divide(1.0f, (float)steps * step_length(d));
-        sum += weight * load_code(f.color, y * width + x, frame->code_offset);
-        px_sum += weight * moves_along(x, y, dst_x, dst_y, frame, f);
-        z_sum += weight * z_mover;
-        weight_sum += weight;
+        const Side s = sides[k];
+        if (s.steps == 0 || !(fabs(s.z - z_owner) <= ONE_OBJECT * z_owner)) continue;
+        sum += s.weight * (float3)(s.code_x, s.code_y, s.code_z);
+        px_sum += s.weight * (float2)(s.px_x, s.px_y);
+        z_sum += s.weight * s.z;
+        weight_sum += s.weight;
     }
     store_code(mean_of(sum, weight_sum), f.color, dst, frame->code_offset);
     f.depth[dst] = divide(z_sum, weight_sum);
@@ -158,44 +156,35 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __constant Frame 
 INLINE int border_reach(__constant Frame *frame) { return frame->target_width / BORDER_SHARE; }
 
 /* Fills a hole at the border with the mover that follows straight inward, if that one came from outside of the rendered
-   image there. */
-INLINE void fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
+   image there. Returns whether it did. */
+INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
     const int from_x = min(dst_x, width - 1 - dst_x), from_y = min(dst_y, height - 1 - dst_y);
     const int2 d = from_x <= from_y ? (int2)(2 * dst_x < width ? 1 : -1, 0) : (int2)(0, 2 * dst_y < height ? 1 : -1);
     const int offset = d.y * width + d.x, reach = border_reach(frame);
     const int most = steps_within(reach, d, dst_x, dst_y, width, height);
-    if (min(from_x, from_y) >= reach) return;
-    int t = 1;
-    while (t <= most && f.disoccluded[dst + t * offset]) ++t;
-    if (t > most || !f.is_dynamic[dst + t * offset]) return;
+    if (!frame->entering || min(from_x, from_y) >= reach) return false;
+    const int t = first_other(dst, offset, most, f.disoccluded, 1);
+    if (t == 0 || !f.is_dynamic[dst + t * offset]) return false;
     const float2 px_source = moves_along(dst_x + t * d.x, dst_y + t * d.y, dst_x, dst_y, frame, f);
     const float along = d.x ? px_source.x : px_source.y;
     const float end = (float)(d.x ? frame->source_width : frame->source_height);
-    if (d.x + d.y > 0 ? !(along < 0.0f) : !(along >= end)) return;
+    if (d.x + d.y > 0 ? !(along < 0.0f) : !(along >= end)) return false;
     store_code(load_code(f.color, dst + t * offset, frame->code_offset), f.color, dst, frame->code_offset);
     f.depth[dst] = f.depth[dst + t * offset];
     f.motion[dst] = px_source - pixel_center(dst_x, dst_y);
     f.filled_by[dst] = BY_HIDDEN_PART;
-}
-
-/* Whether nothing within `reach` of RUN pixels in the rows from first_y to last_y is dynamic. */
-INLINE bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width,
-                          const int height, __global const uchar *is_dynamic) {
-    if (RUN == 1 || width < RUN) return false; /* pixel by pixel that takes longer than to look in eight directions */
-    const int x0 = max(first_x - reach, 0), x1 = min(first_x + RUN + reach, width);
-    for (int y = max(first_y - reach, 0); y <= min(last_y + reach, height - 1); ++y)
-        for (int x = x0; x < x1; x += RUN)
-            if (!run_is_zero(is_dynamic + y * width + min(x, width - RUN))) return false;
     return true;
 }
 
-/* RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global const float *source_depth,
+/* The open pixels that are holes, a team of work-items for each. Empties the lists of parts that reappear. */
+WALK __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global const float *source_depth,
                                      __global const float2 *source_motion, __global const float *depth_prev,
-                                     __global const uchar *block_class, __global const uchar *disoccluded,
+                                     __global const uint *open, __global const uchar *disoccluded,
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
-                                     __global float2 *motion, __global uchar *filled_by) {
+                                     __global float2 *motion, __global uchar *filled_by, __global uint *edges,
+                                     __global uint *offered) {
+    __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.source_depth = source_depth,
                            .depth_prev = depth_prev,
                            .source_motion = source_motion,
@@ -205,28 +194,21 @@ SCAN __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global 
                            .depth = depth,
                            .motion = motion,
                            .filled_by = filled_by};
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
-    if (first_x >= target_width || (int)get_global_id(1) * LANES >= target_height) return;
-    const int near = border_reach(frame);
-    bool looked = false, moves = false;
-    for (int dst_y = (int)get_global_id(1) * LANES; dst_y < end_y; ++dst_y) {
-        if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
-        const int first = dst_y * target_width + first_x;
-        if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;
-        if (!looked)
-            moves = !nothing_moves(first_x, dst_y, end_y - 1, reach_of(frame), target_width, target_height, is_dynamic);
-        looked = true;
-        const bool at_border =
-            frame->entering
-            && (first_x < near || first_x + RUN > target_width - near || dst_y < near || dst_y >= target_height - near);
-        const int end_x = min(first_x + RUN, target_width);
-        for (int dst_x = first_x; at_border && dst_x < end_x; ++dst_x)
-            if (disoccluded[dst_y * target_width + dst_x]) fill_entering(dst_x, dst_y, frame, images);
-        for (int dst_x = first_x; moves && dst_x < end_x; ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            if (disoccluded[dst] && filled_by[dst] != BY_HIDDEN_PART) fill_hidden_part(dst_x, dst_y, frame, images);
-        }
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
+    if (get_global_id(0) == 0) edges[0] = offered[0] = 0;
+    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
+        /* Team by team look into all directions ... */
+        const uint hole = entry_of(open, first + team);
+        for (int k = item % TEAM; hole < MIXED_FLAG && k < DIRECTIONS; k += TEAM)
+            sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
+        barrier(CLK_LOCAL_MEM_FENCE);
+
+        /* ... and one work-item fills a hole. */
+        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        const int dst_x = (int)own % width, dst_y = (int)own / width;
+        if (own < MIXED_FLAG && !fill_entering(dst_x, dst_y, frame, images))
+            fill_hidden_part(dst_x, dst_y, sides[item], frame, images);
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
 
@@ -249,6 +231,7 @@ typedef struct {
     __global Key *keys;
     __global uint *winners;
     __global uchar *filled_by;
+    __global uint *offered;
 } Parts;
 
 INLINE int2 side(const int k) { return k & 1 ? (int2)(0, 2 - k) : (int2)(1 - k, 0); }
@@ -318,43 +301,61 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
                 if (!holds(width, height, place) || !is_hidden((int)place.y * width + (int)place.x, z, f)
                     || !mover_was_shown(place + mv, met, frame, f))
                     continue;
-                offer(pass, f.keys, f.winners, dst, there.z, (uint)src);
+                if (!offer(pass, f.keys, f.winners, dst, there.z, (uint)src)) continue;
                 f.filled_by[dst] = BY_REAPPEARING;
+                append((uint)dst, f.offered);
             }
     }
 }
 
-/* Whether nothing moves in RUN x LANES pixels from (x, y) on, which are multiples of these. */
-INLINE bool tile_is_static(const int x, const int y, __constant Frame *frame, __global const int *last_stir) {
-    const int width = frame->source_width, last_x = min(x + RUN, width) - 1;
-    if (RUN == 1) return false; /* a pixel's mask says so */
-    for (int dy = 0; dy < min(LANES, frame->source_height - y); dy += BLOCK_HEIGHT)
-        for (int block = block_of(x, y + dy, width); block <= block_of(last_x, y + dy, width); ++block)
-            if (last_stir[block] == frame->number) return false;
-    return true;
+/* Whether something static and nearer hides what is beside a mover's pixel, on side k. */
+INLINE bool is_hidden_beside(const int src, const int k, __constant Frame *frame, const Parts f) {
+    const int width = frame->source_width, src_x = src % width, src_y = src / width;
+    const int2 d = side(k);
+    return !(f.links[src] >> k & 1) && inside(src_x + d.x, src_y + d.y, width, frame->source_height)
+           && is_hidden(src + d.y * width + d.x, f.depth[src], f);
 }
 
-/* Whether RUN pixels hold a mover's edge. */
-INLINE bool run_has_edge(__global const uchar *dynamic_mask, __global const uchar *links) {
-#if RUN == 16
-    return any((vload16(0, dynamic_mask) != (uchar16)(0)) & (vload16(0, links) != (uchar16)(ALL_LINKS)));
-#else
-    return *dynamic_mask != 0 && *links != ALL_LINKS;
-#endif
+/* Lists the pixels at the edges of movers that something hides, and empties the keys that will be offered to. */
+SCAN_FLAT __kernel void list_edges(__constant Frame *restrict frame, __global const float *depth,
+                                   __global const float2 *motion, __global const uchar *dynamic_mask,
+                                   __global const uchar *links, __global const float *met_depth,
+                                   __global const float *target_position, __global const float *shown_depth,
+                                   __global Key *keys, __global uint *winners, __global uint *edges) {
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint count;
+    const int width = frame->source_width;
+    const Parts parts = {.depth = depth,
+                         .met_depth = met_depth,
+                         .target_position = target_position,
+                         .motion = motion,
+                         .dynamic_mask = dynamic_mask,
+                         .links = links,
+                         .shown_depth = shown_depth,
+                         .keys = keys,
+                         .winners = winners};
+    if (!frame->has_previous) return;
+    const int first = scan_for(DYNAMIC, dynamic_mask, width * frame->source_height, found, &count);
+    for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
+        const int src = first + found[i];
+        bool is_edge = false;
+        for (int k = 0; links[src] != ALL_LINKS && k < SIDES; ++k) {
+            if (!is_hidden_beside(src, k, frame, parts)) continue;
+            is_edge = true;
+            offer_side(src % width, src / width, k, EMPTY_KEYS, frame, parts);
+        }
+        if (is_edge) append((uint)src, edges);
+    }
 }
 
-/* Offers the parts of movers that reappear, RUN x LANES pixels of the rendered frame per work-item. Nothing changes but
-   keys and labels. */
-SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
+/* Offers the parts of movers that reappear at the listed edges, one side per work-item. Lists where. */
+WALK __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
-                                     __global const uchar *links, __global const int *last_stir,
-                                     __global const float *met_depth, __global const float *target_position,
-                                     __global const float *depth_prev, __global const float *shown_depth,
-                                     __global Key *keys, __global uint *winners, __global uchar *filled_by) {
-    const int width = frame->source_width, height = frame->source_height;
-    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
-    if (first_x >= width || first_y >= height || !frame->has_previous) return;
-    if (tile_is_static(first_x, first_y, frame, last_stir)) return;
+                                     __global const uchar *links, __global const float *met_depth,
+                                     __global const float *target_position, __global const float *depth_prev,
+                                     __global const float *shown_depth, __global Key *keys, __global uint *winners,
+                                     __global uchar *filled_by, __global const uint *edges, __global uint *offered) {
+    const int width = frame->source_width;
     const Parts parts = {.depth = depth,
                          .depth_prev = depth_prev,
                          .met_depth = met_depth,
@@ -365,23 +366,11 @@ SCAN __kernel void offer_reappearing(__constant Frame *restrict frame, const int
                          .shown_depth = shown_depth,
                          .keys = keys,
                          .winners = winners,
-                         .filled_by = filled_by};
-    const int rows = LANES == 1 ? 1 : min(LANES, height - first_y); /* GPUs' compilers unroll that */
-    for (int row = 0; row < rows; ++row) {
-        const int src_y = first_y + row, first = src_y * width + first_x;
-        if (first_x + RUN <= width
-            && (run_is_zero(dynamic_mask + first) || !run_has_edge(dynamic_mask + first, links + first)))
-            continue;
-        for (int src_x = first_x; src_x < min(first_x + RUN, width); ++src_x) {
-            const int src = src_y * width + src_x;
-            if (dynamic_mask[src] != DYNAMIC || links[src] == ALL_LINKS) continue;
-            for (int k = 0; k < SIDES; ++k) {
-                const int2 d = side(k);
-                if ((links[src] >> k & 1) || !inside(src_x + d.x, src_y + d.y, width, height)) continue;
-                if (is_hidden(src + d.y * width + d.x, depth[src], parts))
-                    offer_side(src_x, src_y, k, pass, frame, parts);
-            }
-        }
+                         .filled_by = filled_by,
+                         .offered = offered};
+    for (uint i = get_global_id(0); i < SIDES * edges[0]; i += get_global_size(0)) {
+        const int src = (int)LISTED(edges, i / SIDES), k = (int)i % SIDES;
+        if (is_hidden_beside(src, k, frame, parts)) offer_side(src % width, src / width, k, pass, frame, parts);
     }
 }
 
@@ -402,33 +391,25 @@ INLINE float3 code_before(const float2 px_prev, const float met, __constant Fram
     return mean_of(sum, weight_sum);
 }
 
-/* Fills the pixels that parts were offered to, RUN x LANES per work-item. */
-SCAN __kernel void fill_reappearing(__constant Frame *restrict frame, __global const float2 *source_motion,
+/* Fills the pixels that parts were offered to. */
+WALK __kernel void fill_reappearing(__constant Frame *restrict frame, __global const float2 *source_motion,
                                     __global const float *met_depth, __global const float *target_position,
                                     __global const float *depth_prev, __global const half *color_prev,
                                     __global const Key *keys, __global const uint *winners, __global half *color,
                                     __global float *depth, __global float2 *motion, __global uchar *is_dynamic,
-                                    __global const uchar *filled_by) {
+                                    __global const uint *offered) {
     const int source_width = frame->source_width, target_width = frame->target_width;
-    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
-    if (first_x >= target_width || first_y >= frame->target_height) return;
     const Parts parts = {.depth_prev = depth_prev, .color_prev = color_prev};
     const int plane = source_width * frame->source_height;
-    const int rows = LANES == 1 ? 1 : min(LANES, frame->target_height - first_y);
-    for (int row = 0; row < rows; ++row) {
-        const int dst_y = first_y + row, first = dst_y * target_width + first_x;
-        if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_REAPPEARING)) continue;
-        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            if (filled_by[dst] != BY_REAPPEARING) continue;
-            const int src = (int)winner_of(keys, winners, dst);
-            const float3 there = position_of(target_position, src, plane);
-            const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
-            const float3 code = code_before(place + source_motion[src], met_depth[src], frame, parts);
-            store_code(code, color, dst, frame->code_offset);
-            depth[dst] = there.z;
-            motion[dst] = place - pixel_center(dst_x, dst_y);
-            is_dynamic[dst] = DYNAMIC;
-        }
+    for (uint i = get_global_id(0); i < offered[0]; i += get_global_size(0)) {
+        const int dst = (int)LISTED(offered, i), dst_x = dst % target_width, dst_y = dst / target_width;
+        const int src = (int)winner_of(keys, winners, dst);
+        const float3 there = position_of(target_position, src, plane);
+        const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
+        store_code(code_before(place + source_motion[src], met_depth[src], frame, parts), color, dst,
+                   frame->code_offset);
+        depth[dst] = there.z;
+        motion[dst] = place - pixel_center(dst_x, dst_y);
+        is_dynamic[dst] = DYNAMIC;
     }
 }

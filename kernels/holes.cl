@@ -1,13 +1,11 @@
 /* Hole filling: pixels that are still invalid continue the surface behind the disocclusion or, out of screen, the lines
    at the image's border, or come from the image downsampled 32 times (paper: 'Shading correction network'). Only pixels
-   labeled for filling change, and keep their label. RUN pixels without any are skipped at once, and the downsampled
-   image is only computed for pixels that need it. */
+   labeled for filling change, and keep their label. The downsampled image is only computed for pixels that need it. */
 
 #include "frame.h"
-#include "simd_rgb.h"
 #include "color_code.h"
 #include "directional_search.h"
-#include "blocks.h"
+#include "lists.h"
 
 #define LEAST_REACH 16 /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10 /* ... or this part of the target's width */
@@ -41,143 +39,68 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
 
-/* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1;
-   0: none. */
-INLINE int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask,
-                        const uchar hole) {
-    int t = 1;
-    for (; t + AT_ONCE <= steps; t += AT_ONCE) {
-        bool any = false;
-        for (int k = 0; k < AT_ONCE; ++k) any |= mask[dst + (t + k) * offset] != hole;
-        if (any) break;
-    }
-    for (; t <= steps; ++t)
-        if (mask[dst + t * offset] != hole) return t;
-    return 0;
-}
-
-/* Steps from a hole's pixel in row y to the first pixel beside the hole up and down its column; 0: none within reach.
-   Holes at the image's border are as long as the image is, and the next row need not look along them again. */
+/* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
+   and 1 / distance (1/px); continued to the hole, whether it lies outside of the rendered image, and whether it can be
+   there as a static surface. */
 typedef struct {
-    int y, up, down;
-} Column;
+    bool meets, is_outside, can_be_there;
+    int px;
+    float closeness, inverse, code_x, code_y, code_z;
+} Side;
 
-#define NO_ROW -2 /* the `y` of a column before its first one */
-
-/* Goes on from the hole's pixel above. */
-INLINE void step_down(const int dst, const int reach, const int width, const int height, __global const uchar *mask,
-                      const uchar hole, Column *c) {
-    const int last = dst + reach * width;
-    const bool comes_near = c->y + 1 + reach < height && mask[last] != hole;
-    c->up = c->up && c->up < reach ? c->up + 1 : 0;
-    c->down = c->down ? c->down - 1 : comes_near ? reach : 0;
-    ++c->y;
+/* Looks in direction k from a hole, up to `reach` px away, for a pixel that `mask` does not call a `hole`. */
+INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
+                 __global const uchar *mask, const uchar hole, __global const float *depth,
+                 __global const half *color) {
+    const int width = frame->target_width, dst = dst_y * width + dst_x;
+    const int2 d = direction(k);
+    const int offset = d.y * width + d.x;
+    const int t =
+        first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
+    Side side = {t != 0, false, false, dst + t * offset, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
+    if (t == 0) return side;
+    const float z = depth[side.px];
+    const float3 code = load_code(color, side.px, frame->code_offset);
+    side.closeness = divide(1.0f, (float)t * step_length(d));
+    side.inverse = isinf(z) ? 0.0f : divide(1.0f, z);
+    side.code_x = code.x;
+    side.code_y = code.y;
+    side.code_z = code.z;
+    return side;
 }
 
-/* The first pixels beside a hole, in the directions that `met` one: their indices, 1 / distance (1/px), and their
-   inverse depths. */
-typedef struct {
-    int met;
-    DirectionInts px;
-    DirectionFloats closeness, inverse;
-    float least_inverse;
-} Border;
-
-/* `column`: that of the row above, if its pixel is one of the hole; becomes this one's. LANES directions at once. */
-INLINE void find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
-                        __global const uchar *mask, const uchar hole, __global const float *depth, Column *column,
-                        Border *found) {
-    const int dst = dst_y * width + dst_x;
-    const bool goes_on = LANES > 1 && column->y == dst_y - 1; /* GPUs have one row per work-item */
-    if (goes_on) step_down(dst, reach, width, height, mask, hole, column);
-    found->met = 0;
-    found->least_inverse = INFINITY;
-    for (int k = 0; k < DIRECTIONS; k += LANES) {
-        int lane_t[LANES], lane_px[LANES];
-        for (int lane = 0; lane < LANES; ++lane) {
-            const int2 d = direction(k + lane);
-            const int offset = d.y * width + d.x;
-            int t;
-            if (goes_on && d.x == 0)
-                t = d.y > 0 ? column->down : column->up;
-            else
-                t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
-            if (d.x == 0 && d.y > 0) column->down = t;
-            if (d.x == 0 && d.y < 0) column->up = t;
-            lane_t[lane] = t;
-            lane_px[lane] = dst + t * offset;
-        }
-        const Ints t = load_ints(0, lane_t), px = load_ints(0, lane_px), is_met = t > 0;
-        const Floats z = gather_floats(depth, px), none = (Floats)(0.0f), one = (Floats)(1.0f);
-        const Floats step = ((k + LANE_NUMBERS) & 1) != 0 ? (Floats)(DIAGONAL) : one;
-        const Floats inverse = isinf(z) ? none : wide_divide(one, z);
-        SET_INTS(found->px, k, px);
-        SET_FLOATS(found->inverse, k, is_met ? inverse : (Floats)(INFINITY));
-        SET_FLOATS(found->closeness, k, is_met ? wide_divide(one, to_floats(t) * step) : none);
-        found->met |= set_of(is_met, k);
-        for (int lane = 0; lane < LANES; ++lane)
-            if (lane_t[lane]) found->least_inverse = fmin(found->least_inverse, AT(found->inverse, k + lane));
-    }
-    column->y = dst_y;
+INLINE bool is_as_far(const float inverse, const float other) {
+    return !(inverse > other * FAR_SIDE) && !(other > inverse * FAR_SIDE);
 }
 
-INLINE Ints is_as_far(const Floats inverse, const Floats other) {
-    return !(inverse > other * FAR_SIDE) & !(other > inverse * FAR_SIDE);
-}
-
-/* The directions that meet the far side. */
-INLINE int far_side(const Border *a) {
+/* The directions that meet the far side, in bits. */
+INLINE int far_side(__local const Side *sides) {
+    float least = INFINITY;
     int far = 0;
-#pragma unroll
-    for (int k = 0; k < DIRECTIONS; k += LANES)
-        far |= set_of(!(FLOATS_AT(a->inverse, k) > a->least_inverse * FAR_SIDE), k);
-    return far & a->met;
-}
-
-DEFINE_COLOR_CODE(Floats, wide_root, wide_encode, wide_decode)
-
-/* A sum that goes on with one lane after another. */
-INLINE float sum_of(const float before, const Floats values) {
-    float lane_value[LANES], sum = before;
-    store_floats(values, 0, lane_value);
-#pragma unroll
-    for (int lane = 0; lane < LANES; ++lane) sum += lane_value[lane];
-    return sum;
+    for (int k = 0; k < DIRECTIONS; ++k) least = fmin(least, sides[k].inverse);
+    for (int k = 0; k < DIRECTIONS; ++k) far |= (sides[k].meets && !(sides[k].inverse > least * FAR_SIDE)) << k;
+    return far;
 }
 
 /* Mean (color, inverse depth) of the pixels in some directions, weighted by their closeness, or by its `square`. */
-INLINE float4 weighted_mean(const Border *a, const int directions, const bool square, const float code_offset,
-                            __global const half *color) {
+INLINE float4 weighted_mean(__local const Side *sides, const int directions, const bool square,
+                            const float code_offset) {
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
-    for (int k = 0; k < DIRECTIONS; k += LANES) {
-        const Ints is_in = wide_has(directions, k);
-        if (!ANY(is_in)) continue;
-        const Floats closeness = FLOATS_AT(a->closeness, k), none = (Floats)(0.0f);
-        const Floats weight = is_in ? (square ? closeness * closeness : closeness) : none;
-        const WideRgb c = finite_rgb(gather_rgb(color, INTS_AT(a->px, k)));
-        sum.x = sum_of(sum.x, weight * wide_encode(c.r, code_offset));
-        sum.y = sum_of(sum.y, weight * wide_encode(c.g, code_offset));
-        sum.z = sum_of(sum.z, weight * wide_encode(c.b, code_offset));
-        sum.w = sum_of(sum.w, is_in ? weight * FLOATS_AT(a->inverse, k) : none);
-        weight_sum = sum_of(weight_sum, weight);
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (!has(directions, k)) continue;
+        const Side s = sides[k];
+        const float weight = square ? s.closeness * s.closeness : s.closeness;
+        sum += weight * (float4)(s.code_x, s.code_y, s.code_z, s.inverse);
+        weight_sum += weight;
     }
     return (float4)(decode_color(mean_of(sum.xyz, weight_sum), code_offset), divide(sum.w, weight_sum));
 }
 
-/* Where a static pixel is in the rendered image, and its depth there, for LANES inverse depths; z <= 0: behind the
-   camera. */
-INLINE Wide3 static_source(const int dst_x, const int dst_y, const Floats inverse_depth, const Reprojection to_source) {
-    const Floats z = inverse_depth > 0.0f ? wide_divide((Floats)(1.0f), inverse_depth) : (Floats)(INFINITY);
-    const float2 px = pixel_center(dst_x, dst_y);
-    return wide_reproject((Floats)(px.x), (Floats)(px.y), z, to_source);
-}
-
-/* The same for one. */
-INLINE float3 static_source_of(const int dst_x, const int dst_y, const float inverse_depth,
-                               const Reprojection to_source) {
-    const Wide3 px_source = static_source(dst_x, dst_y, (Floats)(inverse_depth), to_source);
-    return (float3)(FIRST_LANE(px_source.x), FIRST_LANE(px_source.y), FIRST_LANE(px_source.z));
+/* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
+INLINE float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
+    const float z = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
+    return reproject(pixel_center(dst_x, dst_y), z, to_source);
 }
 
 /* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
@@ -194,10 +117,9 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
     return sum;
 }
 
-/* Whether places lie outside of the rendered image. */
-INLINE Ints is_out_of_screen(const Wide3 px_source, __constant Frame *frame) {
-    return !((px_source.z > 0.0f) & (px_source.x >= 0.0f) & (px_source.y >= 0.0f)
-             & (px_source.x < (float)frame->source_width) & (px_source.y < (float)frame->source_height));
+/* Whether a place lies outside of the rendered image. */
+INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
+    return !(px_source.z > 0.0f && holds(frame->source_width, frame->source_height, px_source.xy));
 }
 
 /* Color of pixels out of screen beyond the reach of the far side: the mean of the color around and of the image's
@@ -320,72 +242,48 @@ INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, cons
     return decode_color(sum, frame->code_offset);
 }
 
-/* Whether surfaces can be at places `inside` of the rendered frame: not in front of those that the frame shows
-   there. */
-INLINE Ints can_be_at(const Ints inside, const Wide3 px_source, __constant Frame *frame,
-                      __global const float *source_depth) {
-    const Floats none = (Floats)(0.0f);
-    const Ints x = to_ints(inside ? px_source.x : none), y = to_ints(inside ? px_source.y : none);
-    const Floats shown = gather_floats(source_depth, y * frame->source_width + x);
-    return inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown);
+/* Whether a surface can be at a place of the rendered frame: not in front of that which the frame shows there. */
+INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global const float *source_depth) {
+    const float shown = source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
+    return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
 
-/* The directions that meet the surface behind a disocclusion. Candidates, `behind`, are static surfaces that,
-   continued into the disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of
-   inverse distances counts; without candidates the far side. */
-INLINE int surface_behind(const Border *a, const int behind) {
-    if (!behind) return far_side(a);
+/* The directions that meet the surface behind a disocclusion. Candidates are static surfaces that, continued into the
+   disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances
+   counts; without candidates the far side. */
+INLINE int surface_behind(__local const Side *sides) {
     float most = 0.0f, inverse = 0.0f;
-    for (int j = 0; j < DIRECTIONS; j += LANES) {
-        const Floats inverse_j = FLOATS_AT(a->inverse, j), none = (Floats)(0.0f);
-        Floats sum = none;
-#pragma unroll
-        for (int k = 0; k < DIRECTIONS; ++k)
-            if (has(behind, k))
-                sum += is_as_far(inverse_j, (Floats)(AT(a->inverse, k))) ? (Floats)(AT(a->closeness, k)) : none;
-        float lane_sum[LANES];
-        store_floats(sum, 0, lane_sum);
-        for (int lane = 0; lane < LANES; ++lane) {
-            if (!has(behind, j + lane) || !(lane_sum[lane] > most)) continue;
-            most = lane_sum[lane];
-            inverse = AT(a->inverse, j + lane);
-        }
+    for (int j = 0; j < DIRECTIONS; ++j) {
+        float sum = 0.0f;
+        for (int k = 0; sides[j].can_be_there && k < DIRECTIONS; ++k)
+            if (sides[k].can_be_there && is_as_far(sides[j].inverse, sides[k].inverse)) sum += sides[k].closeness;
+        if (!(sum > most)) continue;
+        most = sum;
+        inverse = sides[j].inverse;
     }
-    int counts = 0;
-#pragma unroll
-    for (int k = 0; k < DIRECTIONS; k += LANES)
-        counts |= set_of(is_as_far(FLOATS_AT(a->inverse, k), (Floats)(inverse)), k);
-    return counts & behind;
+    if (!(most > 0.0f)) return far_side(sides);
+    int behind = 0;
+    for (int k = 0; k < DIRECTIONS; ++k) behind |= (sides[k].can_be_there && is_as_far(sides[k].inverse, inverse)) << k;
+    return behind;
 }
 
-/* Continues the surfaces of the first valid pixels in eight directions, up to `reach` px away: a surface that,
-   continued into the hole, lies outside of the rendered image was hidden by nothing. If there are such, the hole is
-   theirs: its depth is the mean of theirs, in which those close by count most, its color that of lines at the border.
-   Else it is a disocclusion, and shows the surface behind it. Gives (color, inverse depth); false where no direction
-   meets a valid pixel. */
-INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame *frame, const Images f, Column *column,
-                             float4 *mean) {
-    const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
-    Border a;
-    find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth, column, &a);
-    if (!a.met) return false;
-    int out_of_screen = 0, behind = 0;
-    for (int k = 0; k < DIRECTIONS; k += LANES) {
-        const Ints is_met = wide_has(a.met, k), px = INTS_AT(a.px, k);
-        if (!ANY(is_met)) continue;
-        const Wide3 px_source = static_source(dst_x, dst_y, FLOATS_AT(a.inverse, k), frame->to_source);
-        const Ints is_outside = is_out_of_screen(px_source, frame);
-        out_of_screen |= set_of(is_met & is_outside, k);
-        behind |= set_of(can_be_at(is_met & !is_outside, px_source, frame, f.source_depth)
-                             & (to_ints(gather_bytes(f.is_dynamic, px)) == 0)
-                             & (to_ints(gather_bytes(f.filled_by, px)) != BY_HIDDEN_PART),
-                         k);
+/* Continues the surfaces of the first valid pixels in eight directions: a surface that, continued into the hole, lies
+   outside of the rendered image was hidden by nothing. If there are such, the hole is theirs: its depth is the mean of
+   theirs, in which those close by count most, its color that of lines at the border. Else it is a disocclusion, and
+   shows the surface behind it. Gives (color, inverse depth); false where no direction meets a valid pixel. */
+INLINE bool continue_surface(const int dst_x, const int dst_y, __local const Side *sides, __constant Frame *frame,
+                             const Images f, float4 *mean) {
+    int met = 0, out_of_screen = 0;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        met |= sides[k].meets << k;
+        out_of_screen |= sides[k].is_outside << k;
     }
-    const bool is_disocclusion = !out_of_screen;
-    *mean = weighted_mean(&a, is_disocclusion ? surface_behind(&a, behind) : out_of_screen, !is_disocclusion,
-                          frame->code_offset, f.color);
-    const float3 px_source = static_source_of(dst_x, dst_y, mean->w, frame->to_source);
-    if (!is_disocclusion && px_source.z > 0.0f) mean->xyz = color_beyond(px_source.xy, frame, f);
+    if (!met) return false;
+    *mean = weighted_mean(sides, out_of_screen ? out_of_screen : surface_behind(sides), out_of_screen != 0,
+                          frame->code_offset);
+    if (!out_of_screen) return true;
+    const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
+    if (px_source.z > 0.0f) mean->xyz = color_beyond(px_source.xy, frame, f);
     return true;
 }
 
@@ -395,11 +293,12 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __constant Frame 
 INLINE float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
 /* Weight of the far side's `mean` relative to a remembered color. It grows if the far side is near and uniform. */
-INLINE float weight_of_far_side(const Border *a, const int far, const float3 mean, __global const half *color) {
+INLINE float weight_of_far_side(__local const Side *sides, const int far, const float3 mean,
+                                __global const half *color) {
     float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < DIRECTIONS; ++k) {
         if (!has(far, k)) continue;
-        const float off = brightness(load_color(color, AT(a->px, k)) - mean), closeness = AT(a->closeness, k);
+        const float off = brightness(load_color(color, sides[k].px) - mean), closeness = sides[k].closeness;
         closest = fmax(closest, closeness);
         sum += closeness * off * off;
         weight_sum += closeness;
@@ -410,38 +309,42 @@ INLINE float weight_of_far_side(const Border *a, const int far, const float3 mea
 
 /* Mixes a fill of the background with the far side. A surface's remembered color may be out of date, so the weighted
    mean with the present color beside it is shown. */
-INLINE void mix_far_side(const int dst_x, const int dst_y, __constant Frame *frame, __global const uchar *disoccluded,
-                         __global const float *depth, __global half *color) {
-    const int width = frame->target_width, dst = dst_y * width + dst_x;
-    Border a;
-    Column column = {.y = NO_ROW};
-    find_border(dst_x, dst_y, width, frame->target_height, MIXED_REACH, disoccluded, 1, depth, &column, &a);
-    if (!a.met) return;
-    const int far = far_side(&a);
-    const float3 mean = weighted_mean(&a, far, false, frame->code_offset, color).xyz;
-    const float counts = weight_of_far_side(&a, far, mean, color);
+INLINE void mix_far_side(const int dst, __local const Side *sides, __constant Frame *frame, __global half *color) {
+    const int far = far_side(sides);
+    if (!far) return;
+    const float3 mean = weighted_mean(sides, far, false, frame->code_offset).xyz;
+    const float counts = weight_of_far_side(sides, far, mean, color);
     const float3 sum = load_code(color, dst, frame->code_offset) + counts * encode_color(mean, frame->code_offset);
     store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
 }
 
+/* Whether an open pixel is a hole that the background has filled. */
+INLINE bool is_of_background(const uint entry, __global const uchar *filled_by) {
+    return entry < MIXED_FLAG && filled_by[entry] != BY_HOLE_FILLING && !IS_OF_MOVER(filled_by[entry]);
+}
+
 /* Two preparations for fill_far_side, which do not touch each other's buffers. Lines at the image's border, but not
-   under a camera that stays, which has nothing out of screen. And the background's fills are mixed with the far side,
-   RUN pixels per work-item. */
-SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global const half *codes,
-                                    __global const uchar *disoccluded, __global const uchar *filled_by,
-                                    __global const float *depth, __global half *color, __global float *border_lines) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
-    if (first_x >= target_width || dst_y >= target_height) return;
-    const int columns = (target_width + RUN - 1) / RUN;
-    if (!frame->stays)
-        find_border_lines(dst_y * columns + first_x / RUN, columns * target_height, frame, codes, border_lines);
-    const int first = dst_y * target_width + first_x;
-    if (!frame->collects || (first_x + RUN <= target_width && run_is_zero(disoccluded + first))) return;
-    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
-        const int dst = dst_y * target_width + dst_x;
-        if (disoccluded[dst] && filled_by[dst] != BY_HOLE_FILLING && !IS_OF_MOVER(filled_by[dst]))
-            mix_far_side(dst_x, dst_y, frame, disoccluded, depth, color);
+   under a camera that stays, which has nothing out of screen. And the background's fills are mixed with the far side, a
+   team of work-items for each. */
+WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global const half *codes,
+                                    __global const uint *open, __global const uchar *disoccluded,
+                                    __global const uchar *filled_by, __global const float *depth, __global half *color,
+                                    __global float *border_lines, __global uint *beyond) {
+    __local Side sides[TEAMS][DIRECTIONS];
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
+    if (get_global_id(0) == 0) *beyond = 0;
+    if (!frame->stays) find_border_lines(get_global_id(0), get_global_size(0), frame, codes, border_lines);
+    if (!frame->collects) return;
+    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
+        const uint hole = entry_of(open, first + team);
+        const bool is_filled = is_of_background(hole, filled_by);
+        for (int k = item % TEAM; is_filled && k < DIRECTIONS; k += TEAM)
+            sides[team][k] =
+                look((int)hole % width, (int)hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        if (is_of_background(own, filled_by)) mix_far_side((int)own, sides[item], frame, color);
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
 
@@ -452,7 +355,7 @@ SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
 INLINE float3 fill_geometry(const int dst_x, const int dst_y, const float inverse_depth, __constant Frame *frame,
                             const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
-    const float3 px_source = static_source_of(dst_x, dst_y, inverse_depth, frame->to_source);
+    const float3 px_source = static_source(dst_x, dst_y, inverse_depth, frame->to_source);
     f.depth[dst] = inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY;
     f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
     return px_source;
@@ -466,39 +369,48 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 
 #define BEYOND_REACH -1.0f /* depth of pixels that have no far side within reach, until they are filled */
 
-/* Fills pixels that are still invalid from the far side. RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_far_side(__constant Frame *restrict frame, __global const uchar *block_class,
+INLINE bool is_unfilled(const uint entry, __global const uchar *filled_by) {
+    return entry < MIXED_FLAG && filled_by[entry] == BY_HOLE_FILLING;
+}
+
+/* Fills pixels that are still invalid from the far side, a team of work-items for each. */
+WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
                                  __global const float *source_depth, __global const uchar *is_dynamic,
                                  __global const float *border_lines, __global half *color, __global float *depth,
-                                 __global float2 *motion) {
-    const Images images = {.filled_by = filled_by,
-                           .codes = codes,
-                           .source_depth = source_depth,
-                           .is_dynamic = is_dynamic,
-                           .border_lines = border_lines,
-                           .color = color,
-                           .depth = depth,
-                           .motion = motion};
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int first_x = get_global_id(0) * RUN, first_y = get_global_id(1) * LANES;
-    if (first_x >= target_width || first_y >= target_height) return;
-    const int rows = LANES == 1 ? 1 : min(LANES, target_height - first_y); /* GPUs' compilers unroll that */
-    Column columns[RUN];
-    for (int k = 0; k < RUN; ++k) columns[k].y = NO_ROW;
-    for (int row = 0; row < rows; ++row) {
-        const int dst_y = first_y + row, first = dst_y * target_width + first_x;
-        if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
-        if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) continue;
-        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            if (filled_by[dst] != BY_HOLE_FILLING) continue;
-            float4 mean;
-            if (continue_surface(dst_x, dst_y, frame, images, columns + (dst_x - first_x), &mean))
-                fill_pixel(dst_x, dst_y, mean, frame, images);
-            else
-                depth[dst] = BEYOND_REACH;
+                                 __global float2 *motion, __global uint *beyond) {
+    __local Side sides[TEAMS][DIRECTIONS];
+    const Images images = {
+        .codes = codes, .border_lines = border_lines, .color = color, .depth = depth, .motion = motion};
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
+    const int reach = max(LEAST_REACH, width / REACH_SHARE);
+    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
+        const uint hole = entry_of(open, first + team);
+        const bool is_open = is_unfilled(hole, filled_by);
+        const int hole_x = (int)hole % width, hole_y = (int)hole / width;
+        for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM) {
+            Side s = look(hole_x, hole_y, k, reach, frame, filled_by, BY_HOLE_FILLING, depth, color);
+            if (s.meets) {
+                const float3 px_source = static_source(hole_x, hole_y, s.inverse, frame->to_source);
+                s.is_outside = is_out_of_screen(px_source, frame);
+                s.can_be_there = !s.is_outside && can_be_at(px_source, frame, source_depth) && is_dynamic[s.px] == 0
+                                 && filled_by[s.px] != BY_HIDDEN_PART;
+            }
+            sides[team][k] = s;
         }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        if (is_unfilled(own, filled_by)) {
+            const int dst_x = (int)own % width, dst_y = (int)own / width;
+            float4 mean;
+            if (continue_surface(dst_x, dst_y, sides[item], frame, images, &mean)) {
+                fill_pixel(dst_x, dst_y, mean, frame, images);
+            } else {
+                depth[own] = BEYOND_REACH;
+                atomic_or(beyond, 1u);
+            }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 }
 
@@ -577,8 +489,7 @@ INLINE void fill_between_texels(const int dst_x, const int dst_y, const Tile til
     }
     float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
     const float3 px_source = fill_geometry(dst_x, dst_y, mean.w, frame, f);
-    const Wide3 place = {(Floats)(px_source.x), (Floats)(px_source.y), (Floats)(px_source.z)};
-    if (tile.after_far_side && ANY(is_out_of_screen(place, frame)))
+    if (tile.after_far_side && is_out_of_screen(px_source, frame))
         mean.xyz = continued(mean.xyz, px_source, frame, f.codes);
     store_color(mean.xyz, f.color, dst_y * frame->target_width + dst_x);
 }
@@ -604,14 +515,15 @@ INLINE void fill_or_ask(const bool fills, const int first_x, const int end_x, co
     }
 }
 
-/* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills the pixels under TILE x TILE
-   texels: it sums up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who
-   wants to look at them. */
+/* Fills the rest from the image downsampled 32x, interpolated: after the far side pixels `beyond` its reach. Every
+   work-group fills the pixels under TILE x TILE texels: it sums up those of them, and of the ring around them, that its
+   pixels ask for. The sums are kept for who wants to look at them. */
 SPARSE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side, __global const uchar *filled_by,
                       __global const half *codes, __global const half *source_color, __global const float *source_depth,
                       __global half *color, __global float *depth, __global float2 *motion,
-                      __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
+                      __global float4 *downsampled_color, __global float *downsampled_inverse_depth,
+                      __global const uint *beyond) {
     const Images images = {.filled_by = filled_by,
                            .source_color = source_color,
                            .codes = codes,
@@ -644,6 +556,7 @@ fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side
         downsampled_color[own] = (float4)(0.0f);
         downsampled_inverse_depth[own] = 0.0f;
     }
+    if (after_far_side && !*beyond) return;
     barrier(CLK_LOCAL_MEM_FENCE);
     fill_or_ask(false, first_x, end_x, dst_y, tile, frame, images);
     barrier(CLK_LOCAL_MEM_FENCE);

@@ -32,23 +32,23 @@ INLINE bool may_win(const int pass, __global const Key *keys, const int c, const
 #endif
 }
 
-INLINE void offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
+/* Returns whether nothing was offered before. */
+INLINE bool offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
                        const uint i) {
-    if (!may_win(pass, keys, c, depth_bits)) return;
+    if (!may_win(pass, keys, c, depth_bits)) return false;
 #ifdef INT64_ATOMICS
     (void)winners;
-    atom_min(keys + c, ((ulong)depth_bits << 32) | i);
+    return atom_min(keys + c, ((ulong)depth_bits << 32) | i) == (Key)(-1);
 #else
-    if (pass == 0)
-        atomic_min(keys + c, depth_bits);
-    else
-        atomic_min(winners + c, i);
+    if (pass == 0) return atomic_min(keys + c, depth_bits) == (Key)(-1);
+    atomic_min(winners + c, i);
+    return false;
 #endif
 }
 
-INLINE void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z,
+INLINE bool offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z,
                   const uint i) {
-    offer_bits(pass, keys, winners, c, as_uint(z), i);
+    return offer_bits(pass, keys, winners, c, as_uint(z), i);
 }
 
 INLINE uint winner_of(__global const Key *keys, __global const uint *winners, const int c) {

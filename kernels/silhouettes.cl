@@ -8,6 +8,7 @@
 #include "stencil.h"
 #include "flow.h"
 #include "blocks.h"
+#include "lists.h"
 #include "rgb9e5.h"
 #include "color_code.h"
 
@@ -163,11 +164,13 @@ INLINE void mark_around(const float2 px, const int width, const int height, __gl
 
 /* Finds which layer each pixel belongs to, outside of smooth blocks, in which nothing moves apart; where it does, the
    color of the far layer, `behind`, and the near one's `share` of the pixel. Marks the target blocks where they go;
-   they come unmarked. */
+   they come unmarked. Empties the list of soft pixels. */
 WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const float *depth,
                                __global const uchar *links, __global const uchar *smooth,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
-                               __global uint *behind, __global uchar *share, __global uchar *marked) {
+                               __global uint *behind, __global uchar *share, __global uchar *marked,
+                               __global uint *soft) {
+    if (get_global_id(0) + get_global_id(1) == 0) soft[0] = 0;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
@@ -455,22 +458,47 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     return mixed;
 }
 
+/* The coverage of `count` pixels, at most LANES, and their new colors. */
+INLINE void soften_run(const int dst_x, const int dst_y, const int count, const Source s, const Layers l, const Shown f,
+                       __global uint *softened, uchar *coverage) {
+    Span p = {dst_x, dst_y, f.width, f.height, false};
+    Ints paired;
+    LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
+    if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < f.width && dst_y + 1 < f.height) {
+        p.inner = true;
+        paired = find_pairs(p, s, f, &pairs);
+    } else {
+        paired = find_pairs(p, s, f, &pairs);
+    }
+    const Ints is_soft = (paired != 0) | may_be_mixed(p, s, l, f);
+    if (!ANY(is_soft)) return;
+    int lane_soft[LANES], lane_far[LANES];
+    float lane_x[LANES], lane_y[LANES], lane_z[LANES];
+    store_ints(is_soft, 0, lane_soft);
+    store_ints(paired ? pairs.far : (Ints)(0), 0, lane_far);
+    store_floats(pairs.near_x, 0, lane_x);
+    store_floats(pairs.near_y, 0, lane_y);
+    store_floats(pairs.near_z, 0, lane_z);
+    for (int k = 0; k < count; ++k)
+        if (lane_soft[k])
+            coverage[k] = soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
+                                       lane_far[k], softened);
+}
+
 /* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share.
-   Unmarked blocks are skipped. */
-WIDE __kernel void soften(__constant Frame *restrict frame, __global const uchar *marked,
-                          __global const float *target_position, __global const half *codes,
-                          __global const uchar *layer, __global const uint *behind, __global const uchar *share,
-                          __global const half *color, __global const float *depth, __global const float2 *motion,
-                          __global const uchar *filled_by, __global uchar *coverage, __global uint *softened) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
+   Unmarked blocks are skipped. Lists the pixels that change. */
+LISTS __kernel void soften(__constant Frame *restrict frame, __global const uchar *marked,
+                           __global const float *target_position, __global const half *codes,
+                           __global const uchar *layer, __global const uint *behind, __global const uchar *share,
+                           __global const half *color, __global const float *depth, __global const float2 *motion,
+                           __global const uchar *filled_by, __global uchar *coverage, __global uint *softened,
+                           __global uint *soft) {
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const float2 zoom = frame->zoom;
-    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
-    const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
-    const Source s = {.width = source_width,
-                      .height = source_height,
-                      .zoom = zoom,
+    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
+    const int count = min(target_width - dst_x, LANES);
+    const Source s = {.width = frame->source_width,
+                      .height = frame->source_height,
+                      .zoom = frame->zoom,
                       .target_position = target_position,
                       .codes = codes};
     const Layers l = {.layer = layer, .behind = behind, .share = share};
@@ -481,46 +509,25 @@ WIDE __kernel void soften(__constant Frame *restrict frame, __global const uchar
                      .depth = depth,
                      .motion = motion,
                      .filled_by = filled_by};
-    Span p = {dst_x, dst_y, target_width, target_height, false};
-    Ints paired, soft;
-    LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
-    if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
-        p.inner = true;
-        paired = find_pairs(p, s, f, &pairs);
-    } else {
-        paired = find_pairs(p, s, f, &pairs);
+    uchar own[LANES] = {0};
+    if (dst_x < target_width && dst_y < target_height && marked[block_of(dst_x, dst_y, target_width)]) {
+        soften_run(dst_x, dst_y, count, s, l, f, softened, own);
+        store_some_bytes(load_bytes(0, own), count, coverage + dst);
     }
-    soft = (paired != 0) | may_be_mixed(p, s, l, f);
-    if (!ANY(soft)) {
-        store_some_bytes((Bytes)(0), count, coverage + dst);
-        return;
-    }
-    int lane_soft[LANES], lane_far[LANES];
-    float lane_x[LANES], lane_y[LANES], lane_z[LANES];
-    store_ints(soft, 0, lane_soft);
-    store_ints(paired ? pairs.far : (Ints)(0), 0, lane_far);
-    store_floats(pairs.near_x, 0, lane_x);
-    store_floats(pairs.near_y, 0, lane_y);
-    store_floats(pairs.near_z, 0, lane_z);
+#if LANES == 1
+    __local uint shared[2];
+    append_of_group(own[0] != 0, (uint)dst, soft, shared);
+#else
     for (int k = 0; k < count; ++k)
-        coverage[dst + k] = lane_soft[k]
-                                ? soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
-                                               lane_far[k], softened)
-                                : (uchar)0;
+        if (own[k]) append((uint)(dst + k), soft);
+#endif
 }
 
-/* The new colors go to the frame, RUN pixels per work-item. */
-SCAN __kernel void apply_softened(__constant Frame *restrict frame, __global const uchar *marked,
-                                  __global const uchar *coverage, __global const uint *softened, __global half *color) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
-    if (first_x >= target_width || dst_y >= target_height) return;
-    const int end_x = min(first_x + RUN, target_width);
-    for (int block_x = first_x; block_x < end_x; block_x += BLOCK_WIDTH) {
-        if (!marked[block_of(block_x, dst_y, target_width)]) continue;
-        for (int dst_x = block_x; dst_x < min(block_x + BLOCK_WIDTH, end_x); ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            if (coverage[dst]) store_code(unpack_color(softened[dst]), color, dst, frame->code_offset);
-        }
+/* The new colors go to the frame. */
+WALK __kernel void apply_softened(__constant Frame *restrict frame, __global const uint *soft,
+                                  __global const uint *softened, __global half *color) {
+    for (uint i = get_global_id(0); i < soft[0]; i += get_global_size(0)) {
+        const int dst = (int)LISTED(soft, i);
+        store_code(unpack_color(softened[dst]), color, dst, frame->code_offset);
     }
 }

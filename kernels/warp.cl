@@ -8,6 +8,7 @@
 #include "nearest.h"
 #include "flow.h"
 #include "blocks.h"
+#include "lists.h"
 
 #define STILL 0.001f             /* px: less than this is rounding */
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
@@ -107,12 +108,14 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
     return false;
 }
 
-/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. */
+/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Empties the list
+   of open pixels. */
 WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const uchar *links, __global const float *target_position,
                          __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
-                         __global uint *winners) {
+                         __global uint *winners, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
+    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = 0;
     const Fragments from = {.depth = depth,
                             .target_position = target_position,
                             .links = links,
@@ -193,8 +196,9 @@ INLINE float2 without_rounding(const float2 d) {
 }
 
 /* One pixel, but for its color, from the fragment `src` that won it, which may be known to lie in a `smooth` block.
-   False where there is none: nothing is to be resampled. Its key is emptied if the background may fill it. */
-INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to,
+   Returns its entry in the list of open pixels, or NOBODY; a hole has nothing to be resampled. Its key is emptied if
+   the background may fill it. */
+INLINE uint resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to,
                           const int dst_x, const int dst_y, const uint src, const bool smooth, const int unfilled_label,
                           Sample *sample) {
     const int dst = dst_y * from.target_width + dst_x;
@@ -206,7 +210,7 @@ INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winn
         to.disoccluded[dst] = 1;
         to.mixed[dst] = 0;
         to.filled_by[dst] = unfilled_label;
-        return false;
+        return (uint)dst;
     }
     const int src_x = src % from.width, src_y = src / from.width;
     const float3 here = position_of(from.target_position, src, from.plane);
@@ -227,7 +231,7 @@ INLINE bool resolve_pixel(const Fragments from, const Rendered shown, const Winn
     to.mixed[dst] = is_mixed;
     to.filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
     if (is_mixed) forget(winners.keys, winners.winners, dst);
-    return true;
+    return is_mixed ? (uint)dst | MIXED_FLAG : NOBODY;
 }
 
 #if LANES == 8
@@ -428,15 +432,15 @@ INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFra
     store_labels(to, pixel, (Bytes)(STATIC), ALL_LANES);
 }
 
-/* LANES pixels per work-item. */
-WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
-                           __global const uchar *block_class, __global const float8 *block_source,
-                           __global const uchar *source_smooth, __global Key *keys, __global uint *winners,
-                           __global const half *color, __global const half *codes, __global const float *depth,
-                           __global const uchar *dynamic_mask, __global const uchar *links,
-                           __global const float *target_position, __global half *out_color, __global float *out_depth,
-                           __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
-                           __global uchar *filled_by, __global uchar *mixed) {
+/* LANES pixels per work-item. Lists those that are open: holes, and mixed ones. */
+LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
+                            __global const uchar *block_class, __global const float8 *block_source,
+                            __global const uchar *source_smooth, __global Key *keys, __global uint *winners,
+                            __global const half *color, __global const half *codes, __global const float *depth,
+                            __global const uchar *dynamic_mask, __global const uchar *links,
+                            __global const float *target_position, __global half *out_color, __global float *out_depth,
+                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
+                            __global uchar *filled_by, __global uchar *mixed, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = {.depth = depth,
@@ -458,38 +462,47 @@ WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_
                          .disoccluded = disoccluded,
                          .filled_by = filled_by,
                          .mixed = mixed};
-    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const int block = block_of(dst_x, dst_y, target_width);
-    if (block_class[block] == COPIED) {
-        copy_pixels(from, shown, to, dst_y * target_width + dst_x);
-        return;
-    }
-    const bool backward = block_class[block] == BACKWARD;
+    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
+    const bool is_pixel = dst_x < target_width && dst_y < target_height;
+    const int block = is_pixel ? block_of(dst_x, dst_y, target_width) : 0;
+    const uchar class = block_class[block];
+    const bool backward = class == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
     const bool affine = backward && (source.s7 == FLOW_AFFINE || source.s7 == FLOW_RIGID);
 #if LANES == 1
-    Sample sample;
-    if (affine) {
-        resolve_affine(from, shown, to, source, dst_x, dst_y, &sample);
-    } else {
-        uint src;
-        if (backward) {
-            int src_x, src_y;
-            winners_of_block(source, dst_x, dst_y, width, height, &src_x, &src_y);
-            src = (uint)(src_y * width + src_x);
+    __local uint shared[2];
+    uint entry = NOBODY;
+    if (is_pixel && class == COPIED) {
+        copy_pixels(from, shown, to, dst);
+    } else if (is_pixel) {
+        Sample sample;
+        if (affine) {
+            resolve_affine(from, shown, to, source, dst_x, dst_y, &sample);
         } else {
-            src = winner_of(keys, winners, dst_y * target_width + dst_x);
+            uint src = 0;
+            if (backward) {
+                int src_x, src_y;
+                winners_of_block(source, dst_x, dst_y, width, height, &src_x, &src_y);
+                src = (uint)(src_y * width + src_x);
+            } else {
+                src = winner_of(keys, winners, dst);
+            }
+            const bool smooth = backward || is_smooth(src, width, height, source_smooth);
+            entry = resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample);
         }
-        const bool smooth = backward || is_smooth(src, width, height, source_smooth);
-        if (!resolve_pixel(from, shown, winning, to, dst_x, dst_y, src, smooth, unfilled_label, &sample)) return;
+        if (entry >= MIXED_FLAG) store_color(resample(sample, width, shown), out_color, dst);
     }
-    store_color(resample(sample, width, shown), out_color, dst_y * target_width + dst_x);
+    append_of_group(entry != NOBODY, entry, open, shared);
 #else
+    if (!is_pixel) return;
+    if (class == COPIED) {
+        copy_pixels(from, shown, to, dst);
+        return;
+    }
     if (affine) {
         Samples samples;
         resolve_affine(from, shown, to, source, dst_x, dst_y, &samples);
-        resample_lanes(samples, LANE_NUMBERS >= 0, width, shown, dst_y * target_width + dst_x, out_color);
+        resample_lanes(samples, LANE_NUMBERS >= 0, width, shown, dst, out_color);
         return;
     }
     Ints done = (Ints)(0);
@@ -498,7 +511,7 @@ WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_
         if (backward) {
             winners_of_block(source, dst_x, dst_y, width, height, &won.x, &won.y);
         } else {
-            const Uints src = load_winners(keys, winners, dst_y * target_width + dst_x);
+            const Uints src = load_winners(keys, winners, dst);
             wide_column_and_row(to_ints(src), width, &won.x, &won.y);
             won.use = (src != NOBODY) & (won.x >= 2) & (won.y >= 2) & (won.x < width - 2) & (won.y < height - 2);
             won.x = won.use ? won.x : (Ints)(2);
@@ -515,12 +528,13 @@ WIDE __kernel void resolve(__constant Frame *restrict frame, const int unfilled_
     store_ints(done, 0, lane_done);
     for (int k = 0; k < min(LANES, target_width - dst_x); ++k) {
         if (lane_done[k]) continue;
-        const int dst = dst_y * target_width + dst_x + k;
         Sample sample;
-        const uint src = winner_of(keys, winners, dst);
+        const uint src = winner_of(keys, winners, dst + k);
         const bool smooth = is_smooth(src, width, height, source_smooth);
-        if (resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, src, smooth, unfilled_label, &sample))
-            store_color(resample(sample, width, shown), out_color, dst);
+        const uint entry =
+            resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, src, smooth, unfilled_label, &sample);
+        if (entry >= MIXED_FLAG) store_color(resample(sample, width, shown), out_color, dst + k);
+        if (entry != NOBODY) append(entry, open);
     }
 #endif
 }

@@ -40,7 +40,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     per_splat = (4 + 1 + 12) * splatting + 2 * key * splatted + (8 + 1) * block
     assert moved["warp"]["splat"] == pytest.approx(splats * per_splat, rel=1e-3)
     shown = 12 + 8 + 1 + (8 + 4 + 8 + 4 * 1)
-    per_pixel = shown + (key + 4 + 1) * splatted + key * shares["mixed"] + (32 + 1) * block
+    per_pixel = shown + (key + 4 + 1) * splatted + key * shares["mixed"] + 4 * shares["holes"] + (32 + 1) * block
     assert moved["warp"]["resolve"] == pytest.approx(per_pixel, rel=1e-3)
 
 
@@ -50,8 +50,7 @@ def test_levels_and_shares_count(device):
     once, twice = (moved["background"]["scatter_level"] for moved in (one, counted(device, levels=2)[2]))
     assert once < twice < 2 * once
     fill = one["holes"]["fill_far_side"]
-    block = -(-W // 8) * -(-H // 4) / (W * H)
-    shown = shares["splatted"] + block
+    shown = 4 * shares["holes"] + shares["disoccluded"]
     lines = 3 * 4 * shares["border"] * -(-W // 8) * -(-H // 8) / (W * H)
     assert fill == pytest.approx(shown + shares["unfilled"] * ((8 + 4) * 3 + 1 + 8) + lines, rel=0.02)
 
@@ -68,7 +67,8 @@ def test_all_declared_kernels_are_launched_and_counted(device, options):
     at_rest = {"encode_colors"}  # history tracking encodes colors while the camera moves
     for name, stage in pipeline.stages.items():
         assert {kernel.name for kernel in stage.kernels} - at_rest == set(moved[name]) - {"fill"}
-        assert all(moved[name].values())
+        walks = {kernel.name for kernel in stage.kernels if kernel.grid == "walk"}  # perhaps over an empty list
+        assert all(nbytes for kernel, nbytes in moved[name].items() if kernel not in walks)
 
 
 # ---- declarations against the source ------------------------------------------------------------------------

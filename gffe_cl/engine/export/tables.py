@@ -25,6 +25,7 @@ from gffe_cl.engine.stages.buffers import (
     LEAST_ALIGNMENT,
     RESIDUAL_ROWS,
     TILE_GROUP,
+    WALKERS,
     BufferSpec,
     texel_of,
 )
@@ -56,7 +57,7 @@ GIVEN = {
 }
 _GRIDS = (
     "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
-    "cells", "runs", "network", "measures", "predictions",
+    "cells", "runs", "network", "measures", "predictions", "walk", "list_source", "list_target",
 )  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
@@ -74,6 +75,7 @@ def config(options: Options) -> str:
         "RESIDUAL_ROWS": RESIDUAL_ROWS,
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
+        "WALKERS": WALKERS,
         "CELL": texel_of("cells")[0],
         "RUN_PIXELS": texel_of("runs")[0],
         "NETWORK_TEXEL": texel_of("network")[0],
@@ -237,7 +239,7 @@ class Tables:
 def _grid(name: str) -> tuple[str, int]:
     """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its size.
     Raises GffeError for a grid that C does not have."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|network)(\d+)", name)):
+    if name not in _GRIDS and (found := re.fullmatch(r"(flat_level|levels|level|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
         raise GffeError(f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, network1 …)")

@@ -10,11 +10,10 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
 from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
 from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
-from gffe_cl.engine.stages.warp import DISOCCLUDED, MIXED
+from gffe_cl.engine.stages.warp import DISOCCLUDED, HOLES, MIXED, OPEN_LIST
 
 _CONSTANTS = constants("background.cl")
 EMPTY, SHOWN, REMEMBERED, EDGE = (_CONSTANTS[name] for name in ("EMPTY", "SHOWN", "REMEMBERED", "EDGE"))
@@ -29,7 +28,6 @@ STATES = (
 REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state == REMEMBERED)
 OPEN = share_of("open", "background.state_0", lambda state: (state == EMPTY) | (state == REMEMBERED))  # to offers
 PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # whether there is a next level
-HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
 _SPARES = 8  # times the alignment: lent memory beyond this stage's needs, because its parts are aligned
@@ -103,7 +101,7 @@ class Background(NearestStage):
             _OFFERED,
             step=("LANES", 1),
         ),
-        Kernel("settle_level", "level{level}", _SETTLING, _SETTLED, step=("RUN", 1)),
+        Kernel("settle_level", "flat_level{level}", _SETTLING, _SETTLED, step=("SCAN_BYTES", 1), group="SCAN_GROUP"),
         Kernel("settle_and_push", "level{level}", _SETTLING | _keys("push"), _SETTLED | _PUSHED, step=("RUN", 1)),
         Kernel(
             "project_levels",
@@ -117,17 +115,16 @@ class Background(NearestStage):
             }
             | _PROJECTED,
             _PROJECTED,
-            step=("RUN", 1),
+            step=("SCAN_BYTES", 1),
+            group="SCAN_GROUP",
         ),
         Kernel(
             "fill_from_levels",
-            "target",
+            "walk",
             {
                 "frame_color": Access("rendered.color", HOLES),
                 "frame_depth": Access("rendered.depth", HOLES),
-                "block_class": "backward_blocks.block_class",
-                "disoccluded": Access("frame.disoccluded", SPLATTED_PIXELS),
-                "mixed": Access("warp.mixed", SPLATTED_PIXELS),
+                "open": OPEN_LIST,
                 "color_prev": Access("previous.color", HOLES),
                 "depth_prev": Access("previous.depth", HOLES),
                 "state_prev": Access("background.state_0'", HOLES),
@@ -142,7 +139,7 @@ class Background(NearestStage):
                 "motion": Access("frame.motion", DISOCCLUDED),
                 "filled_by": Access("frame.filled_by", HOLES),
             },
-            step=("RUN", 1),
+            group="WALK_GROUP",
         ),
     )
 

@@ -24,8 +24,8 @@ from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
 from gffe_cl.engine.stages.memory import LentMemory
 
 _PREPARED = 256  # launches of a stage that are kept ready: those of uploads differ by where arrays begin
-# Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
-_ROW, _ROW_OF_LANES = 64, 128
+# Work-items of a work-group on GPUs, and on CPUs, where rows stream better and long ones cost least.
+_TILE, _ROW = (16, 8), (128, 1)
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
-    `group` of them, in a row, make a work-group (None: as suits the device), with `group_rows` rows. `repeats` is the
+    `group` of them, in a row, make a work-group, with `group_rows` rows (None: as suits the device). `repeats` is the
     name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` go
     by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer
     than the declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
@@ -337,8 +337,9 @@ class Stage(Owner):
         frame block `slot` to the next."""
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
-        row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
-        group = self._number(kernel.group) if kernel.group else row, self._number(kernel.group_rows)
+        group = _ROW if self.device.lanes > 1 else _TILE
+        if kernel.group:
+            group = self._number(kernel.group), self._number(kernel.group_rows)
         items = -(-width // group[0]) * group[0], -(-height // group[1]) * group[1]
         if kernel.repeats:
             items, group = (*items, given[kernel.repeats]), (*group, 1)

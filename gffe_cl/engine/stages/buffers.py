@@ -41,6 +41,7 @@ DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
 TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
 CUT_SAMPLES = (_HISTORY["SAMPLES_X"], _HISTORY["SAMPLES_Y"])  # at most, of the rendered image
 RUN_PIXELS = constants("upload.cl")["RUN_PIXELS"]
+WALKERS = 2048 * constants("lists.h")["WALK_GROUP"]  # work-items that walk a list, at most
 RESIDUAL_STRIDE, RESIDUAL_ROWS = _HISTORY["RESIDUAL_STRIDE"], _HISTORY["RESIDUAL_ROWS"]  # pixels, samples
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
@@ -82,6 +83,12 @@ class Sizes:
             return (1, 1)
         if grid.startswith("levels"):
             return self.level_starts(int(grid.removeprefix("levels")))[-1], 1
+        if grid.startswith("list_"):
+            return 1 + math.prod(self.of(grid.removeprefix("list_"))), 1
+        if grid.startswith("flat_"):
+            return math.prod(self.of(grid.removeprefix("flat_"))), 1
+        if grid == "walk":
+            return min(math.prod(self.target), WALKERS), 1
         if grid == "cut_samples":
             return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
         if grid == "measures":
@@ -155,17 +162,19 @@ class BufferSpec:
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
     "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the rendered
-    image), "measures" (a row, these and the residuals, one below the other) and "predictions" ("source" and a row
-    more). `components` name its channels; a single one goes without. `view` is its meaning, and so how to show it:
-    "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
-    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
-    `mapped`: the host works in it. `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the
-    stage is through. `part_of`: the buffer in which it lies. `planar`: on the device the channels lie one after
-    another, each an image. `transient`: written in each `extrapolate` before it is read, so until the next `submit` it
-    may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
-    `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
-    holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
-    `border`: pixels that are stored around each plane. `byte`: what all of its bytes are at first.
+    image), "measures" (a row, these and the residuals, one below the other), "predictions" ("source" and a row more),
+    "flat_level0" … (the texels of a level in one row) and "walk" (those that walk a list). A list of pixels
+    (lists.h) has the grid "list_source" or "list_target": its length, and one texel per pixel. `components` name its
+    channels; a single one goes without. `view` is its meaning, and so how to show it: "color" (linear RGB), "depth"
+    (view z), "motion" (pixels, from here), "place" (position in pixels), "world" (position in the view space of the
+    rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it.
+    `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the stage is through. `part_of`:
+    the buffer in which it lies. `planar`: on the device the channels lie one after another, each an image. `transient`:
+    written in each `extrapolate` before it is read, so until the next `submit` it may lie in memory that another stage
+    lends; `fleeting`: the same of each `submit`, and of no use after it. `known_where`: a buffer of the same owner,
+    perhaps on a coarser grid, and the least value that it has where this one holds anything; elsewhere it reads as 0.
+    `packing`: its layout on the device, if not by `dtype` and `components`. `border`: pixels that are stored around
+    each plane. `byte`: what all of its bytes are at first.
     """
 
     name: str

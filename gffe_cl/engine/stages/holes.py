@@ -8,10 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
 from gffe_cl.engine.stages.base import Access, Board, Kernel, Share, Stage, Step, share_of
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
-from gffe_cl.engine.stages.warp import DISOCCLUDED
+from gffe_cl.engine.stages.warp import DISOCCLUDED, OPEN_LIST
 
 _CONSTANTS = constants("holes.cl")
 
@@ -61,6 +60,7 @@ class Downsampled(HoleFilling):
             "downsampled",
             "weighted sum of inverse depth over them, 1/world units",
         ),
+        BufferSpec("beyond", np.uint32, (), "once", "whether pixels are left by the far side", scratch=True),
     )
     kernels = (
         Kernel(
@@ -71,6 +71,7 @@ class Downsampled(HoleFilling):
                 "codes": Access("color_code.codes", BEYOND_REACH),
                 "source_color": Access("rendered.color", BEYOND_REACH),
                 "source_depth": Access("rendered.depth", BEYOND_REACH),
+                "beyond": "holes.beyond",
             }
             | _image(BEYOND_REACH),
             _filled(BEYOND_REACH)
@@ -105,30 +106,35 @@ class FarSide(Downsampled):
     kernels = (
         Kernel(
             "prepare_far_side",
-            "target",
+            "walk",
             {
+                "open": OPEN_LIST,
                 "codes": Access("color_code.codes", BORDER),
-                "disoccluded": "frame.disoccluded",
+                "disoccluded": Access("frame.disoccluded", DISOCCLUDED),
                 "filled_by": Access("frame.filled_by", DISOCCLUDED),
             }
             | _image(DISOCCLUDED),
-            {"border_lines": Access("holes.border_lines", BORDER), "color": Access("frame.color", DISOCCLUDED)},
-            step=("RUN", 1),
+            {
+                "border_lines": Access("holes.border_lines", BORDER),
+                "color": Access("frame.color", DISOCCLUDED),
+                "beyond": "holes.beyond",
+            },
+            group="WALK_GROUP",
         ),
         Kernel(
             "fill_far_side",
-            "target",
+            "walk",
             {
-                "block_class": "backward_blocks.block_class",
-                "filled_by": Access("frame.filled_by", SPLATTED_PIXELS),
+                "open": OPEN_LIST,
+                "filled_by": Access("frame.filled_by", DISOCCLUDED),
                 "codes": Access("color_code.codes", UNFILLED),
                 "source_depth": Access("rendered.depth", UNFILLED),
                 "is_dynamic": Access("frame.dynamic", UNFILLED),
                 "border_lines": Access("holes.border_lines", BORDER),
             }
             | _image(UNFILLED),
-            _filled(UNFILLED),
-            step=("RUN", "LANES"),
+            _filled(UNFILLED) | {"beyond": "holes.beyond"},
+            group="WALK_GROUP",
         ),
         *Downsampled.kernels,
     )

@@ -76,11 +76,12 @@ class LentMemory:
 
     @cached_property
     def places(self) -> dict[tuple[str, str], tuple[Lent, int] | None]:
-        """Place of each borrowed buffer, largest first: the lent memory that holds it, and the first byte there.
-        None where none fits."""
+        """Place of each borrowed buffer, largest first, but lists of pixels last, of which little is ever touched: the
+        lent memory that holds it, and the first byte there. None where none fits."""
         places: dict = {}
         taken: dict[Lent, list] = {lent: [] for lent in self.lent}
-        for stage, spec in sorted(self.borrowing, key=lambda one: -one[1].nbytes(self._sizes)):
+        order = sorted(self.borrowing, key=lambda one: (one[1].grid.startswith("list_"), -one[1].nbytes(self._sizes)))
+        for stage, spec in order:
             nbytes, used = spec.nbytes(self._sizes), self.use(stage, spec)
             free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
             starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}

@@ -28,7 +28,7 @@ SOFTENED = share_of("softened", "silhouettes.coverage")
 
 class Silhouettes(Stage):
     """Unmixes the pixels at silhouettes of the rendered frame, and blends them with the surface behind in the new
-    frame."""
+    frame. The list of open pixels holds the soft ones now: there are no open ones any more."""
 
     name = "silhouettes"
     needs_footprints = True
@@ -73,6 +73,7 @@ class Silhouettes(Stage):
                 "behind": Access("silhouettes.behind", LAYERED),
                 "share": Access("silhouettes.share", LAYERED),
                 "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
+                "soft": Access("warp.open", planes=0),
             },
             step=("LANES", 1),
         ),
@@ -94,19 +95,19 @@ class Silhouettes(Stage):
             {
                 "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
                 "softened": Access("silhouettes.softened", SOFTENED),
+                "soft": Access("warp.open", SOFTENED),
             },
             step=("LANES", 1),
         ),
         Kernel(
             "apply_softened",
-            "target",
+            "walk",
             {
-                "marked": "silhouettes.marked",
-                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
+                "soft": Access("warp.open", SOFTENED),
                 "softened": Access("silhouettes.softened", SOFTENED),
             },
             {"color": Access("frame.color", SOFTENED)},
-            step=("RUN", 1),
+            group="WALK_GROUP",
         ),
     )
 

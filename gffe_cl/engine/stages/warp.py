@@ -15,6 +15,13 @@ _MIXED = BufferSpec(
     "1 where the fragment's color was mixed with a silhouette's that moves away, and its neighbor's is shown", "mask",
     transient=True,
 )  # fmt: skip
+_OPEN = BufferSpec(
+    "open", np.uint32, (), "list_target", "how many pixels are holes or mixed, then their indices, plus 2^31 if mixed",
+    scratch=True, transient=True,
+)  # fmt: skip
+# Pixels that the background may fill; entries of the list of them.
+HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))
+OPEN_LIST, OPEN_LIST_LENGTH = Access("warp.open", HOLES), Access("warp.open", planes=0)
 
 
 def _keys(share: Share) -> dict[str, Access]:
@@ -48,7 +55,7 @@ class Warp(NearestStage):
                 "target_position": Access("prediction.target_position", SPLATTING_BLOCKS),
             }
             | _keys(SPLATTED_PIXELS),
-            _keys(SPLATTED_PIXELS),
+            _keys(SPLATTED_PIXELS) | {"open": OPEN_LIST_LENGTH},
             step=("LANES", 1),
         ),
         Kernel(
@@ -66,13 +73,13 @@ class Warp(NearestStage):
                 "target_position": "prediction.target_position",
             }
             | _keys(SPLATTED_PIXELS),
-            _keys(MIXED) | NEW_FRAME | {"mixed": "warp.mixed"},
+            _keys(MIXED) | NEW_FRAME | {"mixed": "warp.mixed", "open": OPEN_LIST},
             step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
-        self.buffers = (_MIXED, *self.keys(board, "", "target", transient=True))
+        self.buffers = (_MIXED, _OPEN, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

@@ -13,7 +13,7 @@ from gffe_cl.engine.options import Options
 pytestmark = pytest.mark.device
 W, H = 48, 150
 OPTIONS = Options(shading_correction=False)
-# Kernels in which several work-groups change one place, by atomics.
+# Kernels in which several work-groups change one place, by atomics, or append to one list.
 SHARING = (
     "measure_samples",
     "refine_threshold",
@@ -21,6 +21,9 @@ SHARING = (
     "splat",
     "scatter_level",
     "project_levels",
+    "resolve",
+    "list_edges",
+    "soften",
 )
 
 

@@ -10,7 +10,8 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-enum { ROW = 64, ROW_OF_LANES = 128 };          /* work-items of a work-group, unless a kernel specifies it */
+enum { TILE_WIDTH = 16, TILE_HEIGHT = 8 };      /* work-items of a work-group, unless a kernel specifies it ... */
+enum { ROW = 128 };                             /* ... and where lanes are several */
 enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division is exact */
 
 /* ---- capabilities of the device ----------------------------------------------------------------------- */
@@ -225,8 +226,8 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
     }
     if (error != CL_SUCCESS) return error;
     gffe_grid_size(&g->step, operation->grid, operation->level, size);
-    group[0] = (size_t)(kernel->group ? kernel->group : g->lanes > 1 ? ROW_OF_LANES : ROW);
-    group[1] = (size_t)kernel->group_rows;
+    group[0] = (size_t)(kernel->group ? kernel->group : g->lanes > 1 ? ROW : TILE_WIDTH);
+    group[1] = (size_t)(kernel->group ? kernel->group_rows : g->lanes > 1 ? 1 : TILE_HEIGHT);
     size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
     size[1] = (size[1] + (size_t)step_of(g, kernel->step_y) - 1) / (size_t)step_of(g, kernel->step_y);
     for (k = 0; k < 2; ++k) size[k] = (size[k] + group[k] - 1) / group[k] * group[k];

@@ -34,6 +34,15 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = 1;
         return;
     }
+    if (grid == GFFE_LIST_SOURCE || grid == GFFE_LIST_TARGET || grid == GFFE_FLAT_LEVEL || grid == GFFE_WALK) {
+        const int of = grid == GFFE_FLAT_LEVEL ? GFFE_LEVEL : grid == GFFE_LIST_SOURCE ? GFFE_SOURCE : GFFE_TARGET;
+        gffe_grid_size(step, of, level, size);
+        size[0] *= size[1];
+        size[1] = 1;
+        if (grid == GFFE_LIST_SOURCE || grid == GFFE_LIST_TARGET) size[0] += 1;
+        if (grid == GFFE_WALK && size[0] > GFFE_WALKERS) size[0] = GFFE_WALKERS;
+        return;
+    }
     if (grid == GFFE_CUT_SAMPLES) {
         size[0] = GFFE_CUT_SAMPLES_X;
         size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
