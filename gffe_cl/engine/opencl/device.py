@@ -237,9 +237,9 @@ class Device:
         return self._queue
 
     def _new_queue(self, context: cl.Context) -> cl.CommandQueue:
-        return cl.CommandQueue(
-            context, self.cl_device, cl.command_queue_properties.PROFILING_ENABLE if self.profiles else 0
-        )
+        if self.profiles:
+            return cl.CommandQueue(context, self.cl_device, cl.command_queue_properties.PROFILING_ENABLE)
+        return cl.CommandQueue(context, self.cl_device)
 
     def require_process(self) -> None:
         """Raise GffeError in a forked child if the parent has used the device: drivers wait forever there."""
