@@ -59,7 +59,7 @@ def settings_a_and_b(gui: Gui):
     for _ in range(3):
         gui.key(KEY.right_arrow)
         gui.settle()
-        slots.append([model.contents.result.request.slot, model.contents.second.request.slot])
+        slots.append([model.contents.result.slot, model.contents.second.slot])
     values["slots"] = slots
     gui.click("//Compare/measure")
     gui.key(KEY.k, ALT)
