@@ -84,6 +84,7 @@ def finding_frames(gui: Gui):
     model.set("motion", False)
     gui.settle()
     gui.app.docks.show("Plot")
+    model.measured.forget()  # what earlier cases have shown
     gui.frames(3)
     values["empty"] = [gui.exists("//Plot/###survey")]
     gui.shot("empty plot")

@@ -260,11 +260,16 @@ class Model:
         """B's settings while anything of them is shown."""
         return None if self.overview or self.follows else self.comparison.second
 
+    @property
+    def _layers(self) -> frozenset[str]:
+        """Names of layers of A that are read back now."""
+        layers = self.needed.all() if self.overview else self.needed.of_first(self.measuring)
+        return layers | (self.export.layers if self.export is not None else frozenset())
+
     def _due(self, slot: int) -> Picture:
         """Return the picture of a slot, as it is looked at now."""
         flyer = self.flyer if self.flying else None
-        layers = self.needed.all() if self.overview else self.needed.of_first(self.measuring)
-        layers |= self.export.layers if self.export is not None else frozenset()
+        layers = self._layers
         slot = 0 if self.follows else slot
         if flyer is not None and (flyer.moved or flyer.slot != slot):
             flyer.moved, flyer.slot, flyer.flight = False, slot, next(self._flights)
@@ -463,6 +468,7 @@ class Model:
             )
         return (
             self.showing.shows_due
+            and self._layers == result.layers
             and not self.engine.busy
             and (self.pointing.tells(result.key) or not self.inspects)
             and self.comparison.ready
