@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 from gffe_cl.captures.doctor.dilation import dilation_notes
+from gffe_cl.captures.doctor.effects import effects_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import (
     DISPLAY_VALUES,
@@ -43,8 +44,8 @@ from gffe_cl.captures.doctor.limits import set_aside_cut_off
 from gffe_cl.captures.doctor.mends import Mend, MendedClip, OtherFrame, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
 from gffe_cl.captures.doctor.regions import region_findings
-from gffe_cl.captures.doctor.repeats import Repeats, repeats
-from gffe_cl.captures.doctor.repetition import repetition_notes
+from gffe_cl.captures.doctor.repeated_frames import RepeatedFrames, repeated_frames
+from gffe_cl.captures.doctor.repeated_pixels import repeated_pixel_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.core.validation import QUIETLY
@@ -145,10 +146,10 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     if found.faults:
         tell_keys(found.findings, getattr(clip, "settings", None))
         return found
-    repeated = repeats(looks)
+    repeated = repeated_frames(looks, count)
     if repeated.whole:
         if len(looks) < count:
-            repeated = repeats(take_looks(clip, range(count), _SAMPLES, set(), exposure))
+            repeated = repeated_frames(take_looks(clip, range(count), _SAMPLES, set(), exposure), count)
         return _examine_without(clip, exposure, repeated)
     found.findings += repeated.findings()
     if not any(PREVIOUS in look.neighbors for look in found.looks):
@@ -187,6 +188,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         if order is not None:
             return _examine_reordered(clip, exposure, order, found)
     _judge(found, search_of)
+    if mends.open and [fault.id for fault in found.faults] == [mends.open]:
+        found.findings.remove(found.faults[0])
+        found.best, found.reading = found.given, Reading()
     search = search_of(found.reading.rows)
     found.looks = search.full.looks
     found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
@@ -197,8 +201,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
-        found.findings += [*dilation_notes(clip, deep), *user_interface_notes(clip, deep, exposure)]
-    found.findings += [*mends.findings, *repetition_notes(clip, deep)]
+        found.findings += dilation_notes(clip, deep)
+        found.findings += [*user_interface_notes(clip, deep, exposure), *effects_notes(clip, deep, exposure)]
+    found.findings += [*mends.findings, *repeated_pixel_notes(clip, deep)]
     if all(fault.name in JITTERS for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
@@ -218,7 +223,7 @@ def _examine_mended(clip: Clip, exposure: float, mend: Mend, given: Diagnosis, s
     return found
 
 
-def _examine_without(clip: Clip, exposure: float, repeated: Repeats) -> Diagnosis:
+def _examine_without(clip: Clip, exposure: float, repeated: RepeatedFrames) -> Diagnosis:
     """Examine `clip` without the frames that were recorded twice, and return the diagnosis."""
     kept = [k for k in range(len(clip.rendered)) if k not in repeated.whole]
     found = examine(Reordered(clip, kept), exposure)

@@ -36,6 +36,7 @@ TWICE, ORIGIN_SHIFTED = "recorded twice", "origin shifted"
 SEVERAL_VIEWS, IN_PART = "several views", "partly another convention"
 LOGARITHMIC, BITS, NO_LAW = "logarithmic", "bits of floats", "no known law"
 DILATED, INTERFACE, JITTERED, REPEATED = "dilated", "user interface", "jittered", "repeated"
+EFFECTS = "moves by itself"
 MISFIT, SOME_FRAME = "misfit at the end", "of another frame"
 TOLD = (CUT_OFF, SEVERAL_VIEWS, INTERFACE, REPEATED, DILATED)  # notes that the quick form names, too
 DOUBTS = (MISFIT, SOME_FRAME)  # the same, of what cannot be told

@@ -18,6 +18,7 @@ from gffe_cl.captures.doctor.findings import (
     SOME_FRAME,
     UNKNOWN,
     Finding,
+    finding_id,
 )
 from gffe_cl.captures.doctor.hypotheses.camera_jitter import (
     INVERSE,
@@ -44,7 +45,8 @@ _FITS = 0.5  # agreement of buffers that fit
 _MOST = 0.6  # of the frames that must fit better
 _OWN = {"camera": 0.06, "depth": 0.02, "color": 0.02}  # of the agreement, or of color scores
 _APART = 0.03  # of the sum of scores: mends that differ by less are not told apart
-_FAR_APART, _COLORS = 0.15, 0.005  # of the sum of scores, and of color scores, where vectors are an alternative
+_FAR_APART, _COLORS = 0.15, 0.0025  # of the sum of scores, and of color scores, where vectors are an alternative
+_FEWEST_COLORS = 2  # frames that tell whether colors are another frame's
 _STEADY = 0.04  # of agreements, by which vectors and cameras of another frame fit worse where nothing accelerates
 
 
@@ -130,11 +132,13 @@ class Jitter:
 class Mends:
     """Result of `find_mend`. `mend`: the change that explains the looks clearly better; `findings`: what cannot be told
     of buffers of another frame; `steady`: NEXT and PREVIOUS, as far as cameras or vectors that are
-    late or early by a frame would fit about as well, because everything moves steadily."""
+    late or early by a frame would fit about as well, because everything moves steadily; `open`: the id of a fault of
+    vectors that cannot be told from one of the `findings`, "" for none."""
 
     mend: Mend | None = None
     findings: list[Finding] = field(default_factory=list)
     steady: set[int] = field(default_factory=set)
+    open: str = ""
 
 
 def find_mend(looks: dict[int, Look], deep: list[int], entries: list[FrameEntry], step: float) -> Mends:
@@ -153,24 +157,35 @@ def find_mend(looks: dict[int, Look], deep: list[int], entries: list[FrameEntry]
 def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
     """Return the buffer that fits clearly better as that of another frame, better also than vectors of another frame
     and than any buffer upside down."""
-    found, rivals = Mends(), []
+    found = Mends()
+    vectors: dict[str, _Gain] = {}  # of another frame, by when
     gains: dict[OtherFrame, _Gain] = {}
     for buffer in (*_FIELDS, "motion"):
         for by, compared in ((NEXT, deep), (PREVIOUS, [k + 1 for k in deep])):
+            if buffer == "color" and len(compared) < _FEWEST_COLORS:
+                continue
             gain = _Gain.of(looks, _from_other_frames(looks, buffer, by), compared, step)
             if gain is None:
                 continue
             if buffer in ("camera", "motion") and gain.agreement > -_STEADY:
                 found.steady.add(by)
             if buffer == "motion":
-                rivals.append(gain)
+                vectors[f"one frame {_WHEN[by][0]}"] = gain
             elif gain.is_clear and gain.own(buffer) >= _OWN[buffer]:
                 gains[OtherFrame(buffer, by)] = gain
-    rivals += [_Gain.of(looks, with_rows(looks, (buffer,)), deep, step) for buffer in BUFFERS]
+    upside_down = [_Gain.of(looks, with_rows(looks, (buffer,)), deep, step) for buffer in BUFFERS]
     first, *others = sorted(gains, key=lambda mend: gains[mend].total, reverse=True) if gains else (None,)
-    if first is None or any(rival is not None and rival.beats(gains[first]) for rival in rivals):
+    if first is None or any(gain is not None and gain.against(gains[first]) >= 0 for gain in upside_down):
         return found
-    if others and gains[others[0]].total > gains[first].total - _APART:
+    against = {when: gain.against(gains[first]) for when, gain in vectors.items()}
+    if 1 in against.values():
+        return found
+    if 0 in against.values():
+        when = next(when for when, better in against.items() if better == 0)
+        found.open = finding_id("motion", when)
+        sentence = f"{_WHAT[first.buffer]} {first.finding.name}, or motion vectors are {when}: colors do not tell which"
+        found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
+    elif others and gains[others[0]].total > gains[first].total - _APART:
         either = " or ".join(f"{mend.buffer} {mend.finding.name}" for mend in (first, others[0]))
         sentence = f"a buffer fits better as that of another frame, but which one is open: {either}"
         found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
@@ -205,12 +220,14 @@ class _Gain:
         agreement = float(np.nan_to_num(after.agreement) - np.nan_to_num(before.agreement))
         return cls(total, agreement, color, bool(clear))
 
-    def beats(self, other: _Gain) -> bool:
-        """Return whether this explains the looks better than `other`, or as well by colors. They follow right vectors,
-        and cameras of another frame may fit wrong ones."""
+    def against(self, other: _Gain) -> int:
+        """Return 1 if this explains the looks better than `other`, −1 if it does not, and 0 if colors do not tell. They
+        follow right vectors, and cameras of another frame may fit wrong ones."""
         if not self.is_clear or self.total < other.total - _FAR_APART:
-            return False
-        return self.total > other.total + _FAR_APART or self.color > other.color - _COLORS
+            return -1
+        if self.total > other.total + _FAR_APART or self.color > other.color + _COLORS:
+            return 1
+        return 0 if self.color > other.color - _COLORS else -1
 
     def own(self, buffer: str) -> float:
         """Return the part that this buffer must improve for itself."""

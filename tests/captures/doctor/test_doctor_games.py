@@ -1,5 +1,5 @@
 """The doctor on what games do to frames: dilated vectors, geometry that is jittered under antialiased color or smaller
-than color, user interfaces."""
+than color, user interfaces, effects without depth."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from synthetic import camera
 from gffe_cl.captures.doctor import examine, quick_warning
 from gffe_cl.captures.doctor.dilation import count_beside_edges, dilation_notes
 from gffe_cl.captures.doctor.geometry_jitter import edge_shift, geometry_jitter_notes
-from gffe_cl.captures.doctor.repetition import distinct_size
+from gffe_cl.captures.doctor.repeated_pixels import distinct_size
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import Encoding
@@ -161,3 +161,20 @@ def test_a_run_detects_the_user_interface_that_its_check_sees(gffe, tmp_path):
     assert alike("plain", "plain off")
     code, _, error = gffe("run", hud, tmp_path / "wrong", "--ui-detection", "maybe")
     assert code == 2 and "--ui-detection must be one of auto, on, off" in " ".join(error.split())
+
+
+@pytest.mark.parametrize(("speed", "is_named"), [((2, -2), True), (None, False)])
+def test_effects_without_depth_are_named(speed, is_named):
+    """Smoke drifts over the lower part of the picture, or sticks to the surfaces."""
+    rng = np.random.default_rng(3)
+    smoke = np.kron(rng.random((40, 60)), np.ones((6, 6)))[..., None] * (0.3, 0.3, 0.32)
+    frames = []
+    for k, frame in enumerate(clip().images):
+        color = np.array(frame.color, np.float32)
+        if speed:
+            x, y = 60 + speed[0] * k, 60 + speed[1] * k
+            color[20:60, 20:100] = 0.4 * color[20:60, 20:100] + smoke[y : y + 40, x : x + 80]
+        frames.append(replace(frame, color=color.astype(np.float16)))
+    found = [f for f in examine(Kept(frames)).findings if f.id == "color-moves-by-itself"]
+    assert bool(found) == is_named
+    assert not found or (found[0].kind == "note" and found[0].figures["share"] < 0.3)

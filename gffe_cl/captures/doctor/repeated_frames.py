@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, REPEATED, TWICE, Finding
+from gffe_cl.captures.doctor.findings import FAULT, REPEATED, SOME_FRAME, TWICE, UNKNOWN, Finding
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 
 _MOVES = 0.3  # pixels: vectors by which nothing stays as it is
@@ -15,11 +15,12 @@ _MOST_NAMED = 12
 
 
 @dataclass(frozen=True)
-class Repeats:
-    """Numbers of frames that repeat the frame before them: all of it, or its color alone."""
+class RepeatedFrames:
+    """Numbers of frames that repeat the frame before them: all of it, or its color alone; `count`: of all frames."""
 
     whole: list[int]
     color: list[int]
+    count: int
 
     def findings(self) -> list[Finding]:
         found = []
@@ -29,12 +30,17 @@ class Repeats:
         if self.color:
             sentence = f"{_frames(self.color)} the color of the frame before, to the bit, although vectors move"
             sentence = sentence.replace(" are ", " have ").replace(" is ", " has ")
-            found.append(Finding(FAULT, "color", REPEATED, sentence, figures={"frames": self.color}))
+            if self.color in ([1], [self.count - 1]):  # so do colors that are all late, or early
+                sentence += ", or all colors are those of another frame"
+                found.append(Finding(UNKNOWN, "color", SOME_FRAME, sentence, figures={"frames": self.color}))
+            else:
+                found.append(Finding(FAULT, "color", REPEATED, sentence, figures={"frames": self.color}))
         return found
 
 
-def repeats(looks: dict[int, Look]) -> Repeats:
-    """Return the frames of `looks` that repeat the one before, as far as samples and cameras tell."""
+def repeated_frames(looks: dict[int, Look], count: int) -> RepeatedFrames:
+    """Return the frames of `looks`, of `count` in all, that repeat the one before, as far as samples and cameras
+    tell."""
     whole, color = [], []
     for index, look in looks.items():
         before = look.neighbors.get(PREVIOUS)
@@ -45,7 +51,7 @@ def repeats(looks: dict[int, Look]) -> Repeats:
         pairs = (look.depth, before.depth), (look.motion, before.motion)
         same = all(b is not None and np.array_equal(a, b, equal_nan=True) for a, b in pairs)
         (whole if same and look.camera == before.camera else color).append(index)
-    return Repeats(whole, color)
+    return RepeatedFrames(whole, color, count)
 
 
 def _shows_something(look: Look) -> bool:

@@ -14,7 +14,7 @@ _WORDS = {"depth": "of depth", "motion": "of motion vectors"}
 _GAIN = "0.8 dB"  # of half the size, on built-in scenes
 
 
-def repetition_notes(clip: Clip, indices: list[int]) -> list[Finding]:
+def repeated_pixel_notes(clip: Clip, indices: list[int]) -> list[Finding]:
     """Return a note if the pixels of depth, or of motion vectors, are repeated in those of the frames `indices` of
     `clip` that are looked at. Raises GffeError if a frame cannot be read."""
     frames = [clip.read(clip.rendered[k]) for k in indices[:_FRAMES]]
