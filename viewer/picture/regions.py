@@ -32,7 +32,7 @@ class RegionMap:
 
 
 def region_map(result: Frame, b: np.ndarray | None, exposure: float) -> RegionMap:
-    """Return the map of regions of a generated slot of A with the layers `slot_metrics.NEEDED`. `b`: B's final colors
+    """Return the map of regions of a generated slot of A with the layers `figures.NEEDED`. `b`: B's final colors
     (H, W, 4) of the same slot, if B is there."""
     labels = region_labels(result, exposure)
     true = to_display(result.images[names.TRUTH][..., :3], exposure)
