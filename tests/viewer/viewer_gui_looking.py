@@ -271,16 +271,6 @@ def smoke(gui: Gui):
     for x, y in ((3, 4), (9, 7)):
         before = model.pointing.inspection
         gui.point(*gui.at(x + 0.5, y + 0.5))
-            x,
-            y,
-            before and before.pixel,
-            model.pointing._hovered,
-            model.pointing._wants,
-            model.inspects,
-            model.store.next(),
-            model.showing.is_waiting,
-            flush=True,
-        )
         gui.wait(lambda before=before: (seen := model.pointing.inspection) and seen is not before, "values", 20)
         values["pointed at"].append(model.pointing.inspection.pixel)
     at, zoom = gui.at(9.5, 7.5), model.view.zoom
