@@ -1,7 +1,8 @@
 # make demo       install into .venv, then render, extrapolate and measure a scene into out/demo
 # make test       install what the tests need too, then run all of them but the long ones
 # make test-all   those, and then the long ones
-# make recorded   what is recorded of kernels, anew, after a change of them: 10 minutes or so; PICTURES=1: after one that
+# make quality    what a change of kernels does to the quality, by scene and region: five minutes
+# make recorded   what is recorded of kernels, anew, after a change of them: 20 minutes or so; PICTURES=1: after one that
 #                 changes pictures, also what each part is worth and the pictures of the documentation: hours
 # make docs       the documentation as a site, into out/docs
 # PYTHON=…        another interpreter than python3
@@ -16,7 +17,7 @@ PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constrai
 # What pip says is shown only if it fails.
 QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }
 
-.PHONY: demo test test-all recorded docs clean
+.PHONY: demo test test-all quality recorded docs clean
 
 demo: $(VENV)/.installed
 	@echo "demo: about a minute"
@@ -27,6 +28,9 @@ test: $(VENV)/.installed-for-tests
 
 test-all: test $(VENV)/.installed-for-examples
 	$(PYTEST) -m long
+
+quality: $(VENV)/.installed-for-tests
+	$(VENV)/bin/python docs/tools/quality.py
 
 # Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
 recorded: $(VENV)/.installed-for-tests
@@ -40,6 +44,8 @@ ifdef PICTURES
 	$(VENV)/bin/python docs/tools/make_stage_pictures.py
 	$(VENV)/bin/python docs/tools/make_symptoms.py
 endif
+	$(VENV)/bin/python docs/tools/quality.py --write
+	$(VENV)/bin/python docs/tools/make_lessons.py
 	$(VENV)/bin/python docs/tools/make_performance.py
 	$(VENV)/bin/python docs/tools/make_tables.py
 
@@ -54,22 +60,22 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt Makefile
 	@echo "environment: $(VENV), a few seconds"
 	@$(PYTHON) -m venv $(VENV) || { test "$$(id -u)" = 0 && apt-get install -y python3-venv && $(PYTHON) -m venv $(VENV); }
 	@echo "packages: 650 MB on disk, 1 to 3 minutes"
-	@$(PIP) --editable . $(QUIETLY)
+	@$(PIP) --editable '.[lab,video]' $(QUIETLY)
 	@$(MAKE) --no-print-directory runtime
 	@touch $@
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
-	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
+	@echo "packages of the tests, PyTorch among them: 1.5 GB on disk, 1 to 4 minutes"
 	@$(PIP) --editable '.[test,train,opencv,cluster,webgpu,spring]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-examples: $(VENV)/.installed-for-tests
-	@echo "Panda3D, for the live example: 114 MB on disk"
+	@echo "Panda3D, for the live example: 170 MB on disk"
 	@$(PIP) --editable '.[examples]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-docs: $(VENV)/.installed
-	@echo "packages of the documentation: 80 MB on disk, a few seconds"
+	@echo "packages of the documentation: 70 MB on disk, a few seconds"
 	@$(PIP) --editable '.[docs]' $(QUIETLY)
 	@touch $@
 
@@ -77,7 +83,7 @@ $(VENV)/.installed-for-docs: $(VENV)/.installed
 # (x86-64, no root); else PoCL, where root can install it.
 .PHONY: runtime
 runtime:
-	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (280 MB to download, 1 to 2 minutes)"
+	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (280 MB to download, 800 MB on disk, 1 to 2 minutes)"
 	@$(VENV)/bin/gffe devices --kind gpu >/dev/null 2>&1 \
 		|| { test "$$(uname -sm)" = "Linux x86_64" && $(PIP) --editable '.[intel]' >$(VENV)/runtime.log 2>&1 \
 			&& $(VENV)/bin/gffe devices >/dev/null 2>&1; } \

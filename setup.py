@@ -1,7 +1,9 @@
 """Packages of a wheel: all folders of gffe_cl/, kernels/ and viewer/, with all files but hidden ones and backups; links
-to folders are left out. pyproject.toml has the rest."""
+to folders are left out. Links of its README are absolute if it is built on GitHub. pyproject.toml has the rest."""
 
 import os
+import re
+from pathlib import Path
 
 from setuptools import setup
 
@@ -18,7 +20,29 @@ def packages():
             yield name if inside == "." else f"{name}.{inside.replace(os.sep, '.')}"
 
 
+def urls():
+    """Return the addresses of the project by name; the repository's where GitHub builds it."""
+    name = os.environ.get("GITHUB_REPOSITORY")
+    found = {"Paper": "https://doi.org/10.1145/3687923"}
+    if name:
+        source = f"{os.environ.get('GITHUB_SERVER_URL', 'https://github.com')}/{name}"
+        found |= {"Source": source, "Issues": f"{source}/issues", "Documentation": f"{source}/tree/main/docs"}
+    return found
+
+
+def readme():
+    """Return the README; on the page of an index no files lie beside it."""
+    text, source = Path(__file__).with_name("README.md").read_text("utf-8"), urls().get("Source")
+    if source is None:
+        return text
+    text = re.sub(r"(!\[[^\]]*\]\()(?!https?:)", rf"\1{source}/raw/main/", text)
+    return re.sub(r"(\]\()(?!https?:|#)", rf"\1{source}/blob/main/", text)
+
+
 setup(
+    long_description=readme(),
+    long_description_content_type="text/markdown",
+    project_urls=urls(),
     packages=list(packages()),
     package_dir=PARTS,
     package_data={"": ["*"]},

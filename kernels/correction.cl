@@ -74,11 +74,11 @@ WIDE __kernel void choose_flow(__constant Frame *restrict frame, __global const 
 }
 
 /* The head: two layers of weights for each pixel. Weights lie one row after another, each layer's biases after them. */
-INLINE void head_of(__global const float *head, const Floats *seen, Floats *said) {
-    __global const float *bias = head + HIDDEN * SEEN, *second = bias + HIDDEN, *last = second + SAID * HIDDEN;
+INLINE void head_of(__constant float *head, const Floats *seen, Floats *said) {
+    __constant float *bias = head + HIDDEN * SEEN, *second = bias + HIDDEN, *last = second + SAID * HIDDEN;
     for (int j = 0; j < SAID; ++j) said[j] = last[j];
     for (int k = 0; k < HIDDEN; k += 4) { /* four at once: what is seen is loaded once for all of them */
-        __global const float *first = head + k * SEEN;
+        __constant float *first = head + k * SEEN;
         Floats a = bias[k], b = bias[k + 1], c = bias[k + 2], d = bias[k + 3];
 #pragma unroll
         for (int i = 0; i < SEEN; ++i) {
@@ -90,7 +90,7 @@ INLINE void head_of(__global const float *head, const Floats *seen, Floats *said
         a = leaky(a), b = leaky(b), c = leaky(c), d = leaky(d);
 #pragma unroll
         for (int j = 0; j < SAID; ++j) {
-            __global const float *w = second + j * HIDDEN + k;
+            __constant float *w = second + j * HIDDEN + k;
             said[j] = said[j] + w[0] * a + w[1] * b + w[2] * c + w[3] * d;
         }
     }
@@ -148,7 +148,7 @@ INLINE Ints is_trusted_around(__global const float *trusted, const int width, co
    surface. Where nobody uses the result, it is no change, all detail, and no mask. */
 WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __global const float *frames,
                          __global const float *trends, __global const float *judgement, __global const float *chosen,
-                         __global const float *head, __global const float *texture, __global const int *changed,
+                         __constant float *head, __global const float *texture, __global const int *changed,
                          __global float *correction) {
     const int width = frame->network_width, height = frame->network_height, plane = width * height, quarter = plane / 4;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;

@@ -4,9 +4,8 @@
 #include "common.h"
 #include "simd.h"
 
-/* The four taps, in an image of `width` by `height` pixels, of pixels from (x, y) on of one of twice the size; x is
-   a multiple of LANES. `inner`: those to the left and to the right are in 8 pixels from `first` on, else `left` and
-   `right`. */
+/* The four taps, in an image of `width` by `height` pixels, of LANES pixels of one of twice the size. `inner`: those to
+   the left and to the right are in 8 pixels from `first` on, else `left` and `right`. */
 typedef struct {
     int top, bottom, first;
     Ints left, right;
@@ -15,17 +14,25 @@ typedef struct {
     bool inner;
 } Taps;
 
-INLINE void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
-    const Ints columns = x + LANE_NUMBERS, x0 = (columns - 1) >> 1;
-    const int y0 = (y - 1) >> 1, first = (x >> 1) - 1;
+/* Those of pixels in some `columns` of row y. */
+INLINE void taps_of(const Ints columns, const int y, const int width, const int height, Taps *t) {
+    const Ints x0 = (columns - 1) >> 1;
+    const int y0 = (y - 1) >> 1;
     t->top = max(y0, 0) * width;
     t->bottom = min(y0 + 1, height - 1) * width;
-    t->first = first;
+    t->first = 0;
     t->left = clamp(x0, (Ints)(0), (Ints)(width - 1));
     t->right = min(x0 + 1, (Ints)(width - 1));
     t->u = (columns & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
     t->v = (y & 1) ? 0.25f : 0.75f;
-    t->inner = first >= 0 && first + 8 <= width;
+    t->inner = false;
+}
+
+/* Those of pixels from (x, y) on; x is a multiple of LANES. */
+INLINE void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
+    taps_of(x + LANE_NUMBERS, y, width, height, t);
+    t->first = (x >> 1) - 1;
+    t->inner = t->first >= 0 && t->first + 8 <= width;
 }
 
 /* Bilinear interpolation of a plane. */

@@ -63,7 +63,6 @@ typedef struct {
     int softens; /* whether silhouettes are made soft */
     int bends; /* whether movers' acceleration continues */
     int collects; /* whether there is a background */
-    float upscale_sharpening;
 } Frame;
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */

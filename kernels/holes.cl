@@ -445,84 +445,6 @@ SCAN __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
     }
 }
 
-/* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */
-
-/* Mean (color, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
-__kernel void push_image(__constant Frame *restrict frame, __global const uchar *filled_by, __global const half *color,
-                         __global const float *depth, __global float4 *mean, __global float *weight) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int level_width = level_side(frame->target_width, 1), level_height = level_side(frame->target_height, 1);
-    const int texel_x = get_global_id(0), texel_y = get_global_id(1);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    float4 sum = (float4)(0.0f);
-    float inverse_sum = 0.0f;
-    for (int k = 0; k < 4; ++k) {
-        const int dst_x = 2 * texel_x + (k & 1), dst_y = 2 * texel_y + (k >> 1);
-        if (!inside(dst_x, dst_y, target_width, target_height)
-            || filled_by[dst_y * target_width + dst_x] == BY_HOLE_FILLING)
-            continue;
-        add(&sum, &inverse_sum, 1.0f, frame->exposure, load_color(color, dst_y * target_width + dst_x),
-            depth[dst_y * target_width + dst_x]);
-    }
-    const bool any = sum.w > 0.0f;
-    const float size = any ? divide(1.0f, sum.w) : 0.0f;
-    mean[texel_y * level_width + texel_x] = (float4)(sum.x * size, sum.y * size, sum.z * size, inverse_sum * size);
-    weight[texel_y * level_width + texel_x] = any ? 1.0f : 0.0f;
-}
-
-/* Adds up from one level to the next; weights add up to at most 1. */
-__kernel void push_level(__constant Frame *restrict frame, const int level, __global const float4 *fine_mean,
-                         __global const float *fine_weight, __global float4 *mean, __global float *weight) {
-    const int fine_width = level_side(frame->target_width, level - 1);
-    const int fine_height = level_side(frame->target_height, level - 1);
-    const int level_width = level_side(frame->target_width, level),
-              level_height = level_side(frame->target_height, level);
-    const int texel_x = get_global_id(0), texel_y = get_global_id(1);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    float4 sum = (float4)(0.0f);
-    float weight_sum = 0.0f;
-    for (int k = 0; k < 4; ++k) {
-        const int fine_x = 2 * texel_x + (k & 1), fine_y = 2 * texel_y + (k >> 1);
-        if (!inside(fine_x, fine_y, fine_width, fine_height)) continue;
-        const float w = fine_weight[fine_y * fine_width + fine_x];
-        sum += w * fine_mean[fine_y * fine_width + fine_x];
-        weight_sum += w;
-    }
-    const float size = weight_sum > 0.0f ? divide(1.0f, weight_sum) : 0.0f;
-    mean[texel_y * level_width + texel_x] = sum * size;
-    weight[texel_y * level_width + texel_x] = fmin(weight_sum, 1.0f);
-}
-
-/* Bilinear interpolation of a level at texel position (x + 0.5, y + 0.5) / 2 of the next finer one. */
-INLINE float4 upsampled(const int x, const int y, const int level_width, const int level_height,
-                        __global const float4 *mean) {
-    const float u = (x & 1) ? 0.25f : 0.75f, v = (y & 1) ? 0.25f : 0.75f;
-    const int x0 = (x - 1) >> 1, y0 = (y - 1) >> 1;
-    float4 sum = (float4)(0.0f);
-    for (int tap = 0; tap < 4; ++tap) {
-        const int tap_x = clamp(x0 + (tap & 1), 0, level_width - 1),
-                  tap_y = clamp(y0 + (tap >> 1), 0, level_height - 1);
-        sum += bilinear_weight(tap, u, v) * mean[tap_y * level_width + tap_x];
-    }
-    return sum;
-}
-
-/* Completes a level, in place, where it is not full, from the coarser one. */
-__kernel void pull_level(__constant Frame *restrict frame, const int level, __global const float4 *coarse_mean,
-                         __global float4 *mean, __global const float *weight) {
-    const int level_width = level_side(frame->target_width, level),
-              level_height = level_side(frame->target_height, level);
-    const int coarse_width = level_side(frame->target_width, level + 1);
-    const int coarse_height = level_side(frame->target_height, level + 1);
-    const int texel_x = get_global_id(0), texel_y = get_global_id(1);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    const int texel = texel_y * level_width + texel_x;
-    const float w = weight[texel];
-    if (w < 1.0f)
-        mean[texel] =
-            w * mean[texel] + (1.0f - w) * upsampled(texel_x, texel_y, coarse_width, coarse_height, coarse_mean);
-}
-
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
 /* Fills a pixel's depth, and the motion of a static point. Gives where that is in the rendered image
@@ -752,16 +674,4 @@ fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side
         downsampled_inverse_depth[own] = inverse_sums[own_in_ring];
     }
     fill_or_ask(true, first_x, end_x, dst_y, tile, frame, images);
-}
-
-/* Fills all of it, from the completed level 1 of push-pull. */
-__kernel void fill_from_pyramid(__constant Frame *restrict frame, __global const uchar *filled_by,
-                                __global const float4 *level_mean, __global half *color, __global float *depth,
-                                __global float2 *motion) {
-    const Images images = {.filled_by = filled_by, .color = color, .depth = depth, .motion = motion};
-    const int level_width = level_side(frame->target_width, 1), level_height = level_side(frame->target_height, 1);
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= frame->target_width || dst_y >= frame->target_height) return;
-    if (filled_by[dst_y * frame->target_width + dst_x] != BY_HOLE_FILLING) return;
-    fill_pixel(dst_x, dst_y, upsampled(dst_x, dst_y, level_width, level_height, level_mean), frame, images);
 }

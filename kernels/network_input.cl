@@ -58,14 +58,19 @@ WIDE __kernel void depth_histogram(__constant Frame *restrict frame, __global co
     if (run) atomic_add(histogram + bin, run);
 }
 
-/* The middle of the bin in which half of the depths is reached; 1 if there are none. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void find_median(__global const uint *histogram,
+/* The middle of the bin in which half of the depths is reached; 1 if there are none. Clears the histogram for the next
+   frame. One work-group. */
+__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void find_median(__global uint *histogram,
                                                                                 __global float *median_depth) {
     const uint item = get_local_id(0);
     __local uint sums[SCANNERS], counts[SCANNED], found, found_below;
-    uint4 sum = (uint4)(0);
-    for (uint k = 0; k < SCANNED / 4; ++k) sum += vload4(item * (SCANNED / 4) + k, histogram);
-    sums[item] = (sum.x + sum.y) + (sum.z + sum.w);
+    sums[item] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (uint four = item; four < BINS / 4; four += SCANNERS) {
+        const uint4 bins = vload4(four, histogram);
+        const uint sum = (bins.x + bins.y) + (bins.z + bins.w);
+        if (sum) atomic_add(sums + four / (SCANNED / 4), sum);
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
 
     /* The one whose bins lead from below the half to the half or beyond. */
@@ -83,7 +88,9 @@ __kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void find_median(
 
     /* The same among its bins. */
     if (total && item < SCANNED) counts[item] = histogram[found * SCANNED + item];
-    barrier(CLK_LOCAL_MEM_FENCE);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    for (uint four = item; four < BINS / 4; four += SCANNERS)
+        if (sums[four / (SCANNED / 4)]) vstore4((uint4)(0), four, histogram);
     if (total == 0 && item == 0) *median_depth = 1.0f;
     if (total == 0 || item >= SCANNED) return;
     below = found_below;

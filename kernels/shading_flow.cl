@@ -57,153 +57,260 @@ WIDE __kernel void halve_frames(__constant Frame *restrict frame, __global const
                       count, texture + at);
 }
 
-/* Makes both frames' brightness at `level`, from the level above. */
-WIDE __kernel void halve_brightness(__constant Frame *restrict frame, const int level, __global const float *fine,
-                                    __global float *brightness) {
-    const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
+/* Makes levels 2 and 3 of both frames' brightness. */
+WIDE __kernel void halve_brightness(__constant Frame *restrict frame, __global const float *brightness1,
+                                    __global float *brightness2, __global float *brightness3) {
+    const int width = frame->network_width / 8, height = frame->network_height / 8, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (x >= width || y >= height) return;
-    for (int which = 0; which < 2; ++which)
-        store_some_floats(halved(fine + 4 * which * plane, 2 * width, x, y, count), count,
-                          brightness + which * plane + y * width + x);
-}
-
-/* The flow at `level` to begin with, from that of the level below. */
-WIDE __kernel void double_flow(__constant Frame *restrict frame, const int level, __global const float *coarse,
-                               __global float *flow) {
-    const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1);
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, plane = width * height;
-    if (x >= width || y >= height) return;
-    Taps taps;
-    taps_around(x, y, width / 2, height / 2, &taps);
-    for (int axis = 0; axis < 2; ++axis)
-        store_some_floats(2.0f * interpolate(coarse + axis * (plane / 4), &taps), count,
-                          flow + axis * plane + y * width + x);
-}
-
-/* The previous frame's brightness at `level`, moved along the flow. */
-WIDE __kernel void warp_brightness(__constant Frame *restrict frame, const int level, __global const float *brightness,
-                                   __global const float *flow, __global float *warped) {
-    const int width = frame->network_width >> level, height = frame->network_height >> level, plane = width * height;
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
-    if (x >= width || y >= height) return;
-    Taps taps;
-    taps_around(x, y, width / 2, height / 2, &taps);
-    const Floats flow_x = interpolate(flow, &taps), flow_y = interpolate(flow + plane / 4, &taps);
-    Sample there;
-    find_sample(row_indices(x) + flow_x, (float)y + flow_y, width, height, &there);
-    store_some_floats(sampled(brightness + plane, &there), count, warped + y * width + x);
-}
-
-/* Sum of both images of which the flow is sought, at columns of a row. */
-INLINE Floats both_at(__global const float *now, __global const float *warped, const int width, const Ints column,
-                      const int row) {
-    const Ints i = row * width + clamp(column, (Ints)(0), (Ints)(width - 1));
-    return gather_floats(now, i) + gather_floats(warped, i);
-}
-
-/* Makes the means over 2x2 pixels of products of gradients and differences: xx, xy, yy, xr, yr. */
-WIDE __kernel void sum_products(__constant Frame *restrict frame, const int level, __global const float *brightness,
-                                __global const float *warped, __global float *products) {
-    const int width = frame->network_width >> level, height = frame->network_height >> level;
-    const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), cells_width = width / 2,
-              count = cells_width - cell_x;
-    if (cell_x >= cells_width || cell_y >= height / 2) return;
-    Floats sums[PRODUCTS];
-    for (int k = 0; k < PRODUCTS; ++k) sums[k] = 0.0f;
-    for (int part = 0; part < 4; ++part) {
-        const Ints column = min(2 * (cell_x + LANE_NUMBERS) + (part & 1), (Ints)(width - 1));
-        const int row = 2 * cell_y + (part >> 1), above = max(row - 1, 0), below = min(row + 1, height - 1);
-        const Floats x =
-            both_at(brightness, warped, width, column + 1, row) - both_at(brightness, warped, width, column - 1, row);
-        const Floats y =
-            both_at(brightness, warped, width, column, below) - both_at(brightness, warped, width, column, above);
-        const Ints i = row * width + column;
-        const Floats rest = 4.0f * (gather_floats(warped, i) - gather_floats(brightness, i));
-        sums[0] += x * x;
-        sums[1] += x * y;
-        sums[2] += y * y;
-        sums[3] += x * rest;
-        sums[4] += y * rest;
+    for (int which = 0; which < 2; ++which) {
+        __global float *made = brightness2 + 4 * which * plane;
+        for (int part = 0; part < 4; ++part) {
+            const int fine_x = 2 * x + (part & 1) * LANES, fine_y = 2 * y + (part >> 1), left = 2 * width - fine_x;
+            if (left > 0)
+                store_some_floats(halved(brightness1 + 16 * which * plane, 4 * width, fine_x, fine_y, left), left,
+                                  made + fine_y * 2 * width + fine_x);
+        }
+        store_some_floats(halved(made, 2 * width, x, y, count), count, brightness3 + which * plane + y * width + x);
     }
-    for (int k = 0; k < PRODUCTS; ++k)
-        store_some_floats(0.25f * sums[k], count,
-                          products + k * (cells_width * (height / 2)) + cell_y * cells_width + cell_x);
 }
 
-/* Mean over the 3x3 pixels around, or those of them that there are. */
-INLINE Floats mean_around(__global const float *plane, const int width, const int height, const int x, const int y) {
-    const int top = max(y - 1, 0), bottom = min(y + 1, height - 1);
+/* Work-groups have as many work-items as pixels of the flow, of a tile, which they work on in local memory, in chunks
+   of LANES pixels of a row. */
+#define TILE_WIDTH 16
+#define TILE_HEIGHT 8
+#define ITEMS 128 /* their product */
+#define TILE __attribute__((reqd_work_group_size(TILE_WIDTH, TILE_HEIGHT, 1)))
+#define ITEM ((int)(get_local_id(1) * TILE_WIDTH + get_local_id(0)))
+#define TILE_X ((int)(get_group_id(0) * TILE_WIDTH))
+#define TILE_Y ((int)(get_group_id(1) * TILE_HEIGHT))
+#define CHUNKS(pixels) (((pixels) + LANES - 1) / LANES)
+
+/* The flow of a tile and AROUND it, in both planes one row after another, the image's border repeated. */
+#define AROUND 3
+#define FLOW_ROWS (TILE_HEIGHT + 2 * AROUND)
+#define FLOW_CHUNKS CHUNKS(TILE_WIDTH + 2 * AROUND)
+#define FLOW_PITCH (LANES * FLOW_CHUNKS)
+#define FLOW_PLANE (FLOW_ROWS * FLOW_PITCH)
+
+/* Pixels of an image with two of them for one of the flow, each way: of a tile and PIXELS_AROUND it. */
+#define PIXELS_AROUND 4
+#define PIXEL_ROWS (2 * TILE_HEIGHT + 2 * PIXELS_AROUND)
+#define PIXEL_PITCH (2 * TILE_WIDTH + 2 * PIXELS_AROUND)
+#define PIXEL_CHUNKS (PIXEL_PITCH / LANES)
+#define PIXELS (PIXEL_ROWS * PIXEL_PITCH + 2 * LANES) /* those after the last are read, and not used */
+
+/* Sums of a tile and of the pixels next to it. */
+#define SUM_ROWS (TILE_HEIGHT + 2)
+#define SUM_CHUNKS CHUNKS(TILE_WIDTH + 2)
+#define SUM_PITCH (LANES * SUM_CHUNKS)
+#define SUM_PLANE (SUM_ROWS * SUM_PITCH)
+
+/* Loads the flow of an image of `width` by `height`; `doubles`: from that of the level below. */
+INLINE void load_flow(__global const float *flow, const bool doubles, const int width, const int height,
+                      __local float *near) {
+    const int plane = width * height;
+    for (int i = ITEM; i < FLOW_ROWS * FLOW_CHUNKS; i += ITEMS) {
+        const int row = i / FLOW_CHUNKS, column = LANES * (i % FLOW_CHUNKS);
+        const int y = clamp(TILE_Y - AROUND + row, 0, height - 1);
+        const Ints x = clamp(TILE_X - AROUND + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
+        Taps taps;
+        taps_of(x, y, width / 2, height / 2, &taps);
+        for (int axis = 0; axis < 2; ++axis) {
+            const Floats value = doubles ? 2.0f * interpolate(flow + axis * (plane / 4), &taps)
+                                         : gather_floats(flow + axis * plane + y * width, x);
+            store_floats(value, 0, near + axis * FLOW_PLANE + row * FLOW_PITCH + column);
+        }
+    }
+}
+
+/* One plane of the flow, interpolated at pixels from (x, y) on; x is even with several lanes. */
+INLINE Floats flow_at(__local const float *near, const int x, const int y) {
+    __local const float *top = near + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH - TILE_X + AROUND;
+    __local const float *bottom = top + FLOW_PITCH;
+#if LANES == 8
+    const float8 above = vload8(0, top + (x >> 1) - 1), below = vload8(0, bottom + (x >> 1) - 1);
+    const float8 a = above.s01122334, b = above.s12233445, c = below.s01122334, d = below.s12233445;
+#else
+    const int left = (x - 1) >> 1;
+    const float a = top[left], b = top[left + 1], c = bottom[left], d = bottom[left + 1];
+#endif
+    const Floats u = ((x + LANE_NUMBERS) & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
+    const float v = (y & 1) ? 0.25f : 0.75f;
+    return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
+}
+
+/* Brightness of an image of `width` by `height` at pixels from (x, y) on: in the extrapolated frame and, moved along
+   the flow, in the previous one. */
+INLINE void load_both(__global const float *brightness, __local const float *near, const int width, const int height,
+                      const int x, const int y, Floats *now, Floats *moved) {
+    __global const float *row = brightness + y * width;
+    const Ints column = clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1));
+    *now = x >= 0 && x + LANES <= width ? load_floats(0, row + x) : gather_floats(row, column);
+    Sample there;
+    find_sample(row_indices(x) + flow_at(near, x, y), (float)y + flow_at(near + FLOW_PLANE, x, y), width, height,
+                &there);
+    *moved = sampled(brightness + width * height, &there);
+}
+
+/* LANES pairs of pixels that follow one another. */
+INLINE void load_pairs(__local const float *p, Floats *left, Floats *right) {
+#if LANES == 8
+    const float16 pairs = vload16(0, p);
+    *left = pairs.even;
+    *right = pairs.odd;
+#else
+    *left = p[0];
+    *right = p[1];
+#endif
+}
+
+/* Mean over the 3x3 pixels around those of the tile from (x, y) on, or over those of them that there are. */
+INLINE Floats mean_around(__local const float *sums, const int width, const int height, const int x, const int y) {
+    const int top = max(y, 1 - TILE_Y), bottom = min(y + 2, height - TILE_Y);
     Floats sum = 0.0f, columns = 0.0f;
     for (int dx = -1; dx <= 1; ++dx) {
-        const Ints column = x + LANE_NUMBERS + dx, clamped = clamp(column, (Ints)(0), (Ints)(width - 1));
+        const Ints column = TILE_X + x + dx + LANE_NUMBERS, there = (column >= 0) & (column < width);
         Floats of_column = 0.0f;
-        for (int row = top; row <= bottom; ++row) of_column += gather_floats(plane, row * width + clamped);
-        sum += column == clamped ? of_column : (Floats)(0.0f);
-        columns += column == clamped ? (Floats)(1.0f) : (Floats)(0.0f);
+        for (int row = top; row <= bottom; ++row) of_column += load_floats(0, sums + row * SUM_PITCH + x + 1 + dx);
+        sum += there ? of_column : (Floats)(0.0f);
+        columns += there ? (Floats)(1.0f) : (Floats)(0.0f);
     }
     return wide_divide(sum, columns * (float)(bottom + 1 - top));
 }
 
-/* One step of the flow at `level`, by least squares. */
-WIDE __kernel void step_flow(__constant Frame *restrict frame, const int level, __global const float *products,
-                             __global float *flow) {
-    const int width = frame->network_width >> (level + 1), height = frame->network_height >> (level + 1),
-              plane = width * height;
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
-    if (x >= width || y >= height) return;
-    Floats mean[PRODUCTS];
-    for (int k = 0; k < PRODUCTS; ++k) mean[k] = mean_around(products + k * plane, width, height, x, y);
-    const Floats xx = mean[0] + FLAT, xy = mean[1], yy = mean[2] + FLAT, xr = mean[3], yr = mean[4];
-    const Floats determinant = xx * yy - xy * xy;
-    const Floats step_x = wide_divide(xy * yr - yy * xr, determinant),
-                 step_y = wide_divide(xy * xr - xx * yr, determinant);
-    const Floats longer = wide_greater(fabs(step_x), fabs(step_y)),
-                 excess = wide_greater((1.0f / LONGEST) * longer, (Floats)(1.0f));
-    store_some_floats(load_some_floats(count, flow + at) + wide_divide(step_x, excess), count, flow + at);
-    store_some_floats(load_some_floats(count, flow + plane + at) + wide_divide(step_y, excess), count,
-                      flow + plane + at);
-}
+/* Makes a step of the flow at `level`, by least squares, from the flow `begun`, or, if it `doubles`, from that of the
+   level below. */
+WIDE TILE __kernel void step_flow(__constant Frame *restrict frame, const int level, const int doubles,
+                                  __global const float *restrict brightness, __global const float *restrict begun,
+                                  __global float *restrict flow) {
+    /* both: sum of both images of which the flow is sought; rest: four times their difference */
+    __local float near[2 * FLOW_PLANE], both[PIXELS], rest[PIXELS], products[PRODUCTS * SUM_PLANE];
+    const int fine = frame->network_width >> level, fine_height = frame->network_height >> level;
+    const int width = fine / 2, height = fine_height / 2, plane = width * height;
+    load_flow(begun, doubles, width, height, near);
+    barrier(CLK_LOCAL_MEM_FENCE);
 
-/* Makes squared differences at level 2: means over 2x2 pixels of level 1 of the brightness of both frames, in place and
-   along the flow; and of its change from the previous interval's, in place and along the flow. */
-WIDE __kernel void sum_differences(__constant Frame *restrict frame, __global const float *brightness,
-                                   __global const float *warped, __global const float *coarser,
-                                   __global const float *flow, __global const float *trends, __global float *products) {
-    const int fine = frame->network_width / 2, width = fine / 2, height = frame->network_height / 4,
-              plane = width * height;
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
-    if (x >= width || y >= height) return;
-    Floats still = 0.0f, along = 0.0f;
-    for (int part = 0; part < 4; ++part) {
-        const Ints i = (2 * y + (part >> 1)) * fine + min(2 * (x + LANE_NUMBERS) + (part & 1), (Ints)(fine - 1));
-        const Floats now = gather_floats(brightness, i);
-        const Floats before = gather_floats(brightness + 4 * plane, i) - now, moved = gather_floats(warped, i) - now;
-        still += before * before;
-        along += moved * moved;
+    for (int i = ITEM + PIXEL_CHUNKS; i < (PIXEL_ROWS - 1) * PIXEL_CHUNKS; i += ITEMS) {
+        const int row = i / PIXEL_CHUNKS, column = LANES * (i % PIXEL_CHUNKS);
+        const int x = 2 * TILE_X - PIXELS_AROUND + column, y = 2 * TILE_Y - PIXELS_AROUND + row;
+        if (y < 0 || y >= fine_height) continue;
+        Floats now, moved;
+        load_both(brightness, near, fine, fine_height, x, y, &now, &moved);
+        store_floats(now + moved, 0, both + row * PIXEL_PITCH + column);
+        store_floats(4.0f * (moved - now), 0, rest + row * PIXEL_PITCH + column);
     }
-    const Floats changed = load_some_floats(count, coarser + at) - load_some_floats(count, coarser + plane + at);
-    const Floats flow_x = load_some_floats(count, flow + at), flow_y = load_some_floats(count, flow + plane + at);
-    __global const float *repeated = trends + 4 * REPEATED * plane;
-    Sample there;
-    find_sample(2.0f * row_indices(x) + 0.5f + flow_x, 2.0f * (float)y + 0.5f + flow_y, fine, 2 * height, &there);
-    const Floats again = changed - halved(repeated, fine, x, y, count),
-                 again_along = changed - sampled(repeated, &there);
-    store_some_floats(0.25f * still, count, products + at);
-    store_some_floats(0.25f * along, count, products + plane + at);
-    store_some_floats(again * again, count, products + 2 * plane + at);
-    store_some_floats(again_along * again_along, count, products + 3 * plane + at);
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    /* Means over 2x2 pixels of products of gradients and differences: xx, xy, yy, xr, yr. */
+    for (int i = ITEM; i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
+        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS);
+        if (TILE_Y + row < 1 || TILE_Y + row > height) continue;
+        const Ints x = TILE_X - 1 + column + LANE_NUMBERS;
+        Floats sums[PRODUCTS];
+        for (int k = 0; k < PRODUCTS; ++k) sums[k] = 0.0f;
+        for (int part = 0; part < 2; ++part) {
+            const int y = 2 * (TILE_Y - 1 + row) + part;
+            const int at = (y - 2 * TILE_Y + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
+            __local const float *here = both + at;
+            Floats before, left, right, after, top[2], bottom[2], difference[2];
+            load_pairs(here - 1, &before, &left);
+            load_pairs(here + 1, &right, &after);
+            load_pairs(here - (y > 0 ? PIXEL_PITCH : 0), &top[0], &top[1]);
+            load_pairs(here + (y < fine_height - 1 ? PIXEL_PITCH : 0), &bottom[0], &bottom[1]);
+            load_pairs(rest + at, &difference[0], &difference[1]);
+            const Floats gradient[2] = {right - (x == 0 ? left : before), (x == width - 1 ? right : after) - left};
+            for (int side = 0; side < 2; ++side) {
+                const Floats gradient_y = bottom[side] - top[side];
+                sums[0] += gradient[side] * gradient[side];
+                sums[1] += gradient[side] * gradient_y;
+                sums[2] += gradient_y * gradient_y;
+                sums[3] += gradient[side] * difference[side];
+                sums[4] += gradient_y * difference[side];
+            }
+        }
+        for (int k = 0; k < PRODUCTS; ++k)
+            store_floats(0.25f * sums[k], 0, products + k * SUM_PLANE + row * SUM_PITCH + column);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM; i < CHUNKS(TILE_WIDTH) * TILE_HEIGHT; i += ITEMS) {
+        const int x = LANES * (i % CHUNKS(TILE_WIDTH)), y = i / CHUNKS(TILE_WIDTH);
+        const int count = width - TILE_X - x, at = (TILE_Y + y) * width + TILE_X + x;
+        if (count <= 0 || TILE_Y + y >= height) continue;
+        Floats mean[PRODUCTS];
+        for (int k = 0; k < PRODUCTS; ++k) mean[k] = mean_around(products + k * SUM_PLANE, width, height, x, y);
+        const Floats xx = mean[0] + FLAT, xy = mean[1], yy = mean[2] + FLAT, xr = mean[3], yr = mean[4];
+        const Floats determinant = xx * yy - xy * xy;
+        const Floats step_x = wide_divide(xy * yr - yy * xr, determinant),
+                     step_y = wide_divide(xy * xr - xx * yr, determinant);
+        const Floats longer = wide_greater(fabs(step_x), fabs(step_y)),
+                     excess = wide_greater((1.0f / LONGEST) * longer, (Floats)(1.0f));
+        __local const float *here = near + (y + AROUND) * FLOW_PITCH + x + AROUND;
+        store_some_floats(load_floats(0, here) + wide_divide(step_x, excess), count, flow + at);
+        store_some_floats(load_floats(0, here + FLOW_PLANE) + wide_divide(step_y, excess), count, flow + plane + at);
+    }
 }
 
-/* Blurs the squared differences. */
-WIDE __kernel void blur_differences(__constant Frame *restrict frame, __global const float *products,
-                                    __global float *differences) {
-    const int width = frame->network_width / 4, height = frame->network_height / 4, plane = width * height;
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
-    if (x >= width || y >= height) return;
-    for (int k = 0; k < DIFFERENCES; ++k)
-        store_some_floats(mean_around(products + k * plane, width, height, x, y), count,
-                          differences + k * plane + y * width + x);
+/* Makes mean squared differences nearby, at level 2: means over 2x2 pixels of level 1 of the brightness of both frames,
+   in place and along the flow; and of its change from the previous interval's, in place and along the flow. */
+WIDE TILE __kernel void find_differences(__constant Frame *restrict frame, __global const float *restrict brightness,
+                                         __global const float *restrict coarser, __global const float *restrict flow,
+                                         __global const float *restrict trends, __global float *restrict differences) {
+    __local float near[2 * FLOW_PLANE], still[PIXELS], along[PIXELS], squares[DIFFERENCES * SUM_PLANE];
+    const int fine = frame->network_width / 2, fine_height = frame->network_height / 2;
+    const int width = fine / 2, height = fine_height / 2, plane = width * height;
+    __global const float *repeated = trends + 4 * REPEATED * plane;
+    load_flow(flow, false, width, height, near);
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM + 2 * PIXEL_CHUNKS; i < (PIXEL_ROWS - 2) * PIXEL_CHUNKS; i += ITEMS) {
+        const int row = i / PIXEL_CHUNKS, column = LANES * (i % PIXEL_CHUNKS);
+        const int x = 2 * TILE_X - PIXELS_AROUND + column, y = 2 * TILE_Y - PIXELS_AROUND + row;
+        if (y < 0 || y >= fine_height) continue;
+        Floats now, moved;
+        load_both(brightness, near, fine, fine_height, x, y, &now, &moved);
+        const Ints there = y * fine + clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(fine - 1));
+        const Floats in_place = gather_floats(brightness + 4 * plane, there) - now, followed = moved - now;
+        store_floats(in_place * in_place, 0, still + row * PIXEL_PITCH + column);
+        store_floats(followed * followed, 0, along + row * PIXEL_PITCH + column);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM; i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
+        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS), y = TILE_Y - 1 + row;
+        if (y < 0 || y >= height) continue;
+        const Ints x = clamp(TILE_X - 1 + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1)), at = y * width + x;
+        const int first = (2 * row - 2 + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
+        Floats of_still[4], of_along[4], of_repeated[4];
+        for (int part = 0; part < 2; ++part) {
+            load_pairs(still + first + part * PIXEL_PITCH, &of_still[2 * part], &of_still[2 * part + 1]);
+            load_pairs(along + first + part * PIXEL_PITCH, &of_along[2 * part], &of_along[2 * part + 1]);
+        }
+        for (int part = 0; part < 4; ++part)
+            of_repeated[part] = gather_floats(repeated, (2 * y + (part >> 1)) * fine + 2 * x + (part & 1));
+        __local const float *here = near + (row - 1 + AROUND) * FLOW_PITCH + column - 1 + AROUND;
+        const Floats flow_x = load_floats(0, here), flow_y = load_floats(0, here + FLOW_PLANE);
+        Sample there;
+        find_sample(2.0f * to_floats(x) + 0.5f + flow_x, 2.0f * (float)y + 0.5f + flow_y, fine, fine_height, &there);
+        const Floats changed = gather_floats(coarser, at) - gather_floats(coarser + plane, at);
+        const Floats again = changed - mean_of_quad(of_repeated), again_along = changed - sampled(repeated, &there);
+        __local float *out = squares + row * SUM_PITCH + column;
+        store_floats(0.25f * (of_still[0] + of_still[1] + of_still[2] + of_still[3]), 0, out);
+        store_floats(0.25f * (of_along[0] + of_along[1] + of_along[2] + of_along[3]), 0, out + SUM_PLANE);
+        store_floats(again * again, 0, out + 2 * SUM_PLANE);
+        store_floats(again_along * again_along, 0, out + 3 * SUM_PLANE);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM; i < CHUNKS(TILE_WIDTH) * TILE_HEIGHT; i += ITEMS) {
+        const int x = LANES * (i % CHUNKS(TILE_WIDTH)), y = i / CHUNKS(TILE_WIDTH);
+        const int count = width - TILE_X - x, at = (TILE_Y + y) * width + TILE_X + x;
+        if (count <= 0 || TILE_Y + y >= height) continue;
+        for (int k = 0; k < DIFFERENCES; ++k)
+            store_some_floats(mean_around(squares + k * SUM_PLANE, width, height, x, y), count,
+                              differences + k * plane + at);
+    }
 }
 
 /* Data on trends: 4 x the trend of the last interval (3), 4 x the mean of the trend of the interval before, their

@@ -127,29 +127,27 @@ __kernel void find_change(__constant Frame *restrict frame, __global const uchar
     if (sum > FEW) atomic_or(changed, 1);
 }
 
-/* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond
-   the image there is nothing. */
+/* Planes, in the third dimension, blurred along rows: a cell counts the less the farther away it is, none farther than
+   the reach; beyond the image there is nothing. */
 WIDE __kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
     const int reach = max(1, frame->source_height / REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
-    const int plane = cells_width * cells_height, row = cell_y * cells_width;
+    const int row = (get_global_id(2) * cells_height + cell_y) * cells_width;
     const bool inner = cell_x >= reach && cell_x + reach + LANES <= cells_width;
-    for (int c = 0; c < CHANGES; ++c) {
-        __global const float *values = changes + c * plane + row;
-        Floats sum = 0.0f;
-        for (int dx = -reach; dx <= reach; ++dx) {
-            const float weight = (float)(reach + 1 - abs(dx));
-            if (inner) {
-                sum += weight * load_floats(0, values + cell_x + dx);
-            } else {
-                const Ints x = cell_x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(cells_width - 1));
-                sum += x == there ? weight * gather_floats(values, there) : (Floats)(0.0f);
-            }
+    __global const float *values = changes + row;
+    Floats sum = 0.0f;
+    for (int dx = -reach; dx <= reach; ++dx) {
+        const float weight = (float)(reach + 1 - abs(dx));
+        if (inner) {
+            sum += weight * load_floats(0, values + cell_x + dx);
+        } else {
+            const Ints x = cell_x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(cells_width - 1));
+            sum += x == there ? weight * gather_floats(values, there) : (Floats)(0.0f);
         }
-        store_some_floats(sum, cells_width - cell_x, blurred + c * plane + row + cell_x);
     }
+    store_some_floats(sum, cells_width - cell_x, blurred + row + cell_x);
 }
 
 /* Blurs along columns, and takes the mean of known values. */

@@ -1,6 +1,7 @@
 """Installed copies: what a wheel holds, and that it works with the newest and the lowest versions of what it needs."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -34,7 +35,9 @@ def wheel(tmp_path_factory):
         (source / "gffe_cl" / name).write_text("not for others")
     (source / "gffe_cl" / "again").symlink_to(source / "gffe_cl")
     (source / "kernels" / "up").symlink_to("..")
-    uv("build", "--out-dir", built, source)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GITHUB_REPOSITORY", "someone/gffe-cl")
+        uv("build", "--out-dir", built, source)
     (path,) = built.glob("*.whl")
     return path
 
@@ -47,27 +50,45 @@ def test_wheel_holds_the_package_and_nothing_else(wheel):
         for path in (ROOT / name).rglob("*")
         if path.is_file() and path.parent.name != "__pycache__"
     }
+    (about,) = (name for name in ZipFile(wheel).namelist() if name.endswith(".dist-info/METADATA"))
+    about = ZipFile(wheel).read(about).decode()
+    assert "Project-URL: Source, https://github.com/someone/gffe-cl\n" in about
+    assert not re.findall(r"\]\((?!https?:|#)", about) and "/raw/main/docs/pictures/demo.webp" in about
     held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == there
     assert {".css", ".js", ".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}
 
 
-@pytest.mark.parametrize(("resolution", "parts"), [("highest", []), ("lowest-direct", ["--quick"])])
-def test_wheel_works(wheel, resolution, parts, tmp_path):
+LAB = ("-r", ROOT / "pyproject.toml", "--extra", "lab", "--extra", "video")
+ENGINE = ("numpy", "pyopencl", "platformdirs")  # docs/guide.md: for programs that link the engine only
+
+
+@pytest.mark.parametrize(
+    ("needs", "part"),
+    [
+        (LAB, "--all"),
+        ((*LAB, "--resolution", "lowest-direct"), "--quick"),
+        (LAB[:2], "--default"),
+        (ENGINE, "--engine"),
+    ],
+    ids=["newest", "lowest", "default", "engine"],
+)
+def test_wheel_works(wheel, needs, part, tmp_path):
     """In an environment that has nothing but it and the versions that it asks for: all of it with the newest, the
-    demonstration and the self-test with the lowest. Intel's runtime is this one's."""
+    demonstration and the self-test with the lowest, what needs no extras without any, the engine with what it needs.
+    Intel's runtime is this one's."""
     if shutil.which("xvfb-run") is None:
         assert not os.environ.get("CI"), "CI must have xvfb-run"
         pytest.skip("xvfb-run is not installed")
     fresh, working = tmp_path / "environment", tmp_path / "working"
     working.mkdir()
     uv("venv", "--python", sys.executable, fresh)
-    needs = ("-r", ROOT / "pyproject.toml", wheel)
-    uv("pip", "install", "--python", fresh, "--only-binary", ":all:", "--resolution", resolution, *needs)
+    uv("pip", "install", "--python", fresh, "--only-binary", ":all:", *needs)
+    uv("pip", "install", "--python", fresh, "--no-deps", wheel)
     for path in (Path(sys.prefix) / "lib").iterdir():
         if path.is_file() and not (fresh / "lib" / path.name).exists():
             (fresh / "lib" / path.name).symlink_to(path)
-    command = [fresh / "bin" / "python", "-I", TRY, *parts]
+    command = [fresh / "bin" / "python", "-I", TRY, part]
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "OCL_ICD_VENDORS")}
     done = subprocess.run(command, cwd=working, env=environment, capture_output=True, text=True, timeout=3600)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -26,7 +26,7 @@ from gffe_cl.lab.bench.footage import SCENE, loop_of
 
 
 def clocks(loop: FrameLoop, device: gffe.Device, scn: bool, turns: int, pairs: int) -> list[dict[str, float]]:
-    """Milliseconds by clock, of each turn."""
+    """Return milliseconds by clock, of each turn."""
     options, copier, on_device = gffe.Options(shading_correction=scn), Copier(device), loop.on(device)
     with tempfile.TemporaryDirectory(prefix="compare_clocks_") as temporary:
         folder = Path(temporary) / "footage"
@@ -48,7 +48,7 @@ def clocks(loop: FrameLoop, device: gffe.Device, scn: bool, turns: int, pairs: i
 
 
 def plain_loop(loop: FrameLoop, device: gffe.Device, options: gffe.Options, pairs: int) -> float:
-    """The median wall time of a pair, milliseconds."""
+    """Return the median wall time of a pair, milliseconds."""
     pipeline = gffe.Pipeline(device, loop.width, loop.height, options)
     pipeline.exposure, walls = loop.exposure, []
     for turn in loop.turns(pairs):
@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=7)
     parser.add_argument("--pairs", type=int, default=8, help="counted pairs of frames in each turn")
     asked = parser.parse_args()
-    device = gffe.open_device(asked.device)
+    device = gffe.open_device(asked.device, profiling=True)
     width, height = (int(n) for n in asked.size.split("x"))
     loop = loop_of(device, asked.scene, (width, height))
     turns = clocks(loop, device, asked.scn, asked.turns, asked.pairs)

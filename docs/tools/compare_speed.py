@@ -1,10 +1,11 @@
-"""How long two versions of gffe-cl take for the same frames, in turns on one machine.
+"""Compare the times of two versions of gffe-cl for the same frames, in turns on one machine.
 
     python docs/tools/compare_speed.py                                       61564f7 and this working tree, plaza, 1080p
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
     python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
-    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread, too
+    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread
+    python docs/tools/compare_speed.py --preset performance                  with the options of a preset
     python docs/tools/compare_speed.py --old COMMIT --new FOLDER             a commit or a checkout's folder each
 
 Each version runs in a process of its own with its own modules and kernels, driven through the public `Pipeline`. Both
@@ -19,6 +20,7 @@ compare_clocks.py compares it with the wall time of `gffe bench` and of a plain 
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
 import os
 import shutil
@@ -61,23 +63,25 @@ BUSY = 1.15  # wall time : CPU time from which a warning is printed
 # ---- one version, in a process of its own ------------------------------------------------------------------
 
 
-def serve(footage: Path, device: str, scn: bool, host: bool) -> None:
+def serve(footage: Path, device: str, scn: bool, host: bool, preset: str | None) -> None:
     """Time the frames that standard input asks for, a line of JSON each. With `host`, the device is idle before each
-    call, so that no call waits, and the calling thread's processor time is told."""
+    call, so that no call waits, and the calling thread's processor time is told; nobody asks for times of stages."""
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # output of drivers
     import pyopencl as cl
 
     import gffe_cl as gffe  # the public names: modules have other places in other versions
 
-    opened = gffe.open_device(device)
+    asks = {} if host or "profiling" not in inspect.signature(gffe.open_device).parameters else {"profiling": True}
+    opened = gffe.open_device(device, **asks)
     about = json.loads((footage / "about.json").read_text())
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     frames = [
         [cl.Buffer(opened.context, flags, hostbuf=np.load(footage / f"{name}_{k}.npy")) for name in about["arrays"]]
         for k in range(len(about["cameras"]))
     ]
-    pipeline = gffe.Pipeline(opened, about["width"], about["height"], gffe.Options(shading_correction=scn))
+    options = gffe.Options.preset(preset or "balanced", shading_correction=scn)
+    pipeline = gffe.Pipeline(opened, about["width"], about["height"], options)
     pipeline.exposure = about["exposure"]
 
     def say(reply: dict) -> None:
@@ -101,7 +105,7 @@ def serve(footage: Path, device: str, scn: bool, host: bool) -> None:
         calling += time.thread_time()
         opened.queue.finish()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        reply = {"stages": pipeline.take_timings(), "wall": wall * 1e3, "cpu": cpu * 1e3}
+        reply = {"stages": {} if host else pipeline.take_timings(), "wall": wall * 1e3, "cpu": cpu * 1e3}
         say(reply | ({"host": calling * 1e3} if host else {}))
 
 
@@ -117,7 +121,7 @@ class Version:
         self.device = self._heard()["device"]
 
     def timed(self, turn: Turn, footage: FrameLoop) -> dict[str, float]:
-        """Milliseconds by part, "GAE" and `CLOCKS` among them."""
+        """Return milliseconds by part, "GAE" and `CLOCKS` among them."""
         until = turn.time(footage.interval)
         asked = {"index": turn.index, "time": turn.frame.time, "reset": turn.frame.reset, "until": until}
         print(json.dumps(asked), file=self.process.stdin, flush=True)
@@ -129,7 +133,8 @@ class Version:
         own = {"SCN, inputs and kernels": sum(scn.get(f"SCN, {name}", 0.0) for name in ("inputs", "flow", "kernels"))}
         clocks = dict(zip(CLOCKS, (heard["wall"], heard["cpu"] / (os.cpu_count() or 1)), strict=True))
         host = {"host": heard["host"]} if "host" in heard else {}
-        return parts | {"GAE": sum(parts.values())} | (scn | own if scn else {}) | clocks | host
+        gae = {"GAE": sum(parts.values())} if parts else {}
+        return parts | gae | (scn | own if scn else {}) | clocks | host
 
     def close(self) -> None:
         self.process.stdin.close()
@@ -146,7 +151,7 @@ class Version:
 
 
 def checkout(version: str, folder: Path) -> Path:
-    """The folder of a checkout: `version` itself if it is one, else that commit's files, put into `folder`."""
+    """Return the folder of a checkout: `version` itself if it is one, else that commit's files, put into `folder`."""
     if Path(version).is_dir():
         return Path(version).resolve()
     folder.mkdir()
@@ -158,7 +163,7 @@ def checkout(version: str, folder: Path) -> Path:
 
 
 def called(version: str) -> str:
-    """A version by its commit."""
+    """Return the commit of a version."""
     folder, commit = (version, "HEAD") if Path(version).is_dir() else (str(REPOSITORY), version)
     told = subprocess.run(["git", "-C", folder, "rev-parse", "--short", commit], capture_output=True, text=True)
     return told.stdout.strip() or version
@@ -192,7 +197,7 @@ def store(footage: FrameLoop, folder: Path) -> None:
 
 
 def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
-    """Milliseconds of both versions by part, and the ratios old : new."""
+    """Return milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
     arguments = [str(folder), "--device", device, *flags]
     versions = [Version(tree, *arguments) for tree in trees]
@@ -217,7 +222,7 @@ def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, re
 
 
 def rounded(value):
-    """Without digits that mean nothing."""
+    """Return the report without meaningless digits."""
     if isinstance(value, dict):
         return {key: rounded(inner) for key, inner in value.items()}
     if isinstance(value, list):
@@ -247,13 +252,14 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=16, help="counted pairs of frames")
     parser.add_argument("--frame", type=int, help="which rendered frame; default: the bench's")
     parser.add_argument("--scn", action="store_true", help="with the shading correction network")
-    parser.add_argument("--host", action="store_true", help="processor time of the calling thread, too")
+    parser.add_argument("--host", action="store_true", help="processor time of the calling thread instead of stages")
+    parser.add_argument("--preset", help="balanced (the default), quality or performance")
     parser.add_argument("--device", action="append", help="intel, pocl, …; may be repeated; default: the best one")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.serve:
-        serve(asked.serve, asked.device[0], asked.scn, asked.host)
+        serve(asked.serve, asked.device[0], asked.scn, asked.host, asked.preset)
         return
 
     from gffe_cl.engine.opencl.device import open_device
@@ -270,6 +276,7 @@ def main() -> None:
             footage = loop_of(device, subject, (width, height), asked.frame)
             place = folder / f"footage_{number}"
             flags = [flag for flag, is_set in (("--scn", asked.scn), ("--host", asked.host)) if is_set]
+            flags += ["--preset", asked.preset] if asked.preset else []
             reports.append(compare(footage, place, trees, device.info.index, asked.repeats, flags))
             show(reports[-1])
             shutil.rmtree(place)

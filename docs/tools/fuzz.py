@@ -32,18 +32,18 @@ SECONDS, MEGABYTES = 20, 4096  # that one input may take
 
 
 def plain(name: str) -> str:
-    """As part of a file's name."""
+    """Return a target's name as part of a file's name."""
     return name.replace(":", "@")
 
 
 def pending(name: str) -> Path:
-    """Where a child has what it reads just now: a crash of a library ends the child."""
+    """Return the file of a child's present input, which stays when a crash of a library ends the child."""
     WORK.mkdir(exist_ok=True)
     return WORK / f"{plain(name)}.pending"
 
 
 def keep(name: str) -> Path:
-    """Make a case of what a child died of."""
+    """Make a case of the input that a child died of, and return its file."""
     CASES.mkdir(exist_ok=True)
     data = pending(name).read_bytes()
     path = CASES / f"{plain(name)}-{hashlib.sha256(data).hexdigest()[:12]}"
@@ -52,7 +52,7 @@ def keep(name: str) -> Path:
 
 
 def run_target(name: str, seconds: float, seed: int) -> None:
-    """In a child process: until the time is over, or an input is a fault."""
+    """Try inputs in a child process until the time is over, or an input is a fault."""
     if importlib.util.find_spec("atheris"):
         run_with_atheris(name, seconds, seed)
     sys.path.insert(0, str(TESTS / "helpers"))

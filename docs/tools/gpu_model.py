@@ -1,13 +1,16 @@
 """Model of the time that a frame pair takes on GPUs: computed from what is recorded, never measured.
 
 Instructions are those that `gffe bench --traffic` counts, as LLVM has them, times what a GPU's compiler makes of them
-(docs/measured/gpu_compilers.json). Bytes are those that stages declare. The rest are the constants here.
+(docs/measured/gpu_compilers.json). Bytes are those that stages declare. The network's convolutions are counted from its
+layers. The rest are the constants here.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 from pages import recorded, table
 
@@ -18,25 +21,24 @@ REFERENCE = "sm_86"  # the GPU for which `Assumptions.machine` holds
 @dataclass(frozen=True)
 class Gpu:
     """A GPU by its data sheet. `compiled`: the GPU of the record that stands for it; `widest`: work-items of one
-    instruction, of which wider programs have several; `pcie`: None where it shares the host's memory."""
+    instruction, of which wider programs have several."""
 
     name: str
     compiled: str
     widest: int
     instructions: float  # 10⁹ per second, of all work-items that run at once
     bandwidth: float  # GB/s
-    pcie: float | None  # GB/s, each way
 
 
 GPUS = (
-    Gpu("RTX 4070 Ti Super", "sm_86", 32, 66 * 128 * 2.61, 672, 31.5),
-    Gpu("Intel Xe, 96 EU", "dg2-g10", 16, 96 * 8 * 1.35, 100, None),
+    Gpu("RTX 4070 Ti Super", "sm_86", 32, 66 * 128 * 2.61, 672),
+    Gpu("Intel Xe, 96 EU", "dg2-g10", 16, 96 * 8 * 1.35, 100),
 )
 
 
 @dataclass(frozen=True)
 class Assumptions:
-    """What no data sheet says."""
+    """Figures that no data sheet has."""
 
     machine: float  # instructions of the reference GPU for one of LLVM, which may compute a vector of four
     active: float  # share of active work-items among those that run in step
@@ -44,24 +46,22 @@ class Assumptions:
     caches: float  # bytes that move for each that must
     bandwidth: float  # share of the data sheet's bandwidth that is reached
     per_command: float  # microseconds from the end of a command to the start of the next
-    pcie: float  # share of the bus's bandwidth that is reached
     host: float  # microseconds of the host's processor for each command
 
 
-KIND = Assumptions(1.5, 0.9, 0.8, 1.0, 0.9, 2, 0.8, 30)
-HARSH = Assumptions(2.5, 0.7, 0.6, 1.2, 0.7, 6, 0.5, 80)
+KIND = Assumptions(1.5, 0.9, 0.8, 1.0, 0.9, 2, 30)
+HARSH = Assumptions(2.5, 0.7, 0.6, 1.2, 0.7, 6, 80)
 
 
 @dataclass(frozen=True)
 class Times:
     """Milliseconds of a part of the work: instructions alone, memory alone, gaps between commands; `gpu`: those gaps,
-    and of each kernel the longer of instructions and memory; copies over PCIe; the host's processor."""
+    and of each kernel the longer of instructions and memory; the host's processor."""
 
     instructions: float
     memory: float
     commands: float
     gpu: float
-    pcie: float
     host: float
 
     def __add__(self, other: Times) -> Times:
@@ -83,9 +83,8 @@ def model(gpu: Gpu, assumed: Assumptions, group: str) -> Times:
     number = recorded("must_move")[SCENE]["commands"][group]
     commands = number * assumed.per_command * 1e-3
     longer = sum(max(instructions[name], memory[name]) for name in kernels)
-    copied = bytes_to_network() / (assumed.pcie * gpu.pcie * 1e6) if gpu.pcie and group == "SCN" else 0.0
     host = number * assumed.host * 1e-3
-    return Times(sum(instructions.values()), sum(memory.values()), commands, longer + commands, copied, host)
+    return Times(sum(instructions.values()), sum(memory.values()), commands, longer + commands, host)
 
 
 def _nanoseconds(gpu: Gpu, assumed: Assumptions, kernel: str, counted: dict[str, float]) -> float:
@@ -100,15 +99,30 @@ def _nanoseconds(gpu: Gpu, assumed: Assumptions, kernel: str, counted: dict[str,
     return executed / (assumed.active * reached * gpu.instructions)
 
 
-def bytes_to_network() -> int:
-    """Return the bytes that the network reads and writes, each copied once where host and device have memory of their
-    own."""
-    from make_tables import SHOWN
-
+def convolutions(gpu: Gpu, assumed: Assumptions) -> Times:
+    """Return the time of the network's convolutions: an instruction for each product in floats, and for four products
+    of bytes; an image is read and written once by each layer."""
+    from gffe_cl.engine.inference.integer_layers import read_layers
+    from gffe_cl.engine.inference.model_interface import CANDIDATE_PLANES, INPUT_PLANES, JUDGEMENT_PLANES
+    from gffe_cl.engine.inference.providers import PACKAGED, cpu_model
     from gffe_cl.engine.stages.buffers import Sizes
 
     sizes = Sizes((1920, 1080), (1920, 1080))
-    return sum(spec.nbytes(sizes) for stage in SHOWN for spec in stage.buffers if spec.mapped)
+    pixels = [math.prod(sizes.of(f"network{level}")) for level in range(5)]
+    given = {"first": 4 * INPUT_PLANES * pixels[0], "taken": 4 * CANDIDATE_PLANES * pixels[1]}
+    issued = assumed.active * assumed.issued * gpu.instructions * 1e6 / assumed.machine  # a millisecond
+    per_byte = assumed.caches / (assumed.bandwidth * gpu.bandwidth * 1e6)
+    layers = read_layers(cpu_model(PACKAGED)).layers
+    times = []
+    for layer in layers:
+        products = pixels[layer.level] * layer.weights.size / (4 if layer.kind == "convolution" else 1)
+        moved = given.get(layer.kind, 0) + sum(image.channels * pixels[image.level] for image in layer.sources)
+        made = sum(image.channels for image in layer.targets) or 4 * JUDGEMENT_PLANES
+        times.append((products / issued, (moved + made * pixels[layer.level]) * per_byte))
+    instructions, memory = (sum(part) for part in zip(*times, strict=True))
+    commands = len(layers) * assumed.per_command * 1e-3
+    longer = sum(map(max, times))
+    return Times(instructions, memory, commands, longer + commands, len(layers) * assumed.host * 1e-3)
 
 
 # ---- tables ------------------------------------------------------------------------------------------------------
@@ -117,26 +131,20 @@ def bytes_to_network() -> int:
 def model_table() -> str:
     rows = []
     for gpu in GPUS:
-        parts = {group: [model(gpu, assumed, group) for assumed in (KIND, HARSH)] for group in ("GAE", "SCN")}
-        together = [a + b for a, b in zip(*parts.values(), strict=True)]
-        for name, times in (("GAE", parts["GAE"]), ("network", parts["SCN"]), ("together", together)):
+        parts = {
+            name: [made(gpu, assumed) for assumed in (KIND, HARSH)]
+            for name, made in (
+                ("GAE", partial(model, group="GAE")),
+                ("network, convolutions", convolutions),
+                ("network, all else", partial(model, group="SCN")),
+            )
+        }
+        parts["together"] = [a + b + c for a, b, c in zip(*parts.values(), strict=True)]
+        for name, times in parts.items():
             cells = (_range(getattr(one, part) for one in times) for part in Times.__annotations__)
             rows.append((f"{gpu.name}, {name}", *cells))
-    heads = ("computed, ms", "instructions", "memory", "commands", "on the GPU", "over PCIe", "the host's commands")
+    heads = ("computed, ms", "instructions", "memory", "commands", "on the GPU", "the host's commands")
     return table(heads, rows)
-
-
-def convolutions_text() -> str:
-    """Return what the network's convolutions add."""
-    found = [
-        one["new"]["SCN, network"]
-        for one in recorded("speed")["of"]
-        if one["of"] == SCENE and "SCN, network" in one["new"]
-    ]
-    return (
-        "The network's convolutions run on the host and are not in the table:"
-        f" {_range((min(found), max(found)), 0)} ms, measured on two cores of an AMD EPYC."
-    )
 
 
 def assumptions_table() -> str:
@@ -147,7 +155,6 @@ def assumptions_table() -> str:
         "caches": "bytes that move for each that must",
         "bandwidth": "memory bandwidth, share of the data sheet's",
         "per_command": "between two commands, µs",
-        "pcie": "bandwidth of PCIe 4.0 ×16, share of 31.5 GB/s",
         "host": "processor time of the host for each command, µs",
     }
     assert list(said) == list(Assumptions.__annotations__)

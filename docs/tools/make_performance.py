@@ -97,7 +97,7 @@ _FAST = "GAE, preset `performance`"
 
 
 def gpu_table() -> str:
-    """Milliseconds on a GPU by part: of the default, and sums of the preset performance."""
+    """Return milliseconds on a GPU by part: of the default, and sums of the preset performance."""
     default, performance = (recorded(name)["devices"][0]["sizes"] for name in ("gpu", "gpu_performance"))
     parts = [part for part in default[0]["milliseconds"] if part not in ("GAE", "SCN", "misc")]
     rows = [(part, *(f"{one['milliseconds'][part]:.2f}" for one in default)) for part in parts]
@@ -163,10 +163,6 @@ def methods_text() -> str:
     return "\n".join(textwrap.wrap(text, LINE, break_on_hyphens=False))
 
 
-def convolutions_text() -> str:
-    return "\n".join(textwrap.wrap(gpu_model.convolutions_text(), LINE, break_on_hyphens=False))
-
-
 def methods_plot() -> str:
     points = [
         Point(row["milliseconds"], row["psnr"], _label(row), "#2f6fde" if row["method"] in OURS else "#d98b1f")
@@ -180,7 +176,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
     "model": gpu_model.model_table,
-    "model_text": convolutions_text,
     "model_assumptions": gpu_model.assumptions_table,
     "io": io_table,
     "gpu": gpu_table,
@@ -192,7 +187,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def with_tables(text: str) -> str:
-    """The page with all its tables as the records have them now."""
+    """Return the page with all its tables as the records have them now."""
     return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
@@ -231,7 +226,7 @@ def _methods() -> list[dict]:
 
 
 def _method(name: str) -> dict:
-    """On the first device it ran on."""
+    """Return the row of a method on the first device that it ran on."""
     return next(row for row in _methods() if row["method"] == name)
 
 
@@ -240,7 +235,7 @@ def _shares() -> dict[str, float]:
 
 
 def _share_of_error(row: dict, region: str) -> float:
-    """Of the squared error of all pixels."""
+    """Return a region's share of the squared error of all pixels."""
     return _shares()[region] * 10 ** ((row["psnr"] - row["regions"][region]) / 10)
 
 

@@ -38,7 +38,7 @@ FILMED, FILM_FRAMES, SLOWDOWN = (448, 252), 75, 4
 
 @dataclass(frozen=True)
 class Limit:
-    """Where to look: number of the rendered frame, and the upper left corner of the part in pixels."""
+    """Part of a frame to show: number of the rendered frame, and the upper left corner in pixels."""
 
     scene: str
     frame: int
@@ -78,7 +78,7 @@ UPSCALED_SIZE, UPSCALED_PART, ENLARGED = (480, 270), (80, 54), 4
 
 
 def gain_picture(device: Device, gain: Gain):
-    """As `picture`."""
+    """Return a picture of the part that gains most."""
     frames = SceneFrames(SceneRenderer(device, load_scene(gain.scene), *SIZE))
     without = Options(**{"shading_correction": False, gain.option: False})
     pipelines = {
@@ -91,7 +91,7 @@ def gain_picture(device: Device, gain: Gain):
 
 
 def shading_picture(device: Device):
-    """As `picture`: a scene in a row."""
+    """Return a picture of shading correction, a scene in a row."""
     groups = []
     for name in SHADING:
         frames = SceneFrames(SceneRenderer(device, load_scene(name), *SIZE))
@@ -119,7 +119,7 @@ def shading_picture(device: Device):
 
 
 def upscaled_picture(device: Device, scene_name: str, x: int, y: int):
-    """As `picture`, without captions."""
+    """Return a picture of upscaling, without captions."""
     scene = load_scene(scene_name, SEED)
     truths = SceneRenderer(device, scene, *UPSCALED_SIZE, 8)
     frames = SceneFrames.for_upscaling(device, scene, UPSCALED_SIZE, SCALE, truths=truths)
@@ -137,7 +137,7 @@ def upscaled_picture(device: Device, scene_name: str, x: int, y: int):
 
 
 def situations_picture(device: Device):
-    """As `picture`: two situations in a row."""
+    """Return a picture of two situations in a row."""
     cells = []
     for name, (_, without, region) in FOR_SITUATIONS.items():
         frames = SceneFrames(SceneRenderer(device, load_scene(name), *SIZE))
@@ -156,9 +156,9 @@ def chosen_part(
     camera_known: bool = True,
     region: str | None = None,
 ):
-    """The part of all frames in which the second of `pipelines` gains most against the first; or the first is worst in
-    that region of a situation. The rendered frame's number, x, y, and the part of what both make and of the truth,
-    display values by name."""
+    """Return the part of all frames in which the second of `pipelines` gains most against the first, or the first is
+    worst in that region of a situation: number of the rendered frame, x, y, and the display values of both and of the
+    truth by name."""
     scene = frames.scene
     for pipeline in pipelines.values():
         pipeline.exposure = scene.exposure
@@ -187,7 +187,7 @@ def chosen_part(
 
 
 def picture(device: Device, limit: Limit):
-    """A PIL image: three parts side by side, captions above."""
+    """Return three parts side by side, captions above."""
     scene = load_scene(limit.scene)
     frames = SceneFrames(SceneRenderer(device, scene, *SIZE))
     pipeline = Pipeline(device, *SIZE, Options(), fps=FPS)

@@ -6,7 +6,7 @@
     python docs/tools/make_results.py                        the tables, from what is recorded
 
 `TABLES` names them.
-The table of unseen sequences is from docs/measured/unseen.json, which docs/tools/make_unseen.py writes.
+The table of unseen sequences is from docs/measured/unseen.json, which docs/unseen/make_unseen.py writes.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "mean
 
 
 def recorded(results: dict[str, Any], late: dict[str, Any]) -> dict[str, Any]:
-    """Of a report, and of one with late warps, what the tables need."""
+    """Return the parts of a report, and of one with late warps, that the tables need."""
     found = {name: results[name] for name in _KEPT}
     found |= {"late": late["late"], "late_command": late["command"]}
     found["cells"] = [{name: cell[name] for name in ("sequence", "method", "psnr")} for cell in results["cells"]]
@@ -80,7 +80,7 @@ def methods_table(found: dict) -> str:
 
 
 def short_table(found: dict) -> str:
-    """Mean PSNR of the scenes that the network was not trained on, and of those that it was."""
+    """Return mean PSNR of the scenes that the network was not trained on, and of those that it was."""
     values = {(cell["sequence"], cell["method"]): cell["psnr"] for cell in found["cells"]}
     names = [s["name"] for s in found["sequences"]]
     parts = [[n for n in names if (n.split(":")[0] in TRAINED) == trained] for trained in (False, True)]
@@ -143,7 +143,7 @@ def late_table(found: dict) -> str:
 
 
 def paper_table(found: dict) -> str:
-    """The paper's averages, as differences from its own method."""
+    """Return the paper's averages, as differences from its own method."""
     ours, rows = PAPER["Ours Full"], []
     for name, figures in PAPER.items():
         apart = (
@@ -190,7 +190,7 @@ TABLES: dict[str, Callable[[dict], str]] = {
 
 
 def with_tables(text: str, found: dict | None = None) -> str:
-    """A page with all its tables, of what is recorded."""
+    """Return a page with all its tables as they are recorded."""
     found = json.loads(RECORD.read_text("utf-8")) if found is None else found
     return with_all(text, {name: make(found) for name, make in TABLES.items()})
 

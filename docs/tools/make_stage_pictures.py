@@ -69,7 +69,7 @@ class Moment:
         self._owners = {f"{owner.name}.{spec.name}": (owner, spec) for owner, spec in self.pipeline.named_buffers()}
 
     def read(self, name: str) -> np.ndarray:
-        """A buffer by its name, such as "warp.color", at full resolution."""
+        """Return a buffer by its name, such as "warp.color", at full resolution."""
         owner, spec = self._owners[name]
         array = owner.read(spec.name)
         if spec.planes > 1:
@@ -90,21 +90,21 @@ def false_colors(values: np.ndarray, low: float, high: float, name: str = "virid
 
 
 def depth_colors(depth: np.ndarray) -> np.ndarray:
-    """Near is red, far is blue, evenly over 1/depth; sky is black."""
+    """Return colors of depth: near is red, far is blue, evenly over 1/depth; sky is black."""
     inverse = 1 / depth
     colors = false_colors(inverse, 0, np.quantile(inverse, 0.99), "turbo")
     return np.where(np.isfinite(depth)[..., None], colors, 0)
 
 
 def vector_colors(vectors: np.ndarray, longest: float) -> np.ndarray:
-    """Hue is the direction, brightness the length."""
+    """Return colors of vectors: hue is the direction, brightness the length."""
     x, y = np.moveaxis(np.nan_to_num(vectors.astype(np.float32)), -1, 0)
     hue = np.arctan2(y, x) / (2 * np.pi) % 1
     return hsv2rgb(np.stack([hue, np.ones_like(hue), np.sqrt(np.clip(np.hypot(x, y) / longest, 0, 1))], -1))
 
 
 def marked(image: np.ndarray, *marks: tuple[np.ndarray, tuple[float, float, float]], share: float = 1.0) -> np.ndarray:
-    """`image` with masks in colors that cover it by a share."""
+    """Return `image` with masks in colors that cover it by a share."""
     image = image.copy()
     for mask, color in marks:
         image[mask] = (1 - share) * image[mask] + share * np.array(color)
@@ -120,7 +120,7 @@ def is_hole(labels: np.ndarray) -> np.ndarray:
 
 
 def with_holes(at: Moment, stage: str) -> np.ndarray:
-    """The new frame as a stage left it; what is still empty is pink."""
+    """Return the new frame as a stage left it; empty pixels are pink."""
     return marked(at.color(f"{stage}.color"), (is_hole(at.read(f"{stage}.filled_by")), PINK))
 
 
@@ -134,7 +134,7 @@ def inputs(at: Moment) -> Panels:
 
 
 def window(at: Moment) -> Panels:
-    """The same frame rendered with and without a window."""
+    """Return the same frame rendered with and without a window."""
     without = Moment(at.device, at.scene, at.number)
     image, camera, shown = at.shown(at.rendered.color), at.rendered.camera, at.rendered.shown_camera
     scale = camera.fx / shown.fx, camera.fy / shown.fy

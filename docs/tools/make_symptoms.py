@@ -137,7 +137,7 @@ def sky(device: Device) -> Panels:
 
 
 def flicker(device: Device) -> Panels:
-    """Smoke that the engine draws into rendered frames only."""
+    """Return a picture of smoke that the engine draws into rendered frames only."""
     footage = Footage(device, "plaza", count=SLICES + 2)
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
     smoke = np.zeros((*SIZE[::-1], 4), np.float32)

@@ -21,7 +21,7 @@ from gffe_cl.captures.formats import FORMATS
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.cli.commands import app
 from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, PRESETS, Option
-from gffe_cl.engine.pipeline.pipeline import STAGES
+from gffe_cl.engine.pipeline.order import STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
@@ -36,7 +36,7 @@ SHOWN: tuple[type[Stage], ...] = (Upload, *_USUAL, Presentation, Composition)
 
 
 def options_table() -> str:
-    """Every option: field of `Options`, flag, values, default, sentence."""
+    """Return every option: field of `Options`, flag, values, default, sentence."""
     rows = [
         (f"`{o.name}`", f"`{o.flag}`" if o.flag else "", _values(o), _default(o), o.sentence) for o in OPTIONS.values()
     ]
@@ -44,7 +44,7 @@ def options_table() -> str:
 
 
 def presets_table() -> str:
-    """Every preset: its name, its sentence, and the options that it sets."""
+    """Return every preset: its name, its sentence, and the options that it sets."""
     rows = [
         (f"`{name}`", preset.sentence, ", ".join(f"`{option}={value!r}`" for option, value in preset.values.items()))
         for name, preset in PRESETS.items()
@@ -59,7 +59,7 @@ def fillings_table() -> str:
 
 
 def stages_table() -> str:
-    """Every stage: the paper's section, what it does, what its kernels read and write."""
+    """Return every stage: the paper's section, its sentence, the buffers that its kernels read and write."""
     rows = []
     for stage in SHOWN:
         module = sys.modules[stage.__module__].__doc__
@@ -73,7 +73,7 @@ def stages_table() -> str:
 
 
 def buffers_table() -> str:
-    """Every buffer, with its pixels, type, bytes and meaning."""
+    """Return every buffer, with its pixels, type, bytes and meaning."""
     rows = [row for name, specs in (("rendered", RENDERED), ("frame", EXTRAPOLATED)) for row in _described(name, specs)]
     for stage in SHOWN:
         specs = _level_buffers(0) if stage is Background else stage.buffers
@@ -103,7 +103,7 @@ def formats_table() -> str:
 
 
 def names_table() -> str:
-    """Every public name: what it is, and the methods and properties of classes."""
+    """Return every public name: its sentence, and the methods and properties of classes."""
     rows = []
     for name in gffe_cl.__all__:
         value = getattr(gffe_cl, name)
@@ -113,7 +113,7 @@ def names_table() -> str:
 
 
 def commands_table() -> str:
-    """Every command with its arguments, and what it does."""
+    """Return every command with its arguments and its sentence."""
     rows = []
     for name, command in get_command(app).commands.items():
         given = [p for p in command.params if p.param_type_name == "argument"]
@@ -139,7 +139,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def with_tables(text: str) -> str:
-    """A page with all its tables as the program has them now."""
+    """Return a page with all its tables as the program has them now."""
     return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
@@ -150,7 +150,7 @@ def _members(kind: type) -> list[str]:
 
 
 def _accessed(stage: type[Stage], kind: str) -> list[str]:
-    """Buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
+    """Return the buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
     scratch = ("keys", "winners", ".l", ".weightsl", ".numbersl")  # the last three: of the network's layers
     names = [
         a.buffer.format_map(_Chosen(kernel.choices, k))

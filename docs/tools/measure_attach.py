@@ -38,7 +38,7 @@ CASES = {  # the viewer's requests: recorded rendered frames, and the displayed 
 
 
 def look() -> None:
-    """The viewer: does what the lines of its input say, "FRAMES LAYER" or "leave"."""
+    """Serve as the viewer: follow the lines of the input, "FRAMES LAYER" or "leave"."""
     from gffe_cl.viewer.engine.attached.program import RunningProgram
 
     program = stop = thread = None
@@ -88,7 +88,7 @@ class Program:
         self._made = 0
 
     def run(self) -> tuple[float, float]:
-        """Milliseconds of a frame, by the clock and of the processor."""
+        """Return milliseconds of a frame, by the clock and of the processor."""
         walls, start = [], 0.0
         for index in range(BLOCK):
             if index == SETTLING:

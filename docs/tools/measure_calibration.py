@@ -1,4 +1,4 @@
-"""How well `gffe calibrate` recovers the cameras of the built-in scenes, which it is not shown.
+"""Measure the cameras that `gffe calibrate` recovers of built-in scenes, which it is not shown.
 
     python docs/tools/measure_calibration.py             prints the table of docs/calibration.md
     python docs/tools/measure_calibration.py --write     puts it there
@@ -55,12 +55,12 @@ def as_rendered(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
 
 
 def quantized(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """To 1/16 px."""
+    """Return motion to 1/16 px."""
     return np.round(motion * 16) / 16
 
 
 def crowded(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """To 1/16 px, with so many columns that drift and grow that two fifths of all pixels move."""
+    """Return motion to 1/16 px, with so many columns that drift and grow that two fifths of all pixels move."""
     height, width = static.shape
     own = np.concatenate([[0], np.cumsum((~static).sum(0))])  # moving pixels left of each column
     total = own + height * (width - np.arange(width + 1))
@@ -75,7 +75,7 @@ VARIANTS: dict[str, Change] = {"exact": as_rendered, "1/16 px": quantized, "1/16
 
 
 def hidden(sequence: Sequence, folder: Path, change: Change) -> Sequence:
-    """A copy with other motion vectors and without cameras: none in `sequence.json`, none in the headers."""
+    """Return a copy with other motion vectors and without cameras: none in `sequence.json`, none in the headers."""
     folder.mkdir()
     before, entries = None, []
     for entry in sequence.frames:
@@ -98,7 +98,8 @@ def camera_of(entry: FrameEntry) -> Camera:
 
 
 def off_by(depth: np.ndarray, motion: np.ndarray, camera: Camera, before: Camera) -> np.ndarray:
-    """(H, W) px between where a static pixel was by the cameras and where its motion points to; NaN for sky."""
+    """Return (H, W) px between a static pixel's place by the cameras and the place that its motion points to; NaN for
+    sky."""
     height, width = depth.shape
     y, x = np.mgrid[:height, :width] + 0.5
     px = np.stack([x, y], -1)
@@ -108,8 +109,8 @@ def off_by(depth: np.ndarray, motion: np.ndarray, camera: Camera, before: Camera
 
 
 def static_residuals(truth: Sequence, recovered: Sequence) -> np.ndarray:
-    """Of all rendered frames but the first: where the recovered cameras reproject static pixels to, less where they
-    were, pixels."""
+    """Return pixels, of all rendered frames but the first, between the places where static pixels were and those to
+    which the recovered cameras reproject them."""
     found = []
     for k in range(1, len(truth.rendered)):
         now, before = truth.rendered[k], truth.rendered[k - 1]
@@ -123,7 +124,7 @@ def static_residuals(truth: Sequence, recovered: Sequence) -> np.ndarray:
 
 
 def quality(sequence: Sequence, truth: Sequence, device: Device, folder: Path, predicted: bool) -> float:
-    """Mean PSNR of the frames in between as `gffe compare` has it, dB."""
+    """Return the mean PSNR of the frames in between as `gffe compare` has it, dB."""
     options = Options(shading_correction=False)
     run_sequence(Recorded(sequence, device), folder, device, options, [0.5], predicted_camera=predicted)
     made, psnr = open_sequence(folder), METRICS["psnr"]
@@ -135,7 +136,7 @@ def quality(sequence: Sequence, truth: Sequence, device: Device, folder: Path, p
 
 
 def with_true_cameras(truth: Sequence, bare: Sequence) -> Sequence:
-    """`bare`, in memory, with the cameras of `truth`."""
+    """Return `bare`, in memory, with the cameras of `truth`."""
     opened = open_sequence(bare.path, cameras="optional")
     for entry, true in zip(opened.frames, truth.frames, strict=True):
         entry.render_camera, entry.display_camera = true.render_camera, true.display_camera
@@ -143,20 +144,20 @@ def with_true_cameras(truth: Sequence, bare: Sequence) -> Sequence:
 
 
 def signed(value: float) -> str:
-    """With two digits; zero has no sign."""
+    """Return a number with two digits; zero has no sign."""
     text = f"{value:+.2f}"
     return text[1:] if text[1:] == "0.00" else text
 
 
 def turned(sequence: Sequence) -> float:
-    """Degrees in all."""
+    """Return the degrees that the camera turns in all."""
     matrices = [entry.render_camera.world_to_view[:3, :3] for entry in sequence.rendered]
     traces = [np.trace(a @ b.T) for a, b in zip(matrices, matrices[1:], strict=False)]
     return float(np.degrees(np.arccos(np.clip((np.array(traces) - 1) / 2, -1, 1))).sum())
 
 
 def rows(device: Device, scenes: list[str], seed: int) -> Iterator[tuple[str, ...]]:
-    """Of the table, one for each scene and variant."""
+    """Yield rows of the table, one for each scene and variant."""
     for name in scenes:
         with tempfile.TemporaryDirectory() as given:
             folder = Path(given)

@@ -1,4 +1,4 @@
-"""How far predicted cameras are off, and what that costs, by `--camera-order`.
+"""Measure errors of predicted cameras, and their cost, by `--camera-order`.
 
     python docs/tools/measure_camera.py                  prints the table of docs/deviations.md
     python docs/tools/measure_camera.py --write          puts it there
@@ -60,7 +60,7 @@ class ShakenFrames(SceneFrames):
 
 
 def shaken(path: Callable[[float], Camera], springs, seconds: float, seed: int) -> Callable[[float], Camera]:
-    """A camera on `path` (by seconds) on which `springs` act."""
+    """Return a camera on `path` (by seconds) on which `springs` act."""
     rng, count = np.random.default_rng(seed), int((seconds + 4) * RATE)
     moved = np.zeros((count, 6))
     for hertz, damping, turn, move in springs:
@@ -82,14 +82,14 @@ def shaken(path: Callable[[float], Camera], springs, seconds: float, seed: int) 
 
 
 def corner_error(predicted: Camera, true: Camera, size: tuple[int, int]) -> float:
-    """Pixels, mean of the four corners."""
+    """Return the distance in pixels, mean of the four corners."""
     corners = np.array([(x, y) for x in (0.0, size[0]) for y in (0.0, size[1])])
     seen = predicted.project(true.unproject(corners, np.full(4, DISTANCE)))[0]
     return float(np.linalg.norm(seen - corners, axis=1).mean())
 
 
 def pose_errors(camera: Callable[[float], Camera], times: list[float], size) -> dict:
-    """Corner errors by order and α; `times` are those of rendered frames."""
+    """Return corner errors by order and α; `times` are those of rendered frames."""
     found = defaultdict(list)
     path = [camera(time) for time in times]
     for k in range(NO_HISTORY, len(times) - 1):
@@ -103,7 +103,7 @@ def pose_errors(camera: Callable[[float], Camera], times: list[float], size) -> 
 
 
 def rendered_errors(device: Device, frames: SceneFrames, times: list[float], size, exposure: float) -> dict:
-    """Squared errors of display values by order ("known": of the true camera) and α, means of frames."""
+    """Return squared errors of display values by order ("known": of the true camera) and α, means of frames."""
     pipeline = Pipeline(device, *size, Options(shading_correction=False), fps=1 / (times[1] - times[0]))
     pipeline.exposure, found, before, path = exposure, defaultdict(list), None, []
     for k, time in enumerate(times[:-1]):
@@ -125,7 +125,7 @@ def rendered_errors(device: Device, frames: SceneFrames, times: list[float], siz
 
 
 def scene_paths(setting, device: Device | None) -> Iterator[tuple[str, dict, dict]]:
-    """Of each way to shake: its name, pose errors and squared errors of all scenes."""
+    """Yield each way to shake: its name, pose errors and squared errors of all scenes."""
     times = [k / setting.fps for k in range(setting.frames)]
     for name, springs in SHAKES.items():
         poses, squared = defaultdict(list), defaultdict(list)
@@ -148,7 +148,8 @@ def scene_paths(setting, device: Device | None) -> Iterator[tuple[str, dict, dic
 
 
 def recorded_path(folder: Path) -> tuple[str, dict, dict]:
-    """As `scene_paths`, of a sequence on disk that has true cameras; without pictures."""
+    """Return the name and the errors of a sequence on disk that has true cameras, as `scene_paths` does, without
+    pictures."""
     sequence = open_sequence(folder)
     times = [entry.time for entry in sequence.rendered]
 

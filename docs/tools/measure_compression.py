@@ -31,7 +31,7 @@ SIZE, FRAMES, FPS = (1920, 1080), 10, 30.0
 
 
 def compression_table(path: Path, folder: Path, repeats: int) -> str:
-    """CPU milliseconds and MiB of the middle frame made of the sequence `path`, for each compression."""
+    """Return CPU milliseconds and MiB of the middle frame made of the sequence `path`, for each compression."""
     device = open_device()
     run_sequence(
         Recorded(open_sequence(path), device), folder / "result", device, Options(shading_correction=False), [0.5]
@@ -49,7 +49,7 @@ def compression_table(path: Path, folder: Path, repeats: int) -> str:
 
 
 def least(work: Callable[[], object], repeats: int) -> float:
-    """CPU milliseconds of the EXR codec, the least of the repeats."""
+    """Return CPU milliseconds of the EXR codec, the least of the repeats."""
     spent = []
     for _ in range(repeats):
         start = codec_seconds()

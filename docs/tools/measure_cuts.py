@@ -1,4 +1,4 @@
-"""How well cuts and teleports are told from fast motion and from light that changes.
+"""Measure the detection of cuts and teleports, which fast motion and changing light must not trigger.
 
     python docs/tools/measure_cuts.py             prints the tables of docs/cuts.md
     python docs/tools/measure_cuts.py --write     puts them there
@@ -47,7 +47,7 @@ MOTIONS = {
 
 @dataclass
 class Tally:
-    """Of one kind of frames: how many there were, how many were taken for cuts, and what was counted of each."""
+    """Number of frames of one kind, how many were taken for cuts, and the counts of each."""
 
     frames: int = 0
     cuts: int = 0
@@ -70,7 +70,7 @@ class Judge:
         self._time = 0.0
 
     def take(self, frame: RenderedFrame, reset: bool = False) -> tuple[bool, dict[str, int]]:
-        """Whether it is found to be a cut, and the counts. Times are made anew."""
+        """Return whether a frame is found to be a cut, and the counts. Times are made anew."""
         self._time += STEP
         self.pipeline.submit(replace(frame, time=self._time, reset=reset))
         counts = self.pipeline.stages["scene_cuts"].read("counts").sum(0)
@@ -92,14 +92,14 @@ class Shots:
         return RenderedFrame(image.color, image.depth, image.motion, camera, time)
 
     def shot(self, time: float, count: int) -> list[RenderedFrame]:
-        """Frames along the path; the first one's vectors refer to a frame that nobody sees."""
+        """Return frames along the path; the first one's vectors refer to a frame that nobody sees."""
         times = [time + k * STEP for k in range(-1, count)]
         cameras = [self.camera(t) for t in times]
         return [self.frame(times[k], cameras[k], times[k - 1], cameras[k - 1]) for k in range(1, count + 1)]
 
 
 def turned(camera: Camera, *degrees: float) -> Camera:
-    """After a turn to the side, upwards, and around the direction of view."""
+    """Return the camera after a turn to the side, upwards, and around the direction of view."""
     (a, b, c), matrix = np.radians(degrees), np.eye(4)
     yaw = [[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]]
     pitch = [[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]]
@@ -112,7 +112,7 @@ def turned(camera: Camera, *degrees: float) -> Camera:
 
 
 def fast_frames(shots: Shots) -> Iterator[tuple[str, RenderedFrame]]:
-    """A clip without a cut: one kind of motion after the other; pans go to and fro."""
+    """Yield a clip without a cut: one kind of motion after the other; pans go to and fro."""
     time, yaw, roll, before = 0.4, 0.0, 0.0, None
     for kind, (step, turn, roll_by) in MOTIONS.items():
         for k in range(SECTION):
@@ -126,7 +126,7 @@ def fast_frames(shots: Shots) -> Iterator[tuple[str, RenderedFrame]]:
 
 
 def lit(frame: RenderedFrame, k: int, rng: np.random.Generator) -> RenderedFrame:
-    """Under a strobe of changing colors, with a flash over a part of the image every other frame."""
+    """Return a frame under a strobe of changing colors, with a flash over a part of the image every other frame."""
     light = np.ones((*frame.depth.shape, 3)) * (20.0 if k % 2 else 0.05) * rng.uniform(0.3, 3.0, 3)
     y, x = np.mgrid[: frame.depth.shape[0], : frame.depth.shape[1]]
     away = np.hypot(x - rng.uniform(0, SIZE[0]), y - rng.uniform(0, SIZE[1])) / rng.uniform(20, 120)
@@ -135,7 +135,7 @@ def lit(frame: RenderedFrame, k: int, rng: np.random.Generator) -> RenderedFrame
 
 
 def without_cuts(device: Device, seeds: tuple[int, ...]) -> dict[str, tuple[Tally, Tally]]:
-    """By kind of motion: as rendered, and under changing light."""
+    """Return two tallies by kind of motion: as rendered, and under changing light."""
     found = defaultdict(lambda: (Tally(), Tally()))
     for name in SCENES:
         for seed in seeds:
@@ -152,7 +152,7 @@ def without_cuts(device: Device, seeds: tuple[int, ...]) -> dict[str, tuple[Tall
 
 
 def matched(frame: RenderedFrame, other: RenderedFrame) -> RenderedFrame:
-    """With the mean and the spread of the colors of another one."""
+    """Return a frame with the mean and the spread of the colors of another one."""
     a, b = (np.log(f.color.astype(np.float64) + 1e-3) for f in (frame, other))
     axes = (0, 1)
     changed = (a - a.mean(axes)) / (a.std(axes) + 1e-6) * b.std(axes) + b.mean(axes)
@@ -160,7 +160,8 @@ def matched(frame: RenderedFrame, other: RenderedFrame) -> RenderedFrame:
 
 
 def joined(device: Device, seeds: tuple[int, ...], rng: np.random.Generator) -> dict[str, Tally]:
-    """Joins of two shots, with the second one's own vectors and with none; every third in similar colors."""
+    """Return tallies of joins of two shots, with the second one's own vectors and with none; every third in similar
+    colors."""
     shots = {
         (name, seed, time): Shots(device, name, seed).shot(time, 3)
         for name in SCENES
@@ -192,7 +193,7 @@ def joined(device: Device, seeds: tuple[int, ...], rng: np.random.Generator) -> 
 
 
 def teleported(device: Device, seeds: tuple[int, ...], rng: np.random.Generator) -> dict[str, Tally]:
-    """Teleports within a scene, to a place far away or to where nothing of the last frame is seen."""
+    """Return tallies of teleports within a scene, to a place far away or to where nothing of the last frame is seen."""
     judge, found = Judge(device), defaultdict(Tally)
     names = list(SCENES)
     for k in range(TELEPORTS):
@@ -219,8 +220,8 @@ def teleported(device: Device, seeds: tuple[int, ...], rng: np.random.Generator)
 
 
 def is_teleport(new: RenderedFrame, last: RenderedFrame) -> bool:
-    """Whether by the true vectors less than 5% of the view was seen before, or the camera moved by one and a half times
-    the median depth."""
+    """Return whether by the true vectors less than 5% of the view was seen before, or the camera moved by one and a
+    half times the median depth."""
     height, width = new.depth.shape
     y, x = np.mgrid[:height, :width] + 0.5
     px = np.nan_to_num(np.stack([x, y], -1) + new.motion, nan=-1.0)

@@ -65,7 +65,7 @@ class Change:
         )
 
     def applied(self, file: str, text: str) -> str:
-        """`text` of kernel `file` with the changes. Raises ValueError for one that finds nothing to change."""
+        """Return `text` of kernel `file` with the changes. Raises ValueError for one that finds nothing to change."""
         for name, value in self.constants.get(file, {}).items():
             # up to the comment, which may go on in the next line
             text, found = re.subn(
@@ -203,7 +203,8 @@ def kernels_with(change: Change) -> Iterator[None]:
 def measure(
     device: Device, changes: dict[str, Change], options: Options, setting: argparse.Namespace
 ) -> dict[str, RegionErrors]:
-    """Errors of `options` with each of `changes`, over all scenes; the first one's holes and movers are the regions."""
+    """Return errors of `options` with each of `changes`, over all scenes; the first one's holes and movers are the
+    regions."""
     errors = {name: RegionErrors() for name in changes}
     for scene_name in setting.scenes:
         for seed in range(setting.seeds):
@@ -224,8 +225,9 @@ def shown_frames(
     alphas: tuple[float, ...],
     concerned: str | None = None,
 ) -> Iterator[tuple[float, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]]:
-    """Of each new frame of a scene: α, the truth and what `options` with each of `changes` make, as display values, and
-    the regions (masks) by the first of `changes`; or, with `concerned`, the whole and that region of a situation."""
+    """Yield each new frame of a scene: α, the truth and the results of `options` with each of `changes`, as display
+    values, and the regions (masks) by the first of `changes`; or, with `concerned`, the whole and that region of a
+    situation."""
     print(f"\r{scene_and_seed[0]}, seed {scene_and_seed[1]}".ljust(40), end="", file=sys.stderr, flush=True)
     scene = load_scene(*scene_and_seed)
     frames = SceneFrames(SceneRenderer(device, scene, *setting.size))
@@ -261,7 +263,7 @@ def signed(value: float) -> str:
 
 
 def gains(errors: dict[str, RegionErrors], rows: dict[str, str]) -> list[tuple[str, ...]]:
-    """Rows of a table: by how much the errors without a change are below those of each row, dB."""
+    """Return rows of a table: by how much the errors without a change are below those of each row, dB."""
     ours = errors[""]
     return [
         (title, *(signed(ours.figure("psnr", r) - errors[name].figure("psnr", r)) for r in REGIONS))
@@ -306,7 +308,7 @@ def parts_table(device: Device, setting: argparse.Namespace) -> str:
 
 
 def situations_table(device: Device, setting: argparse.Namespace) -> str:
-    """By situation: PSNR of the paper's way, of everything, and of everything but the part that is for it."""
+    """Return PSNR by situation: the paper's way, everything, and everything but the part that is for it."""
     ways = ("the paper's way", "all", "all but that part")
     heads = [f"{way}, α = {alpha:g}" for alpha in (0.5, 1.0) for way in ways]
     rows = []

@@ -47,7 +47,7 @@ _ALONE = {"motion zero", "color tone-mapped"}  # these remove information that c
 
 
 def cases() -> list[tuple[str, ...]]:
-    """Harmless changes, faults alone, and pairs of faults; alone first."""
+    """Return harmless changes, faults alone, and pairs of faults; alone first."""
     names = [name for name in (*BREAKS, *GAPS) if name not in _ALONE]
     pairs = [pair for pair in combinations(names, 2) if not any(set(pair) <= apart for apart in _APART)]
     return [(name,) for name in (*HARMLESS, *BREAKS, *GAPS)] + pairs
@@ -95,8 +95,8 @@ def measure(good: Kept, names: tuple[str, ...]) -> dict:
 
 
 def restored(repaired: list, good: list) -> tuple[float, float]:
-    """Shares of pixels whose motion vectors, and whose static reprojections, are those of the good frames, in frames
-    that are no resets."""
+    """Return the shares of pixels whose motion vectors, and whose static reprojections, are those of the good frames,
+    in frames that are no resets."""
     motion, static = [], []
     for (a, a_before), (b, b_before) in zip(
         zip(repaired[1:], repaired, strict=False), zip(good[1:], good, strict=False), strict=True
@@ -119,7 +119,7 @@ def _same_color(a, b) -> bool:
 
 
 def drawn(sequence: str, wanted: list) -> list:
-    """All cases in an order of chance that is another one for every sequence; alone and pairs by turns."""
+    """Return all cases in an order of chance that is another one for every sequence; alone and pairs by turns."""
     rng = np.random.default_rng([*sequence.encode(), _DRAWN])
     alone, pairs = ([names for names in wanted if (len(names) > 1) == paired] for paired in (False, True))
     rng.shuffle(alone)
@@ -158,7 +158,7 @@ def is_right(case: dict) -> bool:
 
 
 def tables(done: list[dict]) -> dict[str, str]:
-    """The tables of the page, by name."""
+    """Return the tables of the page, by name."""
     groups = {
         "intact": [c for c in done if c["faults"][0] in HARMLESS],
         "alone": [c for c in done if len(c["faults"]) == 1 and c["faults"][0] not in HARMLESS],

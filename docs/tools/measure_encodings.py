@@ -1,4 +1,4 @@
-"""How well the automatic static threshold does with buffers as engines and captures keep them.
+"""Measure the automatic static threshold with buffers as engines and captures keep them.
 
     python docs/tools/measure_encodings.py                    prints the table of docs/deviations.md; two minutes a seed
     python docs/tools/measure_encodings.py --write            puts it there, and all figures into measured/
@@ -71,21 +71,21 @@ class Cell:
 
     @property
     def gain(self) -> float:
-        """By how much the automatic threshold is better than the best fixed one, dB."""
+        """Advantage of the automatic threshold over the best fixed one, dB."""
         return self.psnr["automatic"] - max(value for name, value in self.psnr.items() if name != "automatic")
 
     @property
     def factor(self) -> float:
-        """Of the shares of dynamic pixels."""
+        """Ratio of the shares of dynamic pixels."""
         return self.dynamic / self.exact
 
     def is_close_to(self, share: float) -> bool:
-        """Whether the share of dynamic pixels is as near to `share` as is aimed at."""
+        """Return whether the share of dynamic pixels is as near to `share` as is aimed at."""
         return 1 / FACTOR <= self.dynamic / max(share, 1e-9) <= FACTOR
 
 
 def render(device: Device, name: str, seed: int) -> tuple[float, list[Moment]]:
-    """Exposure and moments of a scene."""
+    """Return exposure and moments of a scene."""
     scene = load_scene(name, seed)
     frames, before, moments = SceneFrames(SceneRenderer(device, scene, *SIZE)), None, []
     for frame in frames.sequence(FRAMES, FPS):
@@ -98,7 +98,8 @@ def render(device: Device, name: str, seed: int) -> tuple[float, list[Moment]]:
 
 
 def shown(device: Device, exposure: float, moments: list[Moment], threshold: float | None) -> tuple[float, float]:
-    """PSNR in dB of the new frames with a static threshold (None: automatic), and the share of dynamic pixels."""
+    """Return PSNR in dB of the new frames with a static threshold (None: automatic), and the share of dynamic
+    pixels."""
     options = Options(shading_correction=False, static_threshold=threshold)
     pipeline = Pipeline(device, *SIZE, options, fps=FPS)
     pipeline.exposure = exposure
@@ -114,8 +115,8 @@ def shown(device: Device, exposure: float, moments: list[Moment], threshold: flo
 
 
 def visible(moments: list[Moment], stored: list[Moment]) -> float:
-    """Share of pixels whose exact motion differs from that of what stands still by more than 99% of the encoding's
-    errors of that component and direction do, and by more than the least threshold."""
+    """Return the share of pixels whose exact motion differs from that of static surfaces by more than 99% of the
+    encoding's errors of that component and direction do, and by more than the least threshold."""
     shares = []
     for k in range(NO_HISTORY, len(moments)):
         residual, direction = _residual(moments[k].frame, moments[k - 1].frame)
@@ -131,13 +132,13 @@ def visible(moments: list[Moment], stored: list[Moment]) -> float:
 
 
 def _residual(frame: RenderedFrame, before: RenderedFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Motion (H, W, 2) less that of what stands still, and that."""
+    """Return motion (H, W, 2) less that of static surfaces, and that."""
     static, _ = static_motion(frame.depth, frame.camera, before.camera)
     return frame.motion - static, static
 
 
 def measured(device: Device, name: str, seed: int, encodings: tuple[str, ...]) -> list[Cell]:
-    """Cells of one scene."""
+    """Return the cells of one scene."""
     print(f"\r{name}, seed {seed}".ljust(40), end="", file=sys.stderr, flush=True)
     exposure, moments = render(device, name, seed)
     best, exact = shown(device, exposure, moments, None)
@@ -157,7 +158,7 @@ def measured(device: Device, name: str, seed: int, encodings: tuple[str, ...]) -
 
 
 def encodings_table(cells: list[Cell]) -> str:
-    """A line for each encoding."""
+    """Return a line for each encoding."""
     rows = []
     for text in dict.fromkeys(cell.encoding for cell in cells):
         of = [cell for cell in cells if cell.encoding == text]

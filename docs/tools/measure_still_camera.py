@@ -58,7 +58,7 @@ def main():
     parser.add_argument("--repeats", type=int, default=10, help="timed frames of each loop in a round; default: 10")
     given = parser.parse_args()
     for wanted in given.device or [None]:
-        device = open_device(wanted)
+        device = open_device(wanted, profiling=True)
         for name in given.scene or ["plaza"]:
             loops = [loop_of(device, name, tuple(map(int, given.size.split("x"))), kind) for kind in KINDS]
             found = measure(device, loops, given.rounds, given.repeats)

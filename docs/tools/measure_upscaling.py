@@ -94,9 +94,9 @@ class Measured:
 
 
 def cost(device: Device) -> dict[str, float]:
-    """Milliseconds of a processor core for a rendered and a generated frame, medians, which other work on the machine
-    hardly changes: with upscaling less without, and GAE whose rendered frames have the display's size. The pipelines
-    take turns from frame to frame."""
+    """Return milliseconds of a processor core for a rendered and a generated frame, medians, which other work on the
+    machine hardly changes: with upscaling less without, and GAE whose rendered frames have the display's size. The
+    pipelines take turns from frame to frame."""
     scene, size = load_scene("corridor", SEED), TIMED_SIZE
     large = SceneFrames(SceneRenderer(device, scene, *size, 1))
     frames = SceneFrames.for_upscaling(device, scene, size, SCALE)

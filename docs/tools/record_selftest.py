@@ -15,7 +15,7 @@ from gffe_cl.engine.selftest.workload import CASES, SIZE, forms_of, moments
 
 
 def recorded_now() -> Reference:
-    """The references as this code makes them."""
+    """Return the references as this code makes them."""
     reference = Reference()
     for name, case in CASES.items():
         device = open_device()
@@ -27,7 +27,7 @@ def recorded_now() -> Reference:
 
 
 def changed_buffers(before: Reference, after: Reference) -> list[str]:
-    """ "case: buffer" of all whose hashes differ at any moment."""
+    """Return "case: buffer" of all whose hashes differ at any moment."""
     found = {}
     for case, moments_of_case in after.hashes.items():
         for moment, hashes in moments_of_case.items():

@@ -74,7 +74,7 @@ def _text(x: float, y: float, text: str, anchor: str) -> str:
 
 
 def _box(x: float, y: float, text: str, anchor: str) -> tuple[float, float, float, float]:
-    """Left, top, right, bottom of a text; outside of the picture counts as taken by `_overlap`."""
+    """Return left, top, right, bottom of a text; outside of the picture counts as taken by `_overlap`."""
     width = len(text) * _LETTER
     left = x - {"start": 0, "middle": width / 2, "end": width}[anchor]
     return left, y - _FONT, left + width, y + 3

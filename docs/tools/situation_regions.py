@@ -21,9 +21,9 @@ CHANGED = 0.02  # least change by light, display values, mean over R, G and B
 
 
 def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...], time: float) -> np.ndarray:
-    """(H, W) bool: where, at `time`, something that moves by itself is seen or within `BESIDE` px ("movers"); where it
-    is not ("still"); where what is still was lit otherwise at one of the `known` times ("light"); or everything
-    ("all")."""
+    """Return (H, W) bool: where, at `time`, something that moves by itself is seen or within `BESIDE` px ("movers");
+    where it is not ("still"); where something still was lit otherwise at one of the `known` times ("light"); or
+    everything ("all")."""
     if kind == "all":
         return np.ones(frames.size[::-1], bool)
     moves = np.array([group.motion.moves for group in frames.scene.groups] + [False])  # the last one: sky

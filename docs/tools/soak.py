@@ -34,7 +34,7 @@ SIZE, RENDER_SIZE = (96, 54), (112, 64)  # width and height, pixels
 ROUND = 250  # rendered frames
 _OTHERS = (
     ((64, 36), Options(shading_correction=False)),
-    ((33, 71), Options(hole_filling="push-pull", history=3, order=2, shading_correction=False)),
+    ((33, 71), Options(hole_filling="downsample", history=3, order=2, shading_correction=False)),
     ((120, 68), Options(levels=0, soft_silhouettes=False, shading_correction=False)),
     ((96, 54), Options(motion=False, hidden_parts=False, acceleration=False, blocks=False, shading_correction=False)),
 )
@@ -66,7 +66,7 @@ class Soak:
 
     @property
     def growth(self) -> float:
-        """Of memory, from frame `_SETTLED` (of short soaks the first half) to where it is largest after that, as a
+        """Growth of memory, from frame `_SETTLED` (of short soaks the first half) to its largest after that, as a
         share."""
         settled = self.memory[min(_SETTLED // ROUND, (len(self.memory) + 1) // 2) - 1 :]
         return max(settled) / settled[0] - 1
@@ -78,7 +78,7 @@ class Soak:
 
 
 def soak(device: Device, count: int, seed: int = 0, on_round: Callable[[Soak], None] = lambda told: None) -> Soak:
-    """Submit `count` rendered frames, rounded up to whole rounds, to one pipeline on `device`."""
+    """Submit `count` rendered frames, rounded up to whole rounds, to one pipeline on `device`. Return the findings."""
     told, rng, clock = Soak(), np.random.default_rng(seed), 0.0
     clip = frames(*SIZE, RENDER_SIZE)
     others = [frames(*size) for size, _ in _OTHERS]
@@ -109,7 +109,8 @@ def _pipeline(device: Device) -> Pipeline:
 
 
 def _round(clip: list[RenderedFrame], rng: np.random.Generator) -> Iterator[RenderedFrame]:
-    """`ROUND` frames less those of the end: pieces of the clip, some of which start without a reset: cuts not told."""
+    """Yield `ROUND` frames less those of the end: pieces of the clip, some of which start without a reset: unmarked
+    cuts."""
     left = ROUND - _FINALE
     while left > 0:
         start = int(rng.integers(len(clip) - 1))
@@ -139,7 +140,7 @@ def _step(pipeline: Pipeline, frame: RenderedFrame, rng: np.random.Generator, to
 
 
 def _is_refused(pipeline: Pipeline, frame: RenderedFrame, kind: int) -> bool:
-    """Whether the pipeline says no to a frame that it must not take."""
+    """Return whether the pipeline refuses a frame that it must not take."""
     bad = (
         replace(frame, color=frame.color[:-1]),
         replace(frame, depth=frame.depth[:, :5]),
@@ -169,7 +170,7 @@ def _beside(device: Device, others: list, rng: np.random.Generator, told: Soak, 
 
 
 def _finale(pipeline: Pipeline, clip: list[RenderedFrame], start: float) -> str:
-    """The hash of all buffers after the same frames from a reset on, a refused one among them."""
+    """Return the hash of all buffers after the same frames from a reset on, a refused one among them."""
     pipeline.exposure = 1.0
     pipeline.keep()
     found = []
@@ -186,7 +187,7 @@ def _finale(pipeline: Pipeline, clip: list[RenderedFrame], start: float) -> str:
 
 
 def _resident() -> float:
-    """MiB of memory of this process; the most there was where the system does not tell."""
+    """Return MiB of memory of this process; the most there was where the system does not tell."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * _PAGE / 2**20
@@ -209,7 +210,7 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=20000)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
-    device, start = open_device(), time.monotonic()
+    device, start = open_device(profiling=True), time.monotonic()
     print(device)
     told = soak(device, chosen.frames, chosen.seed, say)
     quarter = max(len(told.milliseconds) // 4, 1)

@@ -54,8 +54,8 @@ def defects(device: Device) -> dict:
 
 
 def ghosts(device: Device) -> dict[str, list[float]]:
-    """By mover: the largest error of what is shown, in 255ths of display white, of pixels that it left so many rendered
-    frames ago (1 …), and two pixels around excepted; the wall behind is flat, so that nothing else is wrong there."""
+    """Return, by mover, the largest error shown, in 255ths of display white, of pixels that it left 1, 2, … rendered
+    frames ago, two pixels around it excepted. The wall behind is flat, so that nothing else is wrong there."""
     made = {}
     for name, tint, speed in (("bright, fast", 0.9, 9), ("bright, slow", 0.9, 1.5), ("dark, fast", 0.01, 9)):
         board = Rect(
@@ -76,8 +76,8 @@ def ghosts(device: Device) -> dict[str, list[float]]:
 
 
 def shimmer(device: Device) -> dict[str, list[float]]:
-    """By built-in scene, nothing of which moves: mean variance over time of what is shown, in squared 255ths, without
-    upscaling and with it."""
+    """Return, by built-in scene in which nothing moves, the mean variance of shown frames over time, in squared 255ths,
+    without upscaling and with it."""
     made = {}
     for name in SCENES:
         scene = load_scene(name, SEED)
@@ -99,7 +99,7 @@ def shimmer(device: Device) -> dict[str, list[float]]:
 
 
 def _still(held: SceneFrames, before: RenderedFrame | None, k: int) -> RenderedFrame:
-    """The same moment again, jittered anew."""
+    """Return the same moment again, jittered anew."""
     shown = held.display_camera(1.0)
     render = held.render_camera(shown, before, k)
     image = held.renderer.render(1.0, render, 1.0, before and before.camera, phase=k % held.jitter.length).numpy()
@@ -107,8 +107,8 @@ def _still(held: SceneFrames, before: RenderedFrame | None, k: int) -> RenderedF
 
 
 def bars(device: Device) -> dict[str, list[float]]:
-    """By width in rendered pixels: the contrast of upright bars against the wall, of what it is in truth, the mean over
-    frames and the least; and the least that the resampled frames have."""
+    """Return, by width in rendered pixels, the contrast of upright bars against the wall relative to the truth, mean
+    over frames and least, and the least of the resampled frames."""
     focal, made = camera(W, H).fx, {}
     for width in (0.25, 0.5, 0.75, 1.0, 1.5):
         half = width * SCALE * NEAR / focal / 2
@@ -128,7 +128,7 @@ def bars(device: Device) -> dict[str, list[float]]:
 
 
 def _contrast(shown: np.ndarray, truth: np.ndarray) -> float:
-    """Which share of the truth's contrast is shown: the slope of the one over the other."""
+    """Return the share of the truth's contrast that is shown: the slope of the one over the other."""
     centered = truth - truth.mean()
     return float((shown * centered).sum() / (centered**2).sum())
 

@@ -324,7 +324,7 @@ class Built:
 
 def build_all(compiler: Compiler, only_first: bool = False) -> list[Built]:
     """Build every program: for the first GPU in every form, for others in the form that most GPUs get. `only_first`:
-    for the first GPU in that form."""
+    for the first GPU in that form. Return all builds."""
 
     def built(name: str, source: str, form: str, options: dict[str, int], gpu: str) -> Built:
         with tempfile.TemporaryDirectory() as folder:
@@ -398,7 +398,7 @@ def _newest(folder: Path, pattern: str) -> System:
 
 
 def _resources(clang: Path) -> tuple[str, Path]:
-    """Headers beside clang, which does not find them itself when the dynamic loader starts it."""
+    """Return the headers beside clang, which does not find them itself when the dynamic loader starts it."""
     return "-resource-dir", System(clang.parent.parent).find("lib/clang/*")
 
 

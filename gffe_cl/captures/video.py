@@ -8,11 +8,12 @@ from typing import cast
 
 import numpy as np
 
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError when the encoder fails."""
+    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError without the encoder's package and when it fails."""
+    require_video()
     import imageio_ffmpeg
 
     frames = iter(frames)
@@ -34,3 +35,8 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
         writer.close()
     except (OSError, RuntimeError) as error:
         raise GffeError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
+
+
+def require_video() -> None:
+    """Raise GffeError unless the package that encodes videos is installed."""
+    require_packages("a video", "video", "imageio_ffmpeg")

@@ -16,8 +16,11 @@ def main() -> None:
     if not sys.warnoptions:  # warnings of libraries, mostly about damaged files, are not the program's messages
         warnings.simplefilter("ignore")
     with Interrupts() as interrupts:
-        from gffe_cl.cli.faults import explain
-
+        try:
+            from gffe_cl.cli.faults import explain
+        except ModuleNotFoundError as error:  # where the engine alone is installed
+            print(f"error: the command line needs {error.name}: pip install {error.name}", file=sys.stderr)
+            sys.exit(2)
         try:
             from gffe_cl.cli.commands import invoke
 

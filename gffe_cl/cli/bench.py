@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +22,7 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import Device, DeviceInfo
@@ -107,143 +108,132 @@ def bench(
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
     parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
     if traffic:
-        _bench_traffic(open_device(device), subject, parsed, frame, _parse_lanes(lanes), options, json_path)
+        on = open_device(device, profiling=True)
+        _bench_traffic(on, subject, parsed, frame, _parse_lanes(lanes), options, json_path)
         return
     if device is None:
-        opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
+        opened = [open_info(info, profiling=True) for info in list_devices() if info.works] or [open_device()]
     else:
-        opened = [open_device(device)]
+        opened = [open_device(device, profiling=True)]
+    asked = _Asked(opened, subject, parsed, frame, repeats, options)
     if io:
-        _bench_io(opened, subject, parsed, frame, repeats, json_path)
-        return
-    if host:
-        _bench_host(opened, subject, parsed, frame, repeats, options, json_path)
-        return
-    if methods:
-        _bench_methods(opened, subject, parsed, frame, repeats, options, json_path)
-        return
-    _bench_times(opened, subject, parsed, frame, repeats, kernels, options, json_path)
+        report = _bench_io(asked)
+    elif host:
+        report = _bench_host(asked)
+    elif methods:
+        require_packages("--methods", "lab", "scipy")
+        report = _bench_methods(asked)
+    else:
+        report = _bench_times(asked, kernels)
+    write_json(json_path, report)
 
 
-def _bench_times(
-    devices: list[Device],
-    subject: str | None,
-    sizes: list[tuple[int, int]] | None,
-    frame: int | None,
-    repeats: int,
-    kernels: bool,
-    options: Options,
-    json_path: Path | None,
-) -> None:
-    from dataclasses import asdict
+@dataclass(frozen=True)
+class _Asked:
+    """The frames to measure, on each of the devices; `sizes` is None for the default ones."""
 
+    devices: list[Device]
+    subject: str | None
+    sizes: list[tuple[int, int]] | None
+    frame: int | None
+    repeats: int
+    options: Options
+
+    def sizes_or(self, *default: tuple[int, int]) -> Sequence[tuple[int, int] | None]:
+        """Return the sizes to measure; None is a sequence's own."""
+        from gffe_cl.lab.bench.footage import is_sequence
+
+        return self.sizes or ([None] if is_sequence(self.subject) else default)
+
+    def loop(self, device: Device, size: tuple[int, int] | None, upscale: float = 0.0) -> FrameLoop:
+        from gffe_cl.lab.bench.footage import loop_of
+
+        return loop_of(device, self.subject, size, self.frame, upscale)
+
+
+def _label(info: DeviceInfo) -> str:
+    return f"{info.name} ({info.platform})"
+
+
+def _named(info: DeviceInfo) -> dict[str, str]:
+    return {"device": info.name, "platform": info.platform}
+
+
+def _bench_times(asked: _Asked, kernels: bool) -> dict:
     from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
-    from gffe_cl.lab.bench.footage import is_sequence, loop_of
 
-    asked: Sequence[tuple[int, int] | None] | None = sizes
-    if asked is None:
-        asked = [None] if is_sequence(subject) else [parse_size(text) for text in _SIZES.split(",")]
-    report = []
-    for device in devices:
-        results = []
+    sizes, report = asked.sizes_or(*map(parse_size, _SIZES.split(","))), []
+    for device in asked.devices:
+        results, name = [], ""
         with progress_bars() as progress:
-            advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(asked) * repeats)
+            advance = steps(progress)(_label(device.info), len(sizes) * asked.repeats)
             copier = Copier(device)
-            for size in asked:
-                loop = loop_of(device, subject, size, frame, options.upscale)
-                results.append(bench_size(device, copier, loop, options, repeats, advance))
-        _print_bench(device.info, loop.name, results)
+            for size in sizes:
+                loop = asked.loop(device, size, asked.options.upscale)
+                results.append(bench_size(device, copier, loop, asked.options, asked.repeats, advance))
+                name = loop.name
+        _print_bench(device.info, name, results)
         if kernels:
             _print_kernels(results)
-        named = {"device": device.info.name, "platform": device.info.platform, "copied by": copier.way}
-        figures = {"of": loop.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
-        report.append(named | figures)
-    write_json(json_path, {"devices": report, "paper": PAPER})
+        figures = {"of": name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
+        report.append(_named(device.info) | {"copied by": copier.way} | figures)
+    return {"devices": report, "paper": PAPER}
 
 
-def _bench_methods(
-    devices: list[Device],
-    subject: str | None,
-    sizes: list[tuple[int, int]] | None,
-    frame: int | None,
-    repeats: int,
-    options: Options,
-    json_path: Path | None,
-) -> None:
+def _bench_methods(asked: _Asked) -> dict:
     from gffe_cl.engine.opencl.device import open_device
     from gffe_cl.lab.bench.counting import SIZE
-    from gffe_cl.lab.bench.footage import is_sequence
     from gffe_cl.lab.bench.method_times import measure_methods, subject_of
 
     default = open_device().info.index
-    devices = sorted(devices, key=lambda device: device.info.index != default)
+    devices = sorted(asked.devices, key=lambda device: device.info.index != default)
     reports = []
-    for size in sizes or [None if is_sequence(subject) else SIZE]:
-        chosen = subject_of(subject, size, frame)
+    for size in asked.sizes_or(SIZE):
+        chosen = subject_of(asked.subject, size, asked.frame)
         with progress_bars() as progress:
-            reports.append(measure_methods(chosen, devices, options, repeats, steps(progress)))
+            reports.append(measure_methods(chosen, devices, asked.options, asked.repeats, steps(progress)))
         _print_methods(reports[-1])
-    write_json(json_path, {"sizes": reports})
+    return {"sizes": reports}
 
 
-def _bench_io(
-    devices: list[Device],
-    subject: str | None,
-    sizes: list[tuple[int, int]] | None,
-    frame: int | None,
-    repeats: int,
-    json_path: Path | None,
-) -> None:
-    from dataclasses import asdict
-
+def _bench_io(asked: _Asked) -> dict:
     from gffe_cl.lab.bench.counting import SIZE
-    from gffe_cl.lab.bench.footage import is_sequence, loop_of
     from gffe_cl.lab.bench.io_times import FORMS, measure_io
 
     report = []
-    for device in devices:
-        results = []
-        for size in sizes or [None if is_sequence(subject) else SIZE]:
-            loop = loop_of(device, subject, size, frame)
+    for device in asked.devices:
+        results, name = [], ""
+        for size in asked.sizes_or(SIZE):
+            loop = asked.loop(device, size)
             with progress_bars() as progress:
-                advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(FORMS) * repeats)
-                results += measure_io(device, loop.frames[-1], repeats, advance)
-        _print_io(device.info, loop.name, results)
-        named = {"device": device.info.name, "platform": device.info.platform, "of": loop.name}
-        report.append(named | {"repeats": repeats, "frames": [asdict(result) for result in results]})
-    write_json(json_path, {"devices": report})
+                advance = steps(progress)(_label(device.info), len(FORMS) * asked.repeats)
+                results += measure_io(device, loop.frames[-1], asked.repeats, advance)
+            name = loop.name
+        _print_io(device.info, name, results)
+        figures = {"of": name, "repeats": asked.repeats, "frames": [asdict(result) for result in results]}
+        report.append(_named(device.info) | figures)
+    return {"devices": report}
 
 
-def _bench_host(
-    devices: list[Device],
-    subject: str | None,
-    sizes: list[tuple[int, int]] | None,
-    frame: int | None,
-    repeats: int,
-    options: Options,
-    json_path: Path | None,
-) -> None:
-    from dataclasses import asdict
-
-    from gffe_cl.lab.bench.footage import is_sequence, loop_of
+def _bench_host(asked: _Asked) -> dict:
     from gffe_cl.lab.bench.host_times import SIZE, measure_host
 
     report = []
     table = Table("device", "size", "submit, ms", "extrapolate, ms", "both, ms", box=None, header_style="bold")
-    for device in devices:
+    for device in asked.devices:
         results = []
-        for size in sizes or [None if is_sequence(subject) else SIZE]:
-            loop = loop_of(device, subject, size, frame)
+        for size in asked.sizes_or(SIZE):
+            loop = asked.loop(device, size)
             with progress_bars() as progress:
-                advance = steps(progress)(f"{device.info.name} ({device.info.platform})", repeats)
-                results.append(measure_host(device, loop, options, repeats, advance))
+                advance = steps(progress)(_label(device.info), asked.repeats)
+                results.append(measure_host(device, loop, asked.options, asked.repeats, advance))
         for result in results:
             times = (f"{milliseconds:.3f}" for milliseconds in (result.submit, result.extrapolate, result.sum))
             table.add_row(plain(device.info.platform), f"{result.width}×{result.height}", *times)
-        named = {"device": device.info.name, "platform": device.info.platform}
-        report.append(named | {"repeats": repeats, "sizes": [asdict(result) for result in results]})
+        figures = {"repeats": asked.repeats, "sizes": [asdict(result) for result in results]}
+        report.append(_named(device.info) | figures)
     out.print(table)
-    write_json(json_path, {"devices": report})
+    return {"devices": report}
 
 
 def _bench_traffic(
@@ -278,7 +268,7 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     from gffe_cl.engine.timing.bench import PAPER, growth
 
     heads = (*(f"{r.width}×{r.height}" for r in results), "must move", "paper, 1080p")
-    title = plain(f"{name}, {info.name} ({info.platform})")
+    title = plain(f"{name}, {_label(info)}")
     table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
     last = results[-1]
     for part in results[0].milliseconds:
@@ -340,7 +330,7 @@ def _print_methods(report: dict) -> None:
 
 
 def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
-    title = plain(f"{name}, {info.name} ({info.platform})")
+    title = plain(f"{name}, {_label(info)}")
     heads = "size", "upload", "zero-copy", "copies in", "download", "mapped", "copy out", "ratio", "copied, B/px"
     table = Table("color, ms", *heads, title=title, box=None, header_style="bold")
     for one in results:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from functools import cache, partial
 from typing import Annotated, Any
 
 import typer
@@ -48,6 +48,7 @@ def invoke(arguments: list[str]) -> int:
     return 0
 
 
+@cache
 def _command() -> Any:
     """Return the command line library's command, whose parameters take neither empty texts nor numbers that are not
     finite: an empty path would be the working folder."""

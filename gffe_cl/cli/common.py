@@ -220,7 +220,7 @@ class _Lines(Progress):
 
 
 def steps(progress: Progress):
-    """Return A function that opens a progress bar and returns its `advance`."""
+    """Return a function that opens a progress bar and returns its `advance`."""
 
     def step(text: str, total: int):
         task = progress.add_task(text, total=total)

@@ -22,7 +22,7 @@ from gffe_cl.cli.common import (
 from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.lab.compare import Comparison
+    from gffe_cl.lab.compare import SequenceComparison
     from gffe_cl.lab.metrics import Metric
 
 
@@ -84,7 +84,7 @@ def compare(
         raise typer.Exit(1)
 
 
-def _print_regions(result: Comparison, metrics: list[Metric]) -> None:
+def _print_regions(result: SequenceComparison, metrics: list[Metric]) -> None:
     """Print each metric without and with shading correction, and the gain, if `--gae` is given."""
     heads = ("GAE", "final", "gain") if result.gae else ("",)
     table = Table("all frames together", "share", "metric", *heads, box=None, header_style="bold")

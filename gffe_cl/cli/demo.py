@@ -19,7 +19,7 @@ from gffe_cl.cli.common import (
     steps,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 
 if TYPE_CHECKING:
     from gffe_cl.engine.options import Options
@@ -37,6 +37,7 @@ def demo(
     options: Options,
 ) -> None:
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
+    require_packages("demo", "lab,video", "skimage", "imageio_ffmpeg")
     from gffe_cl.engine.opencl.device import open_device
     from gffe_cl.lab.demo import METHODS
     from gffe_cl.lab.demo import demo as run_demo
@@ -45,7 +46,7 @@ def demo(
     width, height = parse_size(size)
     if min(width, height) < 32 or max(width, height) > 4096:
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
-    opened = open_device(device)
+    opened = open_device(device, profiling=True)
     out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
     with progress_bars() as progress:
         metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))

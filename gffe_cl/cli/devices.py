@@ -17,7 +17,7 @@ from gffe_cl.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from gffe_cl.engine.inference.provider_check import Verdict
+    from gffe_cl.engine.inference.provider_check import ProviderVerdict
 
 
 @app.command()
@@ -67,7 +67,7 @@ def devices(
         raise none_works(infos or every, kind)
 
 
-def _provider_verdicts(refresh: bool) -> list[Verdict]:
+def _provider_verdicts(refresh: bool) -> list[ProviderVerdict]:
     """Return the verdicts on all installed providers except the CPU's, with the package's own network."""
     from gffe_cl.engine.inference.network import default_model
     from gffe_cl.engine.inference.provider_check import verdict

@@ -1,5 +1,4 @@
-"""Commands `gffe eval`, which fills the table of methods and sequences, and `gffe study`, its older name for parts of
-that."""
+"""Command `gffe eval`, which fills the table of methods and sequences."""
 
 from __future__ import annotations
 
@@ -29,7 +28,7 @@ from gffe_cl.cli.common import (
     steps,
     warn,
 )
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
@@ -130,12 +129,13 @@ def evaluate(
     follow_links: FollowLinksOption = False,
 ) -> None:
     """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
+    require_packages("eval", "lab", "skimage", "scipy")
     from gffe_cl.captures.scenes import SCENES
     from gffe_cl.engine.options import Options
     from gffe_cl.lab.table.datasets import SceneSubject
     from gffe_cl.lab.table.methods import LATE_WARP
     from gffe_cl.lab.table.results import results_of
-    from gffe_cl.lab.table.runner import Order
+    from gffe_cl.lab.table.runner import TableOrder
 
     _check(frames, fps, seeds, turn_rate)
     videos = _videos(metrics)
@@ -152,12 +152,12 @@ def evaluate(
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:
-        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh, network))
+        filled = fill("Measuring", TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network))
         built_in = [s for s in chosen if isinstance(s, SceneSubject)]
         late = {}
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
-            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh, network=network))
+            late[turn] = fill(f"Late warp, {turn:g}°", TableOrder(turned, LATE_WARP, recompute=fresh, network=network))
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
@@ -184,44 +184,6 @@ def _subjects(texts, encodings, *scenes, **more: float) -> tuple[tuple[Subject, 
     if not chosen:
         raise GffeError("; ".join(broken.values()))
     return tuple(chosen), broken
-
-
-@app.command(hidden=True)
-def study(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes and situations.")] = None,
-    seeds: Annotated[int, typer.Option(help="Number N of seeds, 0 … N−1, of each scene.")] = 3,
-    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "480x270",
-    frames: Annotated[int, typer.Option(help="Number of rendered frames per scene and seed.")] = 10,
-    alpha: Annotated[
-        float, typer.Option(help="Time of the extrapolated frames, in intervals of rendered frames.")
-    ] = 0.5,
-    fps: Annotated[float, typer.Option(help="Frame rate, rendered frames per second.")] = 30.0,
-    disocclusions: Annotated[
-        bool, typer.Option("--disocclusions", help="Disocclusions: compare the ways to fill them.")
-    ] = False,
-    windows: Annotated[bool, typer.Option("--windows", help="Rendering windows: compare them.")] = False,
-    shading: Annotated[bool, typer.Option("--shading", help="Shading correction: measure it.")] = False,
-    scn_model: Annotated[Path | None, typer.Option(help="Shading correction network, an ONNX file.")] = None,
-    scn_provider: Annotated[str | None, typer.Option(help="Runner of the network, as for `gffe run`.")] = None,
-    rate: Annotated[float, typer.Option(help="Turn rate of the camera for --windows, degrees per second.")] = 150.0,
-    device: DeviceOption = None,
-) -> None:
-    """Run parts of `gffe eval` under their older name, after printing the command that does the same."""
-    if disocclusions + windows + shading > 1:
-        raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
-    methods = (
-        "filling" if disocclusions else "window" if windows else "no-scn,gffe,no-focus-mask" if shading
-        else "repeat,papers-way,no-scn,true-motion"
-    )  # fmt: skip
-    given = {
-        "seeds": seeds, "size": size, "frames": frames, "alpha": f"{alpha:g}", "fps": fps, "methods": methods,
-        "turn_rate": rate if windows else 0.0, "scn_model": scn_model, "scn_provider": scn_provider, "device": device,
-        "regions": True,
-    }  # fmt: skip
-    flags = ((f"--{name.replace('_', '-')}", value) for name, value in given.items() if value)
-    words = [word for flag, value in flags for word in ((flag,) if value is True else (flag, str(value)))]
-    warn(f"`gffe study` is now: {shlex.join(['gffe', 'eval', *(scenes or ()), *words])}")
-    evaluate(scenes, **given)
 
 
 def _seeded(text: str, seeds: int) -> list[str]:

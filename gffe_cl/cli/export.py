@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +16,7 @@ from gffe_cl.engine.options import OPTIONS
 if TYPE_CHECKING:
     from gffe_cl.engine.options import Options
 
-_OF_PYTHON_ALONE = ("overlays", "scn_provider")
+_OF_PYTHON_ALONE = ("overlays", "scn_provider", "camera_order")
 _EXPORTED = [name for name, option in OPTIONS.items() if option.flag and name not in _OF_PYTHON_ALONE]
 
 
@@ -48,7 +47,6 @@ def export(
 
     if frames is None and size is not None:
         raise GffeError("--size is for --frames of a built-in scene")
-    options = replace(options, shading_correction=bool(options.shading_correction))
     opened, source = open_device(device), None
     if frames is not None:
         made = count if is_scene(str(frames)) else None  # a capture has its own

@@ -18,6 +18,8 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
         return INTERRUPTED
     if isinstance(error, GffeError):
         message = str(error)
+    elif isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("gffe_cl"):
+        message = f"{error.name} is not installed (expected: all packages that `pip install .` brings)"
     elif isinstance(error, MemoryError):
         message = "not enough memory (expected smaller images)"
     elif isinstance(error, OSError | UnicodeError):

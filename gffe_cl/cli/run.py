@@ -160,13 +160,13 @@ def open_source(
     if is_scene(str(sequence)):
         size, frames, fps, seed = live.values()
         size = parse_size("960x540" if size is None else size)
-        scene, opened = load_scene(str(sequence), 0 if seed is None else seed), open_device(device)
+        scene, opened = load_scene(str(sequence), 0 if seed is None else seed), open_device(device, profiling=True)
         frames, fps = 30 if frames is None else frames, 30.0 if fps is None else fps
         return opened, Live(scene, opened, *size, frames, fps, window or "off", upscale)
     given = [option for option, value in live.items() if value is not None]
     if given:
         raise GffeError(f"{given[0]} is for built-in scenes ({scene_names()}), {sequence} is none")
-    recorded, opened = open_capture(sequence), open_device(device)
+    recorded, opened = open_capture(sequence), open_device(device, profiling=True)
     return opened, Recorded(recorded, opened, window, upscale)
 
 

@@ -23,7 +23,7 @@ from gffe_cl.cli.common import (
     progress_bars,
     write_json,
 )
-from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import only_process
 
 
@@ -88,11 +88,9 @@ def train(
 
     Several GPUs: torchrun --nproc-per-node N -m gffe_cl train …
     """
-    try:
-        import tensorboard  # noqa: F401
-        import torch
-    except ImportError:
-        raise GffeError(f"training needs PyTorch and TensorBoard (expected: {how_to_install('train')})") from None
+    require_packages("training", "train", "torch", "tensorboard")
+    import torch
+
     from gffe_cl.engine.opencl.device import open_device
     from gffe_cl.lab.training.clips import complete_clips, finished_clips, make_clips
     from gffe_cl.lab.training.crops import list_crops

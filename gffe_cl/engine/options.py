@@ -20,7 +20,6 @@ MAX_ORDER, MAX_LEVELS = _CONSTANTS["MAX_ORDER"], _CONSTANTS["MAX_LEVELS"]
 # Ways to fill holes: what they do with a pixel's color, for help and for the story of a pixel.
 HOLE_FILLINGS = {
     "far-side": "continues the far side of the hole",
-    "push-pull": "is a mean of the surroundings, from a pyramid of means",
     "downsample": "comes from the image downsampled 32 times, as in the paper",
     "none": "stays black, at infinite depth",
 }
@@ -316,15 +315,6 @@ class Options:
         high=3.0,
         off=0.0,
         flag="--upscale",
-    )
-    upscale_sharpening: float = _option(
-        0.0,
-        "sharpening",
-        "Sharpening of upscaled frames where neighbors differ little; the history is not sharpened.",
-        low=0.0,
-        high=1.0,
-        flag="--sharpening",
-        needs="upscale",
     )
     overlays: bool = _option(
         True,

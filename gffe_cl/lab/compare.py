@@ -40,7 +40,7 @@ class FrameScore:
 
 
 @dataclass
-class Comparison:
+class SequenceComparison:
     """Scores of all matched frames, by time; `notes` are sentences about the means; `regions`, for the mask "focus",
     figures pooled over the counted frames (`RegionErrors.figures`), and `gae`, those of the frames without shading
     correction, where they were given."""
@@ -100,7 +100,7 @@ def compare(
     mask: str | None = None,
     progress: Callable[[int, int], None] | None = None,
     gae: Sequence | None = None,
-) -> Comparison:
+) -> SequenceComparison:
     """Compare the extrapolated frames of `a` with the ground truth of `b`, and return their scores.
 
     Frames are matched by `Sequence.at`. The means leave out the frames that follow the first two rendered frames after
@@ -156,7 +156,7 @@ def compare(
 
 def baseline_repeat(
     sequence: Sequence, progress: Callable[[int, int], None] | None = None, device: Device | None = None
-) -> Comparison:
+) -> SequenceComparison:
     """Compare the last rendered frame, shown again, with each ground-truth frame of the same sequence, and return the
     scores.
 
@@ -188,7 +188,7 @@ def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = N
     return present(sequence.read(entry), size=size, device=device).color
 
 
-def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comparison:
+def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> SequenceComparison:
     metrics = measurable()  # slow imports: once, before the threads
     notes = list(notes)
     if a.exposure != b.exposure:
@@ -232,7 +232,9 @@ def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comp
         frames.append(FrameScore(time, pair.entry.file, pair.truth.file, values, pair.counted))
         if progress:
             progress(len(frames), len(pairs))
-    return Comparison(frames, notes, RegionErrors.pooled(regions).figures(), RegionErrors.pooled(of_gae).figures())
+    return SequenceComparison(
+        frames, notes, RegionErrors.pooled(regions).figures(), RegionErrors.pooled(of_gae).figures()
+    )
 
 
 class _History:

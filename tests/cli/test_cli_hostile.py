@@ -129,12 +129,12 @@ def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "_machine", lambda *_: "A")
     subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
     broken = [1]
-    filled = runner.fill(runner.Order(subjects, ("repeat",)), tmp_path)
+    filled = runner.fill(runner.TableOrder(subjects, ("repeat",)), tmp_path)
     assert filled.broken == {"room:1": "frame 3: is broken"}
     assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
     broken = [0, 1, 2]
     with pytest.raises(GffeError, match="room:2: frame 3"):
-        runner.fill(runner.Order(subjects, ("repeat",), recompute=True), tmp_path)
+        runner.fill(runner.TableOrder(subjects, ("repeat",), recompute=True), tmp_path)
 
 
 @pytest.mark.long

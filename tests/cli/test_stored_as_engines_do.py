@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pytest
 from engine_buffers import stored
+from parameters import few
 from PIL import Image
 
 from gffe_cl import FrameFormat, Overlays, SequenceWriter, named_channels, open_sequence
@@ -215,10 +216,8 @@ def assert_same(one, other):
 INEXACT = {"unorm8", "noisy-camera", "engine"}
 FEW = {"exact", "game", "streamline", "frame.geometry_size"}  # the others take minutes
 every_input = pytest.mark.parametrize("name", INPUTS)
-some_inputs = pytest.mark.parametrize(
-    "name", [name if name in FEW else pytest.param(name, marks=pytest.mark.long) for name in INPUTS]
-)
-long_inputs = pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long) for name in INPUTS])
+some_inputs = pytest.mark.parametrize("name", few(INPUTS, *FEW))
+long_inputs = pytest.mark.parametrize("name", few(INPUTS))
 
 
 @every_input

@@ -10,7 +10,7 @@ import pytest
 import gffe_cl as gffe
 from gffe_cl.cli.commands import invoke
 
-TOOLS = Path(__file__).parents[2] / "docs" / "tools"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.mark.long
@@ -18,7 +18,7 @@ TOOLS = Path(__file__).parents[2] / "docs" / "tools"
     ("module", "name"), [("raymarched", "Raymarched"), ("aquarium", "Aquarium"), ("fairground", "Fairground")]
 )
 def test_a_small_sequence_is_sound(module, name, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(TOOLS))
+    monkeypatch.syspath_prepend(str(DOCS))
     __import__(f"unseen.{module}")
     from unseen.recording import record
 
@@ -46,7 +46,7 @@ record(PandaLiveAntialiased(160, 90, frames=4), Path(sys.argv[2]))
 @pytest.mark.long
 def test_the_live_game_is_sound_with_antialiasing(tmp_path):
     pytest.importorskip("panda3d")
-    command = [sys.executable, "-c", _PANDA, str(TOOLS), str(tmp_path / "live")]
+    command = [sys.executable, "-c", _PANDA, str(DOCS), str(tmp_path / "live")]
     found = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert found.returncode == 0, found.stderr
     sequence = gffe.open_sequence(tmp_path / "live")

@@ -28,7 +28,7 @@ def made_world():
 
 @cache
 def clip(moves=True, turns=True):
-    """Frames of rectangles, one of which moves; exact in everything."""
+    """Return frames of rectangles, one of which moves; exact in everything."""
     world, frames, before = made_world(), [], None
     for k in range(COUNT):
         time = k / 30
@@ -49,7 +49,7 @@ def motion_of(frames):
 
 
 def reprojected(frames):
-    """(frames, H, W, 2) pixels, by `Camera` alone: where static points were one frame before."""
+    """Return (frames, H, W, 2) pixels, by `Camera` alone: where static points were one frame before."""
     y, x = np.mgrid[:H, :W] + 0.5
     px = np.stack([x, y], -1)
     return np.stack([
@@ -84,7 +84,7 @@ class Tile(Rect):
 
 @cache
 def tiled(samples):
-    """Frames of tiles past which the camera moves; `samples` across a pixel: 1 is what has no antialiasing."""
+    """Return frames of tiles past which the camera moves; `samples` across a pixel: 1 is without antialiasing."""
     world, frames, before = Rects([Tile(r.center, r.half, frequency=r.frequency) for r in made_world().rects]), [], None
     for k in range(4):
         view = camera(2 * W, 2 * H, (0.09 * k, 0, 0))

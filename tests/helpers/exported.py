@@ -17,7 +17,7 @@ from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
 MOTION_UNITS = ("pixels", "uv", "ndc", "color_pixels")  # as gffe.h numbers them
-OK, INVALID, OPENCL, OUT_OF_MEMORY, NETWORK_FAILED = range(5)
+OK, INVALID, OPENCL, OUT_OF_MEMORY = range(4)
 
 
 class CCamera(ct.Structure):
@@ -31,16 +31,11 @@ class CCamera(ct.Structure):
         return Camera(np.array(self.world_to_view).reshape(4, 4), self.fx, self.fy, self.cx, self.cy)
 
 
-NETWORK = ct.CFUNCTYPE(ct.c_int, *(ct.c_void_p,) * 5, ct.c_size_t, ct.c_size_t)
-
-
 class COptions(ct.Structure):
     _fields_ = (
         *((name, ct.c_int) for name in ("width", "height", "render_width", "render_height")),
         ("fps", ct.c_double),
-        *((name, ct.c_int) for name in ("lanes", "int64_atomics", "shared_memory")),
-        ("network", NETWORK),
-        ("network_user", ct.c_void_p),
+        *((name, ct.c_int) for name in ("lanes", "int64_atomics", "float_sums")),
     )
 
 
@@ -57,16 +52,6 @@ class CImage(ct.Structure):
     _fields_ = (
         ("memory", ct.c_void_p),
         *((name, ct.c_size_t) for name in ("width", "height", "planes", "bytes_per_pixel")),
-    )
-
-
-class CWindow(ct.Structure):
-    _fields_ = (*((name, ct.c_double) for name in ("u0", "v0", "u1", "v1")), ("clamped", ct.c_int))
-
-
-class CWindowOptions(ct.Structure):
-    _fields_ = tuple(
-        (name, ct.c_double) for name in ("width", "height", "max_enlargement", "distance", "margin", "least")
     )
 
 
@@ -121,13 +106,14 @@ class Failed(Exception):
 
 
 def opencl_library() -> str:
-    """The loader that this process uses: handles are the same for all loaders, but the tests' library needs one."""
+    """Return the loader that this process uses: handles are the same for all loaders, but the tests' library needs
+    one."""
     with open("/proc/self/maps") as maps:
         return next(line.split()[-1] for line in maps if "libOpenCL" in line)
 
 
 def require_compiler(*names: str) -> None:
-    """Skips the test where there is no C compiler or no CL/cl.h."""
+    """Skip the test where there is no C compiler or none of the headers of OpenCL."""
     for name in names:
         if not shutil.which(name):
             pytest.skip(f"no {name}")
@@ -139,7 +125,7 @@ def require_compiler(*names: str) -> None:
 
 
 def compile_library(folder: Path, target: Path) -> Path:
-    sources = sorted(str(path) for path in folder.glob("gffe*.c") if path.name != "gffe_onnx.c")
+    sources = sorted(map(str, folder.glob("gffe*.c")))
     command = ["cc", "-std=c99", *STRICT, "-O0", "-fPIC", "-shared", "-ffp-contract=off", "-o", str(target), *sources]
     subprocess.run([*command, opencl_library(), "-lm"], check=True)
     return target
@@ -148,12 +134,7 @@ def compile_library(folder: Path, target: Path) -> Path:
 def load(path: Path) -> ct.CDLL:
     library = ct.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
     library.gffe_default_options.restype = COptions
-    library.gffe_default_window_options.restype = CWindowOptions
-    library.gffe_default_window_options.argtypes = [ct.c_double] * 2
-    library.gffe_window_camera.restype = CCamera
-    library.gffe_window_camera.argtypes = [ct.c_void_p, ct.c_void_p, *[ct.c_double] * 4]
-    library.gffe_nearest_depth.restype = ct.c_double
-    for name in ("message", "adaptive_window", "predict_camera_at", "camera_fault", "buffer_name"):
+    for name in ("message", "camera_fault", "buffer_name"):
         getattr(library, f"gffe_{name}").restype = ct.c_char_p
     library.gffe_default_format.restype = CFormat
     library.gffe_set_format.argtypes = [ct.c_void_p] * 2
@@ -164,7 +145,6 @@ def load(path: Path) -> ct.CDLL:
     library.gffe_message.argtypes = [ct.c_void_p]
     library.gffe_buffer_name.argtypes = [ct.c_void_p, ct.c_int]
     library.gffe_set_exposure.argtypes = [ct.c_void_p, ct.c_double]
-    library.gffe_predict_camera.argtypes = [ct.c_void_p, ct.c_double, ct.c_void_p]
     library.gffe_submit.argtypes = [*[ct.c_void_p] * 6, ct.c_double, ct.c_int]
     library.gffe_extrapolate.argtypes = [ct.c_void_p, ct.c_void_p, ct.c_double, ct.c_void_p]
     events = [ct.c_uint, ct.c_void_p, ct.c_void_p]
@@ -174,9 +154,6 @@ def load(path: Path) -> ct.CDLL:
     library.gffe_set_overlays.argtypes = [ct.c_void_p] * 2
     library.gffe_present.argtypes = [ct.c_void_p] * 2
     library.gffe_get.argtypes = [ct.c_void_p, ct.c_char_p, ct.c_void_p]
-    library.gffe_predict_camera_at.argtypes = [
-        ct.c_double, ct.c_void_p, ct.c_void_p, ct.c_int, ct.c_int, ct.c_void_p
-    ]  # fmt: skip
     return library
 
 
@@ -204,7 +181,8 @@ class Engine:
         self._check(self.library.gffe_set_exposure(self.handle, exposure))
 
     def _call(self, name, arguments, wait_for=None):
-        """With a list of events, the function's `_after` variant, and the event that it makes."""
+        """Call a function and return its result; with a list of events its `_after` variant, and the event that it
+        makes."""
         if wait_for is None:
             self._check(getattr(self.library, f"gffe_{name}")(self.handle, *arguments))
             return None
@@ -224,34 +202,29 @@ class Engine:
         return self._call("submit", (*handles, *cameras, time, int(reset)), wait_for)
 
     def set_format(self, format, jitter=(0.0, 0.0)):
-        """`format`: a FrameFormat, a CFormat or None."""
+        """Set `format`: a FrameFormat, a CFormat or None."""
         made = CFormat.of(format) if isinstance(format, FrameFormat) else format
         self._check(self.library.gffe_set_format(self.handle, made and ct.byref(made)))
         self._check(self.library.gffe_set_geometry_jitter(self.handle, *jitter))
 
     def set_overlays(self, overlays):
-        """`overlays` of device buffers."""
+        """Set `overlays` of device buffers."""
         given = {name: getattr(overlays, name) for name in OVERLAYS}
         told = COverlays(**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
         self._check(self.library.gffe_set_overlays(self.handle, ct.byref(told)))
 
-    def extrapolate(self, time, camera=None, wait_for=None):
-        """The frame; with `wait_for` and the event."""
+    def extrapolate(self, time, camera, wait_for=None):
+        """Return the frame; with `wait_for` and the event."""
         made = CFrame()
         camera = camera and ct.byref(CCamera.of(camera))
         event = self._call("extrapolate", (camera, time, ct.byref(made)), wait_for)
         return made if wait_for is None else (made, event)
 
     def present(self, wait_for=None):
-        """As `extrapolate`."""
+        """Return the displayed frame; with `wait_for` and the event."""
         made = CFrame()
         event = self._call("present", (ct.byref(made),), wait_for)
         return made if wait_for is None else (made, event)
-
-    def predict_camera(self, alpha):
-        made = CCamera()
-        self._check(self.library.gffe_predict_camera(self.handle, alpha, ct.byref(made)))
-        return made.camera()
 
     @property
     def is_cut(self):
@@ -270,7 +243,7 @@ class Engine:
         return image
 
     def bytes_of(self, name):
-        """(planes · height · width, bytes per pixel) uint8."""
+        """Return (planes · height · width, bytes per pixel) uint8."""
         image = self.get(name)
         shape = image.planes * image.height * image.width, image.bytes_per_pixel
         return self.read(image.memory, int(np.prod(shape))).reshape(shape)

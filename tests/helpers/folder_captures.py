@@ -33,7 +33,7 @@ def focal(camera):
 
 
 def write(folder, depth_as=None, motion_as=None, also=None, **parts):
-    """Buffers as `described` says, changed by functions of a shot."""
+    """Write buffers as `described` has them, changed by functions of a shot. Return the folder."""
     for number, shot in enumerate(rendered(), 3):
         write_exr(folder / f"color_{number:04d}.exr", dict(zip("RGB", np.moveaxis(shot.color, -1, 0), strict=True)))
         np.save(folder / f"depth_{number}.npy", depth_as(shot) if depth_as else shot.depth)

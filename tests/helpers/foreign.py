@@ -32,7 +32,7 @@ class Shot:
 
 @cache
 def shots(scene=SCENE, count=3, start=0.4):
-    """Rendered frames of a built-in scene, with the truth in between."""
+    """Yield rendered frames of a built-in scene, with the truth in between."""
     made = SceneFrames(SceneRenderer(open_device(), load_scene(scene, 0), W, H, samples=2))
     found = []
     for frame in made.sequence(count, FPS, start):
@@ -52,7 +52,7 @@ def write_exr(path, channels, part_name=None, windows=None, compression=OpenEXR.
 
 
 def write_parts(path, parts, compression=OpenEXR.ZIP_COMPRESSION):
-    """`parts`: name → channels."""
+    """Write `parts`: name → channels."""
     made = []
     for name, channels in parts.items():
         header = {"compression": compression, "type": OpenEXR.scanlineimage}
@@ -64,7 +64,8 @@ def write_parts(path, parts, compression=OpenEXR.ZIP_COMPRESSION):
 
 
 def blender_layers(shot, layer="ViewLayer", data="Data"):
-    """Layer.Pass → component → (H, W), as Cycles has them: y up, 1e10 for nothing, vectors into both directions."""
+    """Return Layer.Pass → component → (H, W), as Cycles has them: y up, 1e10 for nothing, vectors into both
+    directions."""
     color = dict(zip("RGB", np.moveaxis(shot.color, -1, 0), strict=True))
     found = {f"{layer}.Combined": {**color, "A": np.ones((H, W), np.float16)}}
     if shot.kind == "rendered":

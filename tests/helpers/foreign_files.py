@@ -1,4 +1,4 @@
-"""What lies where a file is expected, and must be neither waited for nor read to its end."""
+"""Pipes, devices and endless files where a file is expected, which must be neither waited for nor read to their end."""
 
 import os
 import threading
@@ -17,7 +17,7 @@ def put(path, kind):
 
 
 def within(seconds, work):
-    """The result of `work`. AssertionError if it takes longer."""
+    """Return the result of `work`. AssertionError if it takes longer."""
     found = []
     thread = threading.Thread(target=lambda: found.append(work()), daemon=True)
     thread.start()

@@ -5,7 +5,7 @@ from onnx import TensorProto, helper
 
 
 def network(path, frames=2, following=True, timestep=True, name="frame"):
-    """(1 − α) · newest of `previous` + α · `next`; without those, the oldest of `previous`."""
+    """Return (1 − α) · newest of `previous` + α · `next`; without those, the oldest of `previous`."""
     shape = (1, 3 * frames, "h", "w")
     inputs = [helper.make_tensor_value_info("previous", TensorProto.FLOAT, shape)]
     start, end = (3 * frames - 3, 3 * frames) if following else (0, 3)

@@ -26,7 +26,6 @@ QUICK = {
     "calibrate": ("{sequence}", "{out}"),
     "export": ("{out}",),
     "eval": ("{folder}", "--out", "{out}", "--methods", "repeat"),
-    "study": ("corridor", "--size", "32x32", "--frames", "4", "--seeds", "1"),
     "bench": ("{folder}", "--sizes", "32x32"),
     "train": ("{file}", "--clips", "1"),
     "demo": ("--output", "{file}", "--size", "32x32"),
@@ -40,7 +39,7 @@ def commands():
 
 
 def parameters():
-    """(command, parameter) of all that take a value."""
+    """Yield (command, parameter) of all that take a value."""
     for name, command in commands().items():
         for parameter in command.params:
             if not getattr(parameter, "is_flag", False):
@@ -48,12 +47,12 @@ def parameters():
 
 
 def kind(parameter) -> str:
-    """The type of a parameter's values, in words: "int", "float | None", "pathlib.Path"."""
+    """Return the type of a parameter's values, in words: "int", "float | None", "pathlib.Path"."""
     return str(getattr(getattr(parameter, "type_descriptor", None), "annotation", getattr(parameter, "type", "")))
 
 
 def arguments(name: str, parameter, value: str) -> list[str]:
-    """The command line in which `parameter` has this `value`, with {placeholders}."""
+    """Return the command line in which `parameter` has this `value`, with {placeholders}."""
     base = list(QUICK.get(name, ()))
     if parameter.param_type_name == "option":
         option = max(parameter.opts, key=len)
@@ -73,7 +72,7 @@ def cases():
 
 
 def fault(words: list[str], places: dict[str, str], folder: Path) -> str:
-    """What is wrong with how `gffe WORDS` ends in a process of its own, in `folder`; "" if nothing is."""
+    """Return the fault of `gffe WORDS` in a process of its own, in `folder`; "" if there is none."""
     given = [word.format(**places) if "{" in word else word for word in words]
     before = set(folder.iterdir())
     try:
@@ -91,7 +90,7 @@ def fault(words: list[str], places: dict[str, str], folder: Path) -> str:
 
 
 def wrong(code: int, errors: str) -> str:
-    """What is wrong with an exit code and what was printed on standard error."""
+    """Return the fault of an exit code and a text on standard error."""
     if code not in CODES or "Traceback" in errors:
         return f"exit code {code}: {errors[-300:]}"
     told = [line for line in errors.splitlines() if line.startswith("error:")]
@@ -101,7 +100,8 @@ def wrong(code: int, errors: str) -> str:
 
 
 def run(seconds: float, seed: int, folder: Path) -> list[str]:
-    """Run cases in an order by chance until the time is over; the faults. `folder` holds what they need."""
+    """Run cases in an order by chance until the time is over, and return the faults. `folder` holds the files they
+    need."""
     places = {name: str(folder / name) for name in ("sequence", "folder", "file", "out")}
     Path(places["folder"]).mkdir()
     Path(places["file"]).write_text("a file\n")

@@ -29,6 +29,7 @@ from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, na
 from gffe_cl.engine.core.errors import MOST
 from gffe_cl.engine.frame import conventions
 from gffe_cl.engine.frame.camera import predict_camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.options import OPTIONS, Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
@@ -66,6 +67,18 @@ def write_sequence(folder):
         for k, frame in enumerate(seen()):
             entry = FrameEntry(f"frame_{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera)
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+    return folder
+
+
+def write_encoded(folder):
+    """Write a sequence as an engine stores it, with geometry of half the size, and return its folder."""
+    given = FrameFormat(depth="logarithmic", near_z=0.01, far_z=100.0, motion_scale=(-1.0, 1.0), motion_dilated=True)
+    with SequenceWriter(folder, W, H, FPS, format=given) as writer:
+        for k, frame in enumerate(seen()):
+            entry = FrameEntry(f"frame_{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera)
+            depth, motion = (np.ascontiguousarray(image[::2, ::2]) for image in (frame.depth / 100, frame.motion))
+            size = {"geometry_size": depth.shape[::-1], "geometry_jitter": (0.25, -0.25)}
+            writer.add_frame(entry, replace(frame, depth=depth, motion=motion, **size))
     return folder
 
 
@@ -168,12 +181,14 @@ def write_spring(root):
 
 
 WRITERS = {
-    "sequence": write_sequence, "folder": write_folder, "blender": write_blender, "unreal": write_unreal,
-    "sintel": write_sintel, "tartanair": write_tartanair, **({"spring": write_spring} if find_spec("h5py") else {}),
+    "sequence": write_sequence, "encoded": write_encoded, "folder": write_folder, "blender": write_blender,
+    "unreal": write_unreal, "sintel": write_sintel, "tartanair": write_tartanair,
+    **({"spring": write_spring} if find_spec("h5py") else {}),
 }  # fmt: skip
 # Which file of each form is mutated, below the folder that the writer gets.
 FILES = {
     "sequence": ("sequence.json", "frame_1.exr"),
+    "encoded": ("sequence.json", "frame_1.exr"),
     "folder": ("sequence.json", "color_1.png", "depth_1.npy", "motion_1.npz"),
     "blender": ("cameras.json", "frame_0001.exr"),
     "unreal": ("Shot.0001.exr",),
@@ -204,7 +219,7 @@ _valid = tempfile.TemporaryDirectory(prefix="gffe-fuzz-")
 
 @cache
 def valid(form):
-    """A folder with a valid capture, and the folder in it that is opened."""
+    """Return a folder with a valid capture, and the folder in it that is opened."""
     root = Path(_valid.name) / form
     root.mkdir()
     return root, WRITERS[form](root).relative_to(root)
@@ -265,25 +280,25 @@ def read_options(data):
 
 
 def read_request(data):
-    """A message of the viewer to an attached program."""
+    """Read a message of the viewer to an attached program."""
     decoded(data, wire.Greeting, *wire.FROM_VIEWER)
 
 
 def read_answer(data):
-    """A message of an attached program to the viewer."""
+    """Read a message of an attached program to the viewer."""
     decoded(data, wire.Program, *wire.FROM_PROGRAM)
 
 
 @cache
 def attached_program():
-    """A pipeline that is attached under the name "fuzzed", and the folder of the sockets."""
+    """Return a pipeline that is attached under the name "fuzzed", and the folder of the sockets."""
     pipeline = Pipeline(open_device(), W, H, Options(shading_correction=False))
     return pipeline, attach(pipeline, "fuzzed"), socket_folder()
 
 
 @patch.dict(os.environ, XDG_RUNTIME_DIR=_valid.name)
 def read_viewers(numbers):
-    """One to three viewers at once, which send valid and invalid messages to a living program in any order, with file
+    """Let one to three viewers at once send valid and invalid messages to a living program in any order, with file
     descriptors, and leave. The program goes on: it renders frames, and answers the next viewer."""
     rng, (pipeline, attachment, folder) = rng_of(numbers), attached_program()
     hello = f"gffe-cl attach {own_version()}\n".encode()
@@ -331,7 +346,7 @@ RECORDING = RecordingPlan(3, (W, H), (W, H), FPS)
 
 
 def read_recording(data):
-    """What an attached program leaves in shared memory."""
+    """Read the frames that an attached program leaves in shared memory."""
     found = recorded(RECORDING, bytearray(data[: RECORDING.nbytes].ljust(RECORDING.nbytes, b"\0")), "program")
     for entry in found.rendered if found else ():
         found.read(entry)
@@ -391,7 +406,7 @@ FORMS = {
 
 
 def with_attributes(data, numbers):
-    """An EXR file with further attributes at the beginning of its header; the chunk table moves along."""
+    """Return an EXR file with further attributes at the beginning of its header; the chunk table moves along."""
     rng = np.random.default_rng(np.frombuffer(numbers.ljust(4, b"\0")[:4], np.uint32)[0])
     added = b""
     for _ in range(int(rng.integers(1, 4))):
@@ -406,7 +421,7 @@ def with_attributes(data, numbers):
 
 
 def read_attributes(form, file, numbers):
-    """A capture in which one header has further attributes, read and written again."""
+    """Read a capture in which one header has further attributes, and write and read it again."""
     data = with_attributes((valid(form)[0] / file).read_bytes(), numbers)
     root, inside = valid(form)
     with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
@@ -437,7 +452,7 @@ NUMBERINGS = (
 
 
 def read_numbering(form, numbers):
-    """A capture whose files have other names, numbers that are missing, twice or none."""
+    """Read a capture whose files have other names, numbers that are missing, twice or none."""
     root, inside = valid(form)
     rng = rng_of(numbers)
     with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
@@ -467,7 +482,7 @@ def read_numbering(form, numbers):
 
 @cache
 def targets():
-    """By name, such as "sequence:frame_1.exr"."""
+    """Return targets by name, such as "sequence:frame_1.exr"."""
     found = {"camera": Target(camera_seed(), read_camera), "options": Target(options_seed(), read_options, True)}
     found["attach:request"] = Target(encoded(wire.Use(Options())), read_request, True)
     found["attach:answer"] = Target(answer_seed(), read_answer)
@@ -517,7 +532,7 @@ WORDS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0
 
 
 def mutated(target, data, rng):
-    """`data` with one to four changes."""
+    """Return `data` with one to four changes."""
     if target.drawn:
         return bytes(rng.integers(0, 256, 4, np.uint8))
     for _ in range(int(rng.integers(1, 5))):
@@ -527,7 +542,8 @@ def mutated(target, data, rng):
 
 
 def json_mutated(data, rng):
-    """With another value, without one, with one twice or with a key renamed; bytes are changed where it is no JSON."""
+    """Return JSON with another value, without one, with one twice or with a key renamed; bytes are changed where it is
+    no JSON."""
     try:
         document = json.loads(data)
         places = [((), document)]

@@ -16,7 +16,7 @@ SIGN_OF_Y, Y_UP = np.array([1, -1]), np.diag([1.0, -1, -1, 1])
 
 @cache
 def good_frames(seed=11):
-    """Frames of rectangles past which a camera sways, in a world whose y is up, and the same ones jittered in
+    """Return frames of rectangles past which a camera sways, in a world whose y is up, and the same ones jittered in
     everything."""
     rng = np.random.default_rng(seed)
     rects = [
@@ -43,7 +43,7 @@ def good_frames(seed=11):
 
 
 def of_another_frame(field, by):
-    """Each frame has the `field` of the frame `by` before it."""
+    """Return a mistake: each frame has the `field` of the frame `by` before it."""
 
     def change(frames):
         sources = np.clip(np.arange(len(frames)) - by, 0, len(frames) - 1)
@@ -65,7 +65,7 @@ def field_of_view(factor):
 
 
 def sides_mistaken(frame, focal):
-    """The vertical angle is taken for the horizontal one."""
+    """Return frames whose vertical angle is taken for the horizontal one."""
     height, width = frame.depth.shape
     return focal * width / height
 
@@ -76,7 +76,7 @@ def radians_as_degrees(frame, focal):
 
 
 def near_mistaken(frames):
-    """Device depth of near plane 0.1 and an infinite far plane is made linear by 0.5."""
+    """Return frames in which device depth of near plane 0.1 and an infinite far plane is made linear by 0.5."""
     return [replace(frame, depth=(frame.depth / 0.1 * 0.5).astype(np.float32)) for frame in frames]
 
 
@@ -85,7 +85,7 @@ def red_for_blue(frames):
 
 
 def jittered(color, depth, motion, cameras):
-    """Frames in which each part has so much of the jitter: 0, 1, −1, or (2,) for x and y."""
+    """Return a mistake: frames in which each part has so much of the jitter: 0, 1, −1, or (2,) for x and y."""
 
     def change(plain, jittered):
         frames, before = [], np.zeros(2)

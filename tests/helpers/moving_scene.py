@@ -14,7 +14,7 @@ MOVING = Rects(
 
 
 def half(image):
-    """Round to half."""
+    """Return the values rounded to half."""
     return image.astype(np.float16)
 
 

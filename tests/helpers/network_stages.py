@@ -1,8 +1,11 @@
 """The stages around the shading correction network, on images made up of everything that a frame may hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pyopencl as cl
 from device_arrays import copy_to
+from held_device import while_the_device_waits
 from synthetic import camera
 
 from gffe_cl import Options
@@ -27,7 +30,7 @@ def put(stage, **arrays):
 
 
 def images(size, rng):
-    """What a frame may hold: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
+    """Return images of a frame: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
     with each call."""
     height, width = size[1], size[0]
     color = rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16)
@@ -40,7 +43,7 @@ def images(size, rng):
 
 
 def made_stages(device, size, exposure=1.0, seed=1):
-    """A board with the extrapolated frame and the stages around the network, and what they are to work on."""
+    """Return a board with the extrapolated frame and the stages around the network, and their inputs."""
     board, rng = Board(device, Sizes(size, size), Options()), np.random.default_rng(seed)
     now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
     color, depth = images(size, rng)
@@ -65,7 +68,8 @@ def made_stages(device, size, exposure=1.0, seed=1):
 
 
 def moving_frames(size, rng):
-    """(8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise below."""
+    """Return (8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise
+    below."""
     (width, height), shift = size, (3.0, -1.6)
     y, x = np.mgrid[:height, :width].astype(np.float32)
     frames = rng.random((8, height, width)).astype(np.float32)
@@ -74,3 +78,19 @@ def moving_frames(size, rng):
             frames[k + c] = 0.5 + 0.1 * (np.sin((x - dx) / 5) + np.cos((y - dy) / 6) + np.sin((x - dx + y - dy) / 8))
     frames[:6, height // 2 :] += rng.normal(0, 0.02, (6, height - height // 2, width)).astype(np.float32)
     return frames
+
+
+def made_before_the_device_begins(pipeline, frame):
+    """Return the new frame that is made while the device has not begun with `frame`, of arrays; the host must not
+    wait."""
+    device, size = pipeline.device, frame.depth.shape[::-1]
+    buffers = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
+    color = np.concatenate([frame.color, np.zeros_like(frame.color[..., :1])], -1)
+    copy_to(device, buffers, HostArrays(color, frame.depth, frame.motion))
+    frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
+
+    def make(gate):
+        pipeline.submit(frame, wait_for=[gate])
+        return pipeline.extrapolate()
+
+    return while_the_device_waits(device, make)

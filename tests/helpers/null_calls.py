@@ -1,25 +1,22 @@
-"""A C program that calls every function of the exported headers with NULL for each of its pointers in turn: made from
+"""A C program that calls every function of the exported header with NULL for each of its pointers in turn: made from
 the declarations, so that it knows functions to come."""
 
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
-HEADERS = ("gffe.h", "gffe_camera.h")
 MAY_BE_NULL = {  # where NULL means something
     ("gffe_destroy", "g"), ("gffe_submit", "display_camera"), ("gffe_submit", "motion"),
     ("gffe_set_format", "format"),
-    ("gffe_set_overlays", "overlays"), ("gffe_extrapolate", "camera"), ("gffe_submit_after", "display_camera"),
-    ("gffe_submit_after", "motion"), ("gffe_extrapolate_after", "camera"), ("gffe_submit_after", "done"),
-    ("gffe_extrapolate_after", "done"), ("gffe_present_after", "done"),
+    ("gffe_set_overlays", "overlays"), ("gffe_submit_after", "display_camera"), ("gffe_submit_after", "motion"),
+    ("gffe_submit_after", "done"), ("gffe_extrapolate_after", "done"), ("gffe_present_after", "done"),
 }  # fmt: skip
-# What a good call gives, by the type of a parameter, without const; arrays decay to pointers.
+# What a good call gives, by the type of a parameter, without const.
 GOOD = {
     "gffe *": "g", "gffe **": "&other", "gffe_options *": "&options", "gffe_camera *": "cameras",
-    "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays", "gffe_window *": "&window",
-    "gffe_format *": "&format",
-    "gffe_window_options *": "&window_options", "cl_context": "context", "cl_command_queue": "queue",
-    "cl_mem": "memory", "char *": '"history.dynamic_mask"', "double *": "numbers", "float *": "floats",
+    "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays",
+    "gffe_format *": "&format", "cl_context": "context", "cl_command_queue": "queue",
+    "cl_mem": "memory", "char *": '"history.dynamic_mask"', 
     "double": "1.0", "int": "1", "cl_uint": "1",
 }  # fmt: skip
 
@@ -38,20 +35,14 @@ int main(void) {
     gffe *g = NULL, *other = NULL, *failed = NULL;
     gffe_options options = gffe_default_options(64, 48);
     gffe_format format = gffe_default_format();
-    gffe_window_options window_options = gffe_default_window_options(64, 48);
-    gffe_camera cameras[2], made;
-    gffe_window window = {-1, -1, 1, 1, 0};
+    gffe_camera cameras[1];
     gffe_overlays overlays = {NULL, NULL, NULL, NULL};
     gffe_frame frame;
     gffe_image image;
-    double numbers[24] = {2, 1};
-    float floats[64 * 48] = {1};
-    int k, i;
+    int i;
     memset(cameras, 0, sizeof cameras);
-    for (k = 0; k < 2; ++k) {
-        for (i = 0; i < 4; ++i) cameras[k].world_to_view[i][i] = 1;
-        cameras[k].fx = cameras[k].fy = 50;
-    }
+    for (i = 0; i < 4; ++i) cameras[0].world_to_view[i][i] = 1;
+    cameras[0].fx = cameras[0].fy = 50;
     if (clGetPlatformIDs(1, &platform, NULL)) return 3;
     if (clGetDeviceIDs(platform, CL_DEVICE_TYPE_ALL, 1, &device, NULL)) return 3;
     context = clCreateContext(NULL, 1, &device, NULL, NULL, NULL);
@@ -72,16 +63,14 @@ int main(void) {
 
 
 def declarations(folder: Path) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
-    """(type, name, [(type, name) of each parameter]) of every function of the headers."""
-    for header in HEADERS:
-        text = re.sub(r"/\*.*?\*/", " ", (folder / header).read_text(), flags=re.S)
-        for kind, name, listed in re.findall(r"^((?:const )?\w+(?: \*| ))(gffe_\w+)\(([^()]*)\);", text, re.M):
-            parameters = []
-            for one in listed.split(","):
-                about, own, array = re.fullmatch(r"\s*(.*?)(\w+)((?:\[\d+\])*)\s*", one, re.S).groups()
-                about = " ".join(about.replace("const ", "").split()) + " *" * bool(array)
-                parameters.append((about, own))
-            yield kind.strip(), name, parameters
+    """Yield (type, name, [(type, name) of each parameter]) of every function of the header."""
+    text = re.sub(r"/\*.*?\*/", " ", (folder / "gffe.h").read_text(), flags=re.S)
+    for kind, name, listed in re.findall(r"^((?:const )?\w+(?: \*| ))(gffe_\w+)\(([^()]*)\);", text, re.M):
+        parameters = []
+        for one in listed.split(","):
+            about, own = re.fullmatch(r"\s*(.*?)(\w+)\s*", one, re.S).groups()
+            parameters.append((" ".join(about.replace("const ", "").split()), own))
+        yield kind.strip(), name, parameters
 
 
 def is_pointer(kind: str) -> bool:
@@ -89,27 +78,25 @@ def is_pointer(kind: str) -> bool:
 
 
 def calls(folder: Path) -> Iterator[tuple[str, str, str, str]]:
-    """(function, parameter that is NULL, type of what it returns, the call); "failed": of a gffe that was not made."""
+    """Yield (function, parameter that is NULL, type of what it returns, the call); "failed": of a gffe that was not
+    made."""
     for kind, name, parameters in declarations(folder):
         for wrong, (about, own) in enumerate(parameters):
             for value in [] if not is_pointer(about) else ["NULL", "failed"] if about == "gffe *" else ["NULL"]:
-                given = [value if k == wrong else _good(name, *p) for k, p in enumerate(parameters)]
+                given = [value if k == wrong else _good(*p) for k, p in enumerate(parameters)]
                 if (name, value) != ("gffe_destroy", "failed"):
                     yield name, own if value == "NULL" else value, kind, f"{name}({', '.join(given)})"
 
 
-def _good(function: str, kind: str, name: str) -> str:
-    if (function, name) in (("gffe_predict_camera", "made"), ("gffe_predict_camera_at", "made")):
-        return "&made"
+def _good(kind: str, name: str) -> str:
     if kind == "cl_event *":
         return "&done" if name == "done" else "&complete"
-    if function in ("gffe_view_transform",) and name == "made":
-        return "(double (*)[4])numbers"
     return GOOD[kind]
 
 
 def program(folder: Path) -> str:
-    """Its source: prints "FUNCTION PARAMETER STATUS" for each call, whose status is "-" where it returns none."""
+    """Return the source of a program that prints "FUNCTION PARAMETER STATUS" for each call, whose status is "-" where
+    it returns none."""
     lines = []
     for function, parameter, kind, call in calls(folder):
         lines.append(f'    printf("{function} {parameter} ");')

@@ -9,7 +9,7 @@ def chunk(kind, data):
 
 
 def filtered(image, bits, filters):
-    """Lines of (H, W, C) integers as PNG stores them; line y has the filter `filters[y % len]`."""
+    """Return lines of (H, W, C) integers as PNG stores them; line y has the filter `filters[y % len]`."""
     height, width = image.shape[:2]
     lines = image.astype(">u2" if bits == 16 else ">u1").tobytes()
     step = image.shape[2] * bits // 8
@@ -33,7 +33,7 @@ ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (
 
 
 def png(image, bits, kind, filters=(0,), interlaced=False):
-    """A PNG of (H, W, C) integers, by the specification."""
+    """Return a PNG of (H, W, C) integers, by the specification."""
     passes = [image[y::dy, x::dx] for x, y, dx, dy in ADAM7] if interlaced else [image]
     data = zlib.compress(b"".join(filtered(part, bits, filters) for part in passes if part.size))
     header = struct.pack(">IIBBBBB", image.shape[1], image.shape[0], bits, kind, 0, 0, interlaced)

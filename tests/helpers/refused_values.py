@@ -7,13 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from exported import INVALID, MOTION_UNITS, CCamera, CFormat, CWindow, Engine, Failed
+from exported import INVALID, MOTION_UNITS, CCamera, CFormat, Engine, Failed
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.camera_prediction import predict_camera_at
 from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, TYPES, FrameFormat
-from gffe_cl.engine.frame.window import Window, adaptive_window
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 
 NAN, INF = math.nan, math.inf
@@ -79,21 +77,6 @@ TABLE = (
     Refused("exposure", "exposure", NO_RATE, (1e-6, 1.0, 1e6)),
     Refused("submit", "time", NONE, (-1e299, 0.0, 5.0)),
     Refused("extrapolate", "time", (*NONE, -1.0, 1e6), (0.0, 0.1, 3.0)),
-    Refused("predict", "alpha", NONE, (-1.0, 0.0, 2.5, 1e299)),
-    Refused("predict at", "time", (*NONE, 1.1e6), (-1.0, 0.0, 2.0)),
-    Refused("predict at", "times[0]", (NAN, INF, -INF, -1.0, -2.0), (0.0, 5.0)),
-    Refused("predict at", "times[1]", (NAN, INF, -INF, 0.0, 1.0, -2.0), (-1.0, -1.9)),
-    Refused("predict at", "order", (-1, 3, 2**31 - 1), (1, 2)),
-    # windows
-    Refused("window", "max_enlargement", (*NONE, 0.0, 0.99, 1.1e6), (1.0, 1.5, 1e6)),
-    Refused("window", "distance", (NAN, -INF, 1e300, 1e308, 0.0, -1.0), (INF, 1e-6, 1e299)),
-    Refused("window", "margin", (*NONE, -1.0, 1.1e6), (0.0, 1.0, 1e6)),
-    Refused("window", "least", (*NONE, -0.1, 1.1), (0.0, 1.0)),
-    *(Refused("window", name, NO_SIDE, (1e-9, 60.0, 1e9)) for name in ("width", "height")),
-    *(Refused("window camera", name, NO_SIDE, (2.0, 640.0)) for name in
-      ("width", "height", "render_width", "render_height")),
-    *(Refused("window camera", name, (*NONE, 1.25, 2.0), (-1.5, 0.5)) for name in ("u0", "v0")),
-    *(Refused("window camera", name, (*NONE, -1.25, -2.0), (1.5, -0.5)) for name in ("u1", "v1")),
 )  # fmt: skip
 
 
@@ -114,7 +97,6 @@ class Calls:
     def __init__(self, engine: Engine, pipeline: Pipeline, frame: Any):
         self.engine, self.pipeline, self.frame = engine, pipeline, frame
         self.camera = Camera(np.eye(4), 80.0, 80.0, 41.5, 30.5)
-        self.size = {"width": 83.0, "height": 61.0}
 
     def python(self, row: Refused, value: Any) -> None:
         self._of("_python", row.call)(row.name, value, row.base)
@@ -164,7 +146,7 @@ class Calls:
         self.engine.set_format(None, (value, 0.0) if name == "x" else (0.0, value))
         self.engine.set_format(None)
 
-    # ---- cameras and windows ---------------------------------------------------------------------------
+    # ---- cameras ---------------------------------------------------------------------------
 
     def _python_camera(self, name, value, base):
         name, _, place = name.partition("[")
@@ -178,54 +160,10 @@ class Calls:
         made = _put(CCamera.of(self.camera), name, value)
         self._require_none(self.engine.library.gffe_camera_fault(ct.byref(made)))
 
-    def _python_window(self, name, value, base):
-        size = self.size | {name: value} if name in self.size else self.size
-        given = {} if name in self.size else {name: value}
-        adaptive_window(self.camera, self.camera, size=tuple(size.values()), **given)
-
-    def _c_window(self, name, value, base):
-        host, one, made = self.engine.library, ct.byref(CCamera.of(self.camera)), CWindow()
-        options = _put(host.gffe_default_window_options(*self.size.values()), name, value)
-        self._require_none(host.gffe_adaptive_window(one, one, 1, ct.byref(options), ct.byref(made)))
-
-    def _window_camera(self, name, value):
-        """The window and four sizes, with one of them changed."""
-        sides = {"u0": -1.0, "v0": -1.0, "u1": 1.0, "v1": 1.0}
-        sides = {k: 1.25 * v for k, v in sides.items()}
-        sizes = self.size | {"render_width": 64.0, "render_height": 36.0}
-        given = {**sides, **sizes, name: value}
-        return [given[k] for k in sides], [given[k] for k in sizes]
-
-    def _python_window_camera(self, name, value, base):
-        sides, sizes = self._window_camera(name, value)
-        Window(*sides).camera(self.camera, tuple(sizes[:2]), tuple(sizes[2:]))
-
-    def _c_window_camera(self, name, value, base):
-        sides, sizes = self._window_camera(name, value)
-        window, camera = CWindow(*sides, 0), CCamera.of(self.camera)
-        made = self.engine.library.gffe_window_camera(ct.byref(window), ct.byref(camera), *sizes)
-        self._require_none(self.engine.library.gffe_camera_fault(ct.byref(made)))
-
-    def _predicted_at(self, name, value):
-        """Time, times of three frames and order, with one of them changed."""
-        times = [0.0, -1.0, -2.0]
-        if name.startswith("times"):
-            times[int(name[6])] = value
-        return value if name == "time" else times[0] + 0.5, times, value if name == "order" else 1
-
-    def _python_predict_at(self, name, value, base):
-        time, times, order = self._predicted_at(name, value)
-        predict_camera_at(time, [self.camera] * 3, times, order)
-
-    def _c_predict_at(self, name, value, base):
-        time, times, order = self._predicted_at(name, value)
-        cameras, numbers, made = (CCamera * 3)(*[CCamera.of(self.camera)] * 3), (ct.c_double * 3)(*times), CCamera()
-        self._require_none(self.engine.library.gffe_predict_camera_at(time, cameras, numbers, 3, order, ct.byref(made)))
-
     # ---- pipelines -------------------------------------------------------------------------------------
 
     def _options(self, name, value):
-        """Sizes and rate, with one of them changed."""
+        """Return the results of a call with sizes and rate, with one of them changed."""
         given = {"width": 83, "height": 61, "render_width": 40, "render_height": 30, "fps": 30.0}
         return given | {name: value}
 
@@ -262,25 +200,17 @@ class Calls:
         self.engine.submit((frame.color, frame.depth, frame.motion), frame.camera, value, frame.display_camera, True)
 
     def _at_zero(self):
-        """Both pipelines take a frame of time 0."""
+        """Submit a frame of time 0 to both pipelines."""
         self._python_submit("time", 0.0, {})
         self._c_submit("time", 0.0, {})
 
     def _python_extrapolate(self, name, value, base):
         self._at_zero()
-        self.pipeline.extrapolate(time=value)
+        self.pipeline.extrapolate(self.camera, value)
 
     def _c_extrapolate(self, name, value, base):
         self._at_zero()
-        self.engine.extrapolate(value)
-
-    def _python_predict(self, name, value, base):
-        self._at_zero()
-        self.pipeline.predict_camera(value)
-
-    def _c_predict(self, name, value, base):
-        self._at_zero()
-        self.engine.predict_camera(value)
+        self.engine.extrapolate(value, self.camera)
 
 
 def refusal(call: Callable, *arguments: Any) -> str:

@@ -8,7 +8,7 @@ from gffe_cl.captures.scenes.scene_types import BOX, CAPSULE, CONE, ELLIPSOID
 
 
 def _quadratic(a, b, c):
-    """Both roots of a t² + 2 b t + c, NaN where there is none; the smaller first where a > 0."""
+    """Return both roots of a t² + 2 b t + c, NaN where there is none; the smaller first where a > 0."""
     root = np.sqrt(b * b - a * c)
     return (-b - root) / a, (-b + root) / a
 
@@ -25,9 +25,8 @@ def _box(a, b, o, d):
 
 
 def _round_body(a, b, o, d, flat_caps):
-    """Frustum around the axis a → b (a cylinder for equal radii), with flat caps or with spheres at its
-    ends.
-    """
+    """Return a frustum around the axis a → b (a cylinder for equal radii), with flat caps or with spheres at its
+    ends."""
     axis = b[:3] - a[:3]
     length = np.linalg.norm(axis)
     axis = axis / length
@@ -58,9 +57,8 @@ def _round_body(a, b, o, d, flat_caps):
 
 
 def cast(scene, time, camera):
-    """What each pixel's center sees: view depth (H, W), object (H, W), world position or, for sky,
-    direction (H, W, 3).
-    """
+    """Return the surface at each pixel's center: view depth (H, W), object (H, W), world position or, for sky,
+    direction (H, W, 3)."""
     height, width = round(camera.cy * 2), round(camera.cx * 2)
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     view = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1).reshape(-1, 3)
@@ -88,9 +86,8 @@ def cast(scene, time, camera):
 
 
 def followed(scene, time, other_time, other_camera, object_id, position):
-    """View positions at the other time (H, W, 3) of `cast`'s points; for sky the direction in the other
-    view space.
-    """
+    """Return view positions at the other time (H, W, 3) of `cast`'s points; for sky the direction in the other view
+    space."""
     rotation, shift = other_camera.world_to_view[:3, :3], other_camera.world_to_view[:3, 3]
     result = position @ rotation.T
     for index in np.unique(object_id[object_id >= 0]):
@@ -102,7 +99,8 @@ def followed(scene, time, other_time, other_camera, object_id, position):
 
 
 def clearances(scene, times, points):
-    """Of each world position at its time: distance to the nearest solid (a lower bound for ellipsoids), ≤ 0 inside."""
+    """Return, of each world position at its time, the distance to the nearest solid (a lower bound for ellipsoids), ≤ 0
+    inside."""
     bounds = []
     for group in scene.groups:
         low, high = (np.array(side) for side in zip(*(q.bounds() for q in group.primitives), strict=True))

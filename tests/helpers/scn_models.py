@@ -17,7 +17,8 @@ IN_PLACE, NOT_AT_ALL, FOR_GOOD = (0.0, 0.0, -80.0), -1.0, 1.0  # flow that is fo
 
 
 def head(delta=0.0, keep=1.0, mask=1.0, trend=0.0, of_detail=0.0):
-    """Weights that say the same for every pixel, but for `of_detail` × the first channel of detail in the mask."""
+    """Return weights with the same output for every pixel, but for `of_detail` × the first channel of detail in the
+    mask."""
     (hidden, seen), (said, _) = HEAD_LAYERS
     first, second = np.zeros((hidden, seen)), np.zeros((said, hidden))
     first[0, 0], second[4, 0] = 1, of_detail / 2
@@ -26,8 +27,8 @@ def head(delta=0.0, keep=1.0, mask=1.0, trend=0.0, of_detail=0.0):
 
 
 def constant_model(path, delta=0.0, keep=1.0, mask=1.0, judgement=(), trend=0.0):
-    """Says the same for every pixel; `delta` may be three numbers, `mask` depends on α where it is "alpha";
-    `judgement`: its first numbers, else no flow is followed and no trend lasts."""
+    """Return a model with the same output for every pixel; `delta` may be three numbers, `mask` depends on α where it
+    is "alpha"; `judgement`: its first numbers, else no flow is followed and no trend lasts."""
     by_alpha = mask == "alpha"
     planes = np.zeros(JUDGEMENT_PLANES, np.float32)
     planes[:4] = *IN_PLACE, NOT_AT_ALL
@@ -48,7 +49,7 @@ def constant_model(path, delta=0.0, keep=1.0, mask=1.0, judgement=(), trend=0.0)
 
 
 def look_model(path):
-    """Gives its candidates back, the first of them twice."""
+    """Return a model that gives its candidates back, the first of them twice."""
     nodes = [
         helper.make_node("Gather", ["candidates", "which"], ["again"], axis=1),
         helper.make_node("Concat", ["candidates", "again"], [OUTPUT], axis=1),
@@ -57,7 +58,7 @@ def look_model(path):
 
 
 def movers_model(path, delta=0.1):
-    """Brightens what moves: its focus mask is 1 where the input mask is nearly 1, else 0."""
+    """Return a model that brightens movers: its focus mask is 1 where the input mask is nearly 1, else 0."""
     nodes = [
         helper.make_node("Gather", ["frames", "last"], ["mask"], axis=1),
         helper.make_node("Greater", ["mask", "limit"], ["moving"]),
@@ -77,7 +78,7 @@ def movers_model(path, delta=0.1):
 
 
 def pooling_model(path):
-    """Gives a quarter of the pixels that it should."""
+    """Return a model that gives a quarter of the pixels that it should."""
     nodes = [
         helper.make_node("Gather", ["candidates", "which"], ["some"], axis=1),
         helper.make_node("MaxPool", ["some"], [OUTPUT], kernel_shape=[2, 2], strides=[2, 2]),
@@ -108,7 +109,7 @@ class _Integers:
         self.nodes, self.constants, self.scales = [], {}, {}
 
     def add(self, op, inputs, **about):
-        """Name of the output of a new node."""
+        """Add a node and return the name of its output."""
         name = f"{op}{len(self.nodes)}"
         self.nodes.append(helper.make_node(op, inputs, [name], **about))
         return name
@@ -125,7 +126,7 @@ class _Integers:
         return made
 
     def convolved(self, image, inputs, outputs, size=3, stride=1):
-        """A convolution in integers, rounded, with a leaky rectifier, rounded again."""
+        """Return a convolution in integers, rounded, with a leaky rectifier, rounded again."""
         rng, most = self.rng, self.largest
         weights = rng.integers(-most, most + 1, (outputs, inputs, size, size), np.int8)
         weights[0, :, 0, 0] = most
@@ -157,8 +158,8 @@ class _Integers:
 
 
 def integer_model(path, channels=(16, 24), seen=16, seed=0, zeros=(), largest=63):
-    """A network of integers as `gffe train` makes them, with random weights up to `largest`: `channels` of its levels,
-    finest first, `seen` of the first convolution; `zeros`: zero points, in turn, or random ones."""
+    """Return a network of integers as `gffe train` makes them, with random weights up to `largest`: `channels` of its
+    levels, finest first, `seen` of the first convolution; `zeros`: zero points, in turn, or random ones."""
     rng = np.random.default_rng(seed)
     made = _Integers(rng, itertools.cycle(zeros) if zeros else iter(lambda: rng.integers(64, 192), -1), largest)
     first = rng.normal(0, 0.3, (seen, 8, 3, 3)), rng.normal(0, 0.3, seen)

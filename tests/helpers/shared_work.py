@@ -12,7 +12,7 @@ TURNS = 3
 
 
 def work(device, size, seen, turns=TURNS):
-    """The hash of what a pipeline makes of the frames, `turns` times from a reset on."""
+    """Return the hash of the frames that a pipeline makes, `turns` times from a reset on."""
     pipeline, found = Pipeline(device, *size, Options(shading_correction=False)), []
     for turn in range(turns):
         for k, frame in enumerate(seen):

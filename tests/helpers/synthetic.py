@@ -38,7 +38,7 @@ class Rects:
     offset: tuple = (0, 0, 0)  # of the whole world, cameras included
 
     def _hit(self, camera, time, px):
-        """Which rectangle (−1 sky) is at `px`, its depth, and the world hit point less the rectangle's center."""
+        """Return the rectangle (−1 sky) at `px`, its depth, and the world hit point less the rectangle's center."""
         camera = camera.moved(-np.asarray(self.offset, np.float64))
         origin = camera.position
         far = camera.unproject(px, np.ones(px.shape[:-1]))
@@ -56,7 +56,7 @@ class Rects:
         return which, depth, local
 
     def color(self, camera, time, width, height, samples=1):
-        """(H, W, 3) float64: mean over samples × samples per pixel."""
+        """Return (H, W, 3) float64: mean over samples × samples per pixel."""
         total = 0
         for sy in range(samples):
             for sx in range(samples):
@@ -70,7 +70,7 @@ class Rects:
         return total / samples**2
 
     def frame(self, camera, time, width, height, previous=None, reset=False, samples=1):
-        """A RenderedFrame; `previous` is (camera, time) of the rendered frame before."""
+        """Return a RenderedFrame; `previous` is (camera, time) of the rendered frame before."""
         y, x = np.mgrid[:height, :width]
         px = np.stack([x + 0.5, y + 0.5], -1)
         which, depth, local = self._hit(camera, time, px)
@@ -91,7 +91,7 @@ class Rects:
 
 
 def camera(width, height, position=(0, 0, 0), yaw=0.0, pitch=0.0, roll=0.0, fov=1.2):
-    """World axes are the view axes at zero angles: x right, y down, z forward. Angles in radians."""
+    """Return a camera whose axes are the world's at zero angles: x right, y down, z forward. Angles in radians."""
     cy, sy, cp, sp, cr, sr = (f(a) for a in (yaw, pitch, roll) for f in (np.cos, np.sin))
     turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
     tilt = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])

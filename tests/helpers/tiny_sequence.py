@@ -28,7 +28,7 @@ def pixels(seed=0, height=H, width=W):
 
 
 def write(path, frames=3, **options):
-    """A sequence of `frames` rendered frames, with truth in between."""
+    """Return a sequence of `frames` rendered frames, with truth in between."""
     with SequenceWriter(path, W, H, 30.0, **options) as writer:
         for i in range(frames):
             motion_free = named_channels(*pixels(i)[:2])

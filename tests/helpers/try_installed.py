@@ -1,11 +1,14 @@
 """An installed copy as its users meet it: every module, every public name, every command, the viewer. Needs nothing but
 what is installed with it, and xvfb-run. Works in the current folder, which must be empty.
 
-    python -I try_installed.py
+    python -I try_installed.py              with the extras for research and videos
     python -I try_installed.py --quick      the demonstration and the self-test only
+    python -I try_installed.py --default    without extras
+    python -I try_installed.py --engine     with the packages that the engine needs, and no others
 """
 
 import importlib
+import importlib.metadata
 import os
 import pkgutil
 import subprocess
@@ -18,6 +21,7 @@ import numpy as np
 
 import gffe_cl
 
+ENGINE = {"numpy", "platformdirs", "pyopencl", "pytools", "siphash24", "typing_extensions"}  # and what these need
 OPTIONAL = {"cv2", "dask", "distributed", "h5py", "onnx", "torch"}  # modules that extras bring
 ATTACHED_PROGRAM = Path(__file__).parents[1] / "viewer" / "attached_program.py"
 GFFE = Path(sys.prefix) / "bin" / "gffe"
@@ -29,13 +33,16 @@ QUICK = """
 demo --size 64x36 --output demo
 selftest --quick --device {device}
 """
+RENDERED = """
+render plaza rendered --size 96x64 --frames 4 --ground-truth
+run rendered extrapolated
+compare extrapolated rendered
+"""
 COMMANDS = f"""
 devices
 formats
 {QUICK.strip()}
-render plaza rendered --size 96x64 --frames 4 --ground-truth
-run rendered extrapolated
-compare extrapolated rendered
+{RENDERED.strip()}
 check rendered
 calibrate rendered calibrated --fov 60
 import rendered imported
@@ -46,7 +53,7 @@ export exported
 
 
 def run(*command, code=0):
-    """What the command says. AssertionError, with all of it, for another exit code."""
+    """Return the output of a command. AssertionError, with all of it, for another exit code."""
     start = time.monotonic()
     environment = os.environ | {"LIBGL_ALWAYS_SOFTWARE": "1"}
     for _ in range(2 if command[: len(XVFB)] == XVFB else 1):
@@ -86,7 +93,7 @@ class Used:
 
 
 def use_all_names():
-    """A program that uses every public name."""
+    """Run a program that uses every public name."""
     gffe = Used()
     assert gffe.__version__
     gffe.prepare_runtimes()
@@ -150,6 +157,29 @@ def run_commands(given):
     return lines
 
 
+def run_without_extras():
+    """Run the viewer and a comparison, which work, and commands that name the extra they need."""
+    run_commands(RENDERED)
+    view()
+    for command, extra in (("eval", "lab"), ("demo", "lab,video"), ("bench --methods", "lab"), ("train out", "train")):
+        said = run(GFFE, *command.split(), code=2)
+        assert f"pip install '.[{extra}]'" in said and len(said.splitlines()) <= 3, said
+
+
+def run_engine():
+    """New frames, with the network, from what a renderer links."""
+    there = {each.metadata["Name"].lower() for each in importlib.metadata.distributions()}
+    assert there - {"gffe-cl"} <= ENGINE, there
+    frame = np.zeros((H, W, 3), np.float32), np.full((H, W), 5.0, np.float32), np.zeros((H, W, 2), np.float32)
+    pipeline = gffe_cl.Pipeline(gffe_cl.open_device(), W, H)
+    for k in range(3):
+        camera = gffe_cl.Camera(np.eye(4), 80, 80, W / 2, H / 2)
+        pipeline.submit(gffe_cl.RenderedFrame(*frame, camera, k / 30, reset=k == 0))
+        made = pipeline.extrapolate(time=k / 30 + 1 / 60)
+    assert made.numpy("color").shape[:2] == (H, W) and pipeline.options.corrects_shading
+    assert run(GFFE, "devices", code=2) == "error: the command line needs typer: pip install typer\n"
+
+
 def run_all_commands():
     """Every command once, `view` excepted."""
     from typer.main import get_command
@@ -164,7 +194,7 @@ def run_all_commands():
 
 
 def view():
-    """A screenshot, a script, and a running program."""
+    """Take a screenshot, run a script, and look into a running program."""
     run(*XVFB, GFFE, "view", "rendered", "--screenshot", "shot.png", "--frame", "3")
     Path("steps.txt").write_text("layer frame.motion\nwait 0.2\nshot script.png\n")
     run(*XVFB, GFFE, "view", "rendered", "--script", "steps.txt")
@@ -188,6 +218,10 @@ if __name__ == "__main__":
     os.environ.update({name: os.getcwd() for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")})  # settings, sockets
     if "--quick" in sys.argv:
         run_commands(QUICK)
+    elif "--default" in sys.argv:
+        run_without_extras()
+    elif "--engine" in sys.argv:
+        run_engine()
     else:
         import_all()
         use_all_names()

@@ -29,13 +29,18 @@ CASES = {
     "default-larger": (_DEFAULT, *_LARGER),
     "default-smaller": (_DEFAULT, *_SMALLER),
     "cubic-larger": (Options(history=4, order=3, levels=3, blocks=False), *_LARGER),
-    "push-pull-smaller": (Options(hole_filling="push-pull", blocks=False, acceleration=False), *_SMALLER),
+    "downsample-smaller": (Options(hole_filling="downsample", blocks=False, acceleration=False), *_SMALLER),
     "literal": (
         Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample", resampling="linear"),
         *_SAME,
     ),
     "linear-smaller": (Options(resampling="linear", levels=3, blocks=False), *_SMALLER),
 }
+
+
+def time_of(k):
+    """Return the time of rendered frame `k`, seconds: the first two intervals are uneven."""
+    return (k - 0.3 * (k == 1)) / 30
 
 
 def frames(width, height, count=4, spoil=True, scene=SCENE):
@@ -46,8 +51,8 @@ def frames(width, height, count=4, spoil=True, scene=SCENE):
     ]
     previous = None
     for k in range(count):
-        frame = scene.frame(cameras[k], k / 30, width, height, previous, reset=k == 0)
-        previous = (cameras[k], k / 30)
+        frame = scene.frame(cameras[k], time_of(k), width, height, previous, reset=k == 0)
+        previous = (cameras[k], time_of(k))
         if spoil and k:
             for array, values in (
                 (frame.depth, (np.nan, 0, -3, np.inf, 1e30)),
@@ -62,7 +67,7 @@ def frames(width, height, count=4, spoil=True, scene=SCENE):
 
 
 class State(NamedTuple):
-    """What the stages of the next frame start from."""
+    """Buffers from which the stages of the next frame start."""
 
     dynamic: np.ndarray
     history: np.ndarray | None
@@ -105,7 +110,7 @@ class Case(NamedTuple):
         return np.array([self.to.fx / self.now.camera.fx, self.to.fy / self.now.camera.fy], np.float32)
 
     def read(self, stage, name):
-        """Read a buffer of a stage."""
+        """Return a buffer of a stage."""
         return self.pipeline.stages[stage].read(name)
 
     def after(self, stage):
@@ -125,7 +130,7 @@ class Case(NamedTuple):
 
 
 def run(device, width, height, options, int64=None, target=None, spoil=True):
-    """Submit four frames and make one, with the output of every stage kept: a `Case`."""
+    """Submit four frames and make one, with the output of every stage kept. Return a `Case`."""
     pipeline = Pipeline(device, *(target or (width, height)), options, render_size=(width, height), int64_atomics=int64)
     pipeline.keep()
     *first, past, now = frames(width, height, spoil=spoil)
@@ -150,19 +155,19 @@ def named_case(device, name):
 
 
 def read_history(pipeline):
-    """Read the positions that are stored, in planes; None for a history of two, which stores none."""
+    """Return the positions that are stored, in planes; None for a history of two, which stores none."""
     stage = pipeline.stages["history"]
     return stage.read("history") if stage.positions > 2 else None
 
 
 def read_movers(pipeline):
-    """Read velocity, acceleration, its continuation and velocity in view space per cell; None where that is off."""
+    """Return velocity, acceleration, its continuation and velocity in view space per cell; None where that is off."""
     stage = pipeline.stages.get("acceleration")
     return stage and tuple(stage.read(name) for name in ("velocity", "acceleration", "bend", "view_velocity"))
 
 
 def read_levels(pipeline, frame):
-    """Read the background's levels; texels that are shown are pixels of `frame`, the last one that was submitted."""
+    """Return the background's levels; texels that are shown are pixels of `frame`, the last one that was submitted."""
     if "background" not in pipeline.stages:
         return []
     found = [

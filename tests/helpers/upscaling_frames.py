@@ -22,7 +22,7 @@ def pipeline_for(device, size=(W, H), scale=2.0, render_size=None, upscale=2.0, 
 
 
 def path(k, still=True):
-    """The display camera of frame `k`."""
+    """Return the display camera of frame `k`."""
     return camera(W, H) if still else camera(W, H, (0.04 * k, 0.01 * k, 0.05 * k), 0.004 * k)
 
 

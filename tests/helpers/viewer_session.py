@@ -10,7 +10,7 @@ PATIENCE = 150.0
 
 
 class Canvas:
-    """What the model has put on the screen."""
+    """Record of the pictures that the model has put on the screen."""
 
     def __init__(self):
         self.frame, self.layers = None, {}

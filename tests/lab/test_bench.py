@@ -20,7 +20,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.pipeline import STAGES
+from gffe_cl.engine.pipeline.order import STAGES
 from gffe_cl.engine.stages.holes import FILLINGS
 from gffe_cl.engine.timing import bench as bench_module
 from gffe_cl.engine.timing import footage as timed_footage
@@ -79,16 +79,14 @@ def test_bench_of_shading_correction(gffe, tmp_path):
 def test_bench_of_upscaling(gffe, tmp_path):
     """A row of its own, beside GAE of the smaller frames; all that it declares has a size."""
     options = ("--sizes", "64x48", "--repeats", 1, "--json", tmp_path / "b.json", "--kernels")
-    code, text, _ = gffe("bench", *options, "--upscale", 2, "--sharpening", 0.5)
-    assert code == 0 and "upscaling.accumulate" in text and "sharpening" in text
+    code, text, _ = gffe("bench", *options, "--upscale", 2)
+    assert code == 0 and "upscaling.accumulate" in text
     for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
         (size,) = one["sizes"]
         parts, moved = size["milliseconds"], size["must_move"]
         assert (size["width"], size["height"]) == (64, 48) and parts["upscaling"] > 0
-        assert parts["GAE"] == pytest.approx(
-            sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling", "sharpening"))
-        )
-        assert 40 < moved["upscaling"] < 150 and moved["sharpening"] == pytest.approx(32)  # read and written twice
+        assert parts["GAE"] == pytest.approx(sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling")))
+        assert 40 < moved["upscaling"] < 150
         assert moved["history"] < 10  # a quarter of the pixels
 
 

@@ -24,7 +24,7 @@ from gffe_cl.lab.table.datasets import FolderSubject, SceneSubject, Shot, at_ful
 from gffe_cl.lab.table.jobs import Cell
 from gffe_cl.lab.table.methods import GAINS, METHODS, chosen_methods
 from gffe_cl.lab.table.page import page
-from gffe_cl.lab.table.runner import Order, fill
+from gffe_cl.lab.table.runner import TableOrder, fill
 
 
 def test_subjects(tmp_path, monkeypatch):
@@ -179,7 +179,7 @@ def test_reports_go_to_folders_of_their_own(gffe, tmp_path):
 def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
     """What was computed before stays and is taken up; nothing is half-written."""
     subject = SceneSubject("room", 0, 32, 24, 4, 30.0, (0.5,))
-    order = Order((subject,), ("repeat", "motion-vectors", "guided"))
+    order = TableOrder((subject,), ("repeat", "motion-vectors", "guided"))
     done = []
 
     def stops(items, arguments):
@@ -235,7 +235,7 @@ def test_a_cluster_gives_the_same_cells(tmp_path):
     from gffe_cl.lab.table.cluster import executor_of
 
     subjects = tuple(SceneSubject(name, 0, 64, 36, 4, 30.0, (0.5,)) for name in ("room", "forest"))
-    order = Order(subjects, ("static-reprojection", "motion-vectors", "guided", "repeat"))
+    order = TableOrder(subjects, ("static-reprojection", "motion-vectors", "guided", "repeat"))
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as local:
@@ -249,7 +249,7 @@ def test_a_cluster_gives_the_same_cells(tmp_path):
                 yield work, cell
 
         with pytest.raises(GffeError, match="another version"):  # these tests hide the weights, workers have them
-            fill(Order(subjects[:1], ("gffe",)), tmp_path / "other", executor=compute)
+            fill(TableOrder(subjects[:1], ("gffe",)), tmp_path / "other", executor=compute)
         steps = []
         far = fill(order, tmp_path / "far", executor=killing, on_plan=lambda total: lambda: steps.append(total))
     assert len(seen) == len(set(seen)) == far.computed == 2 * 5 and len(steps) == steps[0] == 2 * 2 * 4

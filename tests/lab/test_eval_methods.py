@@ -13,8 +13,8 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 from gffe_cl.lab.metrics import METRICS, RegionErrors
-from gffe_cl.lab.metrics.flicker import Flicker
-from gffe_cl.lab.metrics.regions import REGIONS, labels_of, masks
+from gffe_cl.lab.metrics.flicker import Flicker, blurred
+from gffe_cl.lab.metrics.regions import REGIONS, labels_of, masks, steps
 from gffe_cl.lab.table import baselines, image_space, results, videos
 from gffe_cl.lab.table.datasets import Footage, Guide, Moment, Shot, turned
 from gffe_cl.lab.table.labels import exact_parts
@@ -232,8 +232,17 @@ def test_regions_by_hand():
     assert sum(found[name].sum() for name in REGIONS) == H * W == found["whole"].sum()
     assert found["silhouettes"][10, 26] and found["silhouettes"][12, 27] and not found["silhouettes"][14, 22]
     assert found["dynamic disocclusion"].sum() == 40  # before silhouettes
+    assert steps(np.float32([[10, 10.9, 12.1, np.inf]])).tolist() == [[False, True, True, True]]  # a tenth of the depth
     static = exact_parts(Shot(frame, frame.color, (), None, np.zeros_like(moving)), guide)
     assert np.array_equal(static["static disocclusion"], expected)
+
+
+@pytest.mark.parametrize("height, sigma", [(45, 0.15), (90, 0.9), (3, 4.0)])
+def test_blurring_is_scipys_gaussian(height, sigma):
+    from scipy.ndimage import gaussian_filter
+
+    image = np.random.default_rng(1).normal(size=(height, 61)).astype(np.float32)
+    np.testing.assert_allclose(blurred(image, sigma), gaussian_filter(image, sigma), atol=1e-6)
 
 
 def test_flicker_is_what_alternates():
@@ -251,6 +260,9 @@ def test_flicker_is_what_alternates():
     assert of([0.1] * 4) == pytest.approx(0, abs=1e-4)
     assert of([0, 0.1, 0, 0.1]) == pytest.approx(10, abs=1e-3)
     assert 0 < of([0, fine, 0, fine]) < 2
+    period = 3 * 300 * math.tan(math.radians(1)) / 3  # three cycles per degree, seen from three heights
+    grating = np.float32(0.1) * np.sin(2 * np.pi * y / period).astype(np.float32)[..., None]
+    assert of([0, grating]) == pytest.approx(50 * np.abs(grating).mean(), rel=0.05)  # half of it
     assert math.isnan(of([0]))
     blue = np.float32((0, 0, 0.1))
     assert of([0, blue]) == pytest.approx(0.722, abs=1e-3)

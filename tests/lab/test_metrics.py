@@ -6,6 +6,7 @@ import types
 import numpy as np
 import pytest
 
+from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.lab import metrics
 from gffe_cl.lab.metrics import METRICS, RegionErrors, psnr, shading_regions, smape, ssim, to_display
 
@@ -102,7 +103,12 @@ def test_every_metric_knows_better_from_worse(monkeypatch):
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     assert [metric.name for metric in metrics.measurable()] == ["psnr", "ssim"]
-    assert metrics.missing_metrics() == ["FLIP needs flip-evaluator: pip install flip-evaluator"]
+    assert metrics.missing_metrics() == [f"FLIP needs flip-evaluator: {how_to_install('lab')}"]
+    monkeypatch.setitem(sys.modules, "skimage", None)
+    monkeypatch.delitem(sys.modules, "skimage.metrics", raising=False)
+    assert [metric.name for metric in metrics.measurable()] == ["psnr"]
+    with pytest.raises(GffeError, match="SSIM needs skimage: pip install"):
+        ssim(*images())
 
 
 def test_regions_are_pooled_over_images():

@@ -13,7 +13,7 @@ from gffe_cl.captures.scenes import load_scene
 
 name, log = sys.argv[1:3]
 width, height = map(int, (sys.argv[3] if len(sys.argv) > 3 else "160x96").split("x"))
-device = gffe.open_device()
+device = gffe.open_device(profiling=True)
 pipeline = gffe.Pipeline(device, width, height)
 pacer = gffe.Pacer(60)
 source = Live(load_scene("plaza"), device, width, height, 100_000, 30.0)

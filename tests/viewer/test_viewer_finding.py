@@ -131,7 +131,7 @@ def test_regions_are_those_of_the_table(tmp_path):
     from gffe_cl.viewer.engine.engine import Engine
     from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 
-    device = open_device()
+    device = open_device(profiling=True)
     render_sequence(load_scene("corridor"), tmp_path, device, 96, 54, 5, 30.0, ground_truth=True, samples=1)
     joined = {"static disocclusion": "disoccluded", "dynamic disocclusion": "disoccluded"}
     one = [list(REGIONS).index(joined.get(name, name)) for name in TABLE]

@@ -131,6 +131,8 @@ def test_a_late_tick_drops_nothing_and_rests_end_when_a_slot_is_due():
     playback = Playback(5, 10.0, 0)
     seen = [slot for _, slot, _ in played(playback, (0.1, 0.21, 0.05, 0.1, 0.15, 0.01))]
     assert seen == [0, 1, 2, 3, 4, 0, 1] and playback.dropped == 0 and playback.due == 6
+    stalled = Playback(5, 10.0, 0)
+    assert list(played(stalled, (0.75,)))[-1][1] == 2 and stalled.due == 7  # a lap of five slots, and two
     assert playback.rest(1001.0) == 0  # something is waited for
     playback = Playback(5, 10.0, 0)
     assert list(played(playback, (0.02,)))[-1][1] == 0 and playback.rest(1000.05) == pytest.approx(0.05)

@@ -122,7 +122,7 @@ def parameters_by_the_palette(gui: Gui):
     for _ in range(2):
         _palette(gui, "crack closing")
         values["toggled"].append(parameters.options.crack_closing)
-    _palette(gui, "hole filling push", "palette, choices")
+    _palette(gui, "hole filling down", "palette, choices")
     values["chosen"] = parameters.options.hole_filling
     gui.settle()
     _palette(gui, "background levels")

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.engine.pipeline.outputs import Output
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.base import Output, Stage
+from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import RENDERED, RGBA, XY, BufferSpec, ExtrapolatedBuffers, Owner
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import FocusMask

@@ -61,7 +61,7 @@ class Kernels(dict):
                 self._device,
                 1,
                 1,
-                Options(upscale=1, upscale_sharpening=1, shading_inputs=True, shading_correction=False),
+                Options(upscale=1, shading_inputs=True, shading_correction=False),
             )
             board = Board(self._device, Sizes((1, 1), (1, 1)))
             Presentation(board)

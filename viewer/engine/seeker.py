@@ -128,11 +128,8 @@ class Seeker:
 
     def _count_launches(self) -> traffic.Launches:
         """Return the launches since the last call."""
-        stages = self._running.stages
-        launched = {name: stage.launches or [] for name, stage in stages.items()}
-        for stage in stages.values():
-            stage.launches = []
-        return launched
+        counting = self._running.board.commands
+        return counting.take_launches() if isinstance(counting, traffic.CountingCommands) else {}
 
     def find_focus(self, truth: np.ndarray) -> None:
         """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
@@ -151,6 +148,7 @@ class Seeker:
             self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps,
             format=source.format,
         )  # fmt: skip
+        self.pipeline.board.commands = traffic.CountingCommands(self.pipeline)
         if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
             self._ring = []
             self._upload = Upload(Board(self.device, Sizes(source.render_size, source.render_size)))

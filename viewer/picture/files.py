@@ -16,7 +16,7 @@ import numpy as np
 
 from gffe_cl.captures.offline.run import _dump_channels
 from gffe_cl.captures.sequence.exr import write_channels
-from gffe_cl.captures.video import write_video
+from gffe_cl.captures.video import require_video, write_video
 from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
@@ -91,6 +91,7 @@ def export_video(
         raise GffeError(f"{path}: a video's name must end in {', '.join(VIDEO_SUFFIXES)}")
     if not (math.isfinite(fps) and fps > 0):
         raise GffeError(f"{path}: a video's frames per second must be positive, got {fps}")
+    require_video()
     feed = _Feed(path, iter(frames), cancelled)
     with _faults(path, "the video"), _partial(path) as part:
         open(part, "wb").close()  # the encoder's own message would not name the problem

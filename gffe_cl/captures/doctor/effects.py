@@ -39,7 +39,8 @@ def moving_colors(frame: RenderedFrame, before: RenderedFrame, exposure: float) 
     """Return (rows, columns) bool for blocks of `frame`: on one surface, which moves evenly, and whose colors are found
     clearly elsewhere in the frame `before` than where motion vectors lead."""
     factor = max(1, -(-np.shape(frame.depth)[1] // _WIDTH))
-    here, there = (_boxes(encoded(np.asarray(one.color)[..., :3], exposure).mean(-1), factor) for one in (frame, before))
+    lights = (encoded(np.asarray(one.color)[..., :3], exposure).mean(-1) for one in (frame, before))
+    here, there = (_boxes(light, factor) for light in lights)
     depth = np.asarray(frame.depth, np.float32)[::factor, ::factor][: here.shape[0], : here.shape[1]]
     motion = np.asarray(frame.motion, np.float32)[::factor, ::factor][: here.shape[0], : here.shape[1]] / factor
     whole = [_blocks(image) for image in (here, depth, motion[..., 0], motion[..., 1])]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.captures.formats.images import Size
-from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import require_moderate, require_readable
 
 
@@ -17,10 +17,9 @@ def read_hdf5(path: Path, name: str, size: Size, components: int, follow_links: 
     """Return the data set `name` of the HDF5 file at `path`: (H, W, components) float32; it may have twice as many
     pixels as `size` each way. Raises GffeError, also without h5py, and unless `follow_links` where the data lie in
     another file."""
-    try:
-        import h5py
-    except ImportError:
-        raise GffeError(f"Spring's files need h5py ({how_to_install('spring')})") from None
+    require_packages("a file of Spring", "spring", "h5py")
+    import h5py
+
     label = path.name
     require_readable(path, label)
     try:

@@ -11,15 +11,18 @@ from gffe_cl.captures.offline.source import Source
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import made_folder
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.camera_prediction import predict_camera_at
 from gffe_cl.engine.frame.rendered_frame import display_camera_of, host_arrays
 
 
 def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -> int:
     """Write the first `count` rendered frames of `source` into a folder, with the request of a new frame `alpha`
-    intervals after each, seen by the camera that is known for it, else by the predicted one. Return how many there are.
+    intervals after each, seen by the camera that is known for it, else by the one that is predicted from the frames
+    since the last reset. Return how many there are.
 
     Raises GffeError for frames with faults, and where the folder cannot be written.
     """
+    cameras, times = [], []  # of the frames since the last reset, newest first
     lines = [f"gffe-raw 1 {source.width} {source.height} {' '.join(map(str, source.render_size))} {source.fps!r}"]
     try:
         with made_folder(folder), TemporaryDirectory(prefix=".gffe-frames-", dir=folder) as name:
@@ -30,12 +33,14 @@ def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -
                 for kind in ("color", "depth", "motion"):
                     getattr(arrays, kind).tofile(part / f"{name}.{kind}")
                 shown = display_camera_of(frame, source.render_size, (source.width, source.height))
-                cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
-                lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")
+                both = f"{_numbers(frame.camera)} {_numbers(shown)}"
+                lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {both}")
+                cameras = [shown, *cameras * (not frame.reset)]
+                times = [frame.time, *times * (not frame.reset)]
                 time = source.time(number, alpha)
                 known = source.cameras_at([time])
-                made = f"{name}_made {time!r}"
-                lines.append(f"make {made} {_numbers(known[0])}" if known else f"predict {made}")
+                camera = known[0] if known else predict_camera_at(time, cameras, times)
+                lines.append(f"make {name}_made {time!r} {_numbers(camera)}")
             (part / "frames.txt").write_text("\n".join(lines) + "\n", "ascii")
             for path in sorted(part.iterdir()):
                 os.replace(path, folder / path.name)

@@ -130,7 +130,7 @@ def run_sequence(
                 )
                 report.extrapolated += 1
                 on_frame()
-            for name, milliseconds in pipeline.take_timings().items():
+            for name, milliseconds in (pipeline.take_timings() if device.profiles else {}).items():
                 timings[name] += milliseconds
     report.bad_pixels = pipeline.bad_pixels
     report.warnings = source.warnings() + _network_warnings(pipeline)

@@ -50,6 +50,7 @@ SITUATIONS = {
     "shadows": "Shadows of things out of view, across steps, columns and walls",
     "fan": "A fan before a lamp: shadows of blades turn over walls and floor",
     "screen": "Screens that flicker, and the light they throw",
+    "marbles": "Balls of glass and of steel that roll over polished stone: reflections, and what shines through",
     "quantized": "People walk, the camera strafes; motion vectors are rounded to whole pixels",
 }
 

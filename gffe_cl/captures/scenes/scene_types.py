@@ -24,7 +24,7 @@ BOX, ELLIPSOID, CAPSULE, CONE = (GEOMETRY[name] for name in ("BOX", "ELLIPSOID",
 
 
 @dataclass(frozen=True)
-class Flicker:
+class LightFlicker:
     """Brightness that jumps `rate` times per second to a random value from `least` to 1, by `seed`."""
 
     rate: float
@@ -77,7 +77,7 @@ class Material:
     transparency: float = 0.0
     emission: tuple = (0.0, 0.0, 0.0)
     seed: int = 0
-    flicker: Flicker | None = None
+    flicker: LightFlicker | None = None
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Light:
     axis: tuple = (0.0, -1.0, 0.0)
     angle: float = 40.0
     motion: Motion = field(default_factory=Place)
-    flicker: Flicker | None = None
+    flicker: LightFlicker | None = None
 
 
 @dataclass

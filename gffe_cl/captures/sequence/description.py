@@ -149,7 +149,6 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
         raise GffeError(f"{name}: frames must be a list of at least one frame")
     description.frames = [_parse_frame(frame, index, name) for index, frame in enumerate(frames)]
     _require_names(description.frames, name)
-    _parse_cameras(description.frames, frames, name)
     check_times(description.frames, name)
     for entry in description.frames:
         if entry.kind == "rendered":
@@ -354,6 +353,9 @@ def _parse_frame(frame, index, name) -> FrameEntry:
         entry.source, _ = reference(frame["source"], f"{label}, source")
     if frame.get("alpha") is not None:
         entry.alpha = require_positive(frame["alpha"], f"{label}: alpha")
+    for field in ("render_camera", "display_camera"):
+        if frame.get(field) is not None:
+            setattr(entry, field, _parse_camera(frame[field], f"{label}: {field}"))
     return entry
 
 
@@ -371,23 +373,6 @@ def _parse_jitter(given, label: str) -> tuple[float, float]:
         return require_jitter(given)
     except GffeError as error:
         raise GffeError(f"{label}{str(error).removeprefix('frame: ')}") from None
-
-
-def _parse_cameras(entries: list[FrameEntry], frames: list[dict], name: str) -> None:
-    given = [
-        (index, field, frame[field])
-        for index, frame in enumerate(frames)
-        for field in ("render_camera", "display_camera")
-        if frame.get(field) is not None
-    ]
-    try:
-        matrices = [document["world_to_view"] for _, _, document in given]
-        intrinsics = [[document[n] for n in _CAMERA[1:]] for _, _, document in given]
-        cameras = Camera.many(matrices, intrinsics)
-    except (GffeError, TypeError, KeyError):  # which one it is
-        cameras = [_parse_camera(d, f"{frame_label(i, entries[i].file, name)}: {field}") for i, field, d in given]
-    for (index, field, _), camera in zip(given, cameras, strict=True):
-        setattr(entries[index], field, camera)
 
 
 def _parse_camera(document, label) -> Camera:

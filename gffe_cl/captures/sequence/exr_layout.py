@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,11 +57,6 @@ class ExrPart:
         """Width and height of the data window."""
         x0, y0, x1, y1 = self.data_window
         return x1 - x0 + 1, y1 - y0 + 1
-
-    def with_matrices(self, matrices: dict[str, tuple[str, bytes]]) -> ExrPart:
-        part = object.__new__(ExrPart)
-        part.__dict__.update(self.__dict__, matrices=matrices)
-        return part
 
     def matrix(self, name: str) -> np.ndarray:
         """Return the matrix `name` of `matrices`, (4, 4) float64, as stored."""
@@ -232,7 +227,7 @@ class _Known:
                 return None
         if not matrices or not self._spans:
             return self._header
-        parts = [part.with_matrices({}) for part in self._header.parts]
+        parts = [replace(part, matrices={}) for part in self._header.parts]
         for index, name, form, start, end in self._spans:
             parts[index].matrices[name] = (form, data[start:end])
         return ExrHeader(parts, self._header.multi_part, self._header.end, self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib.util import find_spec
 
 # The address of the repository, for users; empty until it is known, then lines that would name it are left out.
 REPOSITORY = ""
@@ -50,3 +51,10 @@ def printable(text: str) -> str:
 def how_to_install(extra: str) -> str:
     """Return the text that explains how to install an extra of this package, which is on no package index."""
     return f"pip install '.[{extra}]' in a checkout of gffe-cl, or 'THE-WHEEL.whl[{extra}]'"
+
+
+def require_packages(what: str, extra: str, *modules: str) -> None:
+    """Raise GffeError, with the extra to install, unless all `modules` that `what` needs are installed."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise GffeError(f"{what} needs {module}: {how_to_install(extra)}")

@@ -17,12 +17,13 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import OVERLAYS
-from gffe_cl.engine.inference.network import default_model, load_network
+from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.pipeline import stages_of
-from gffe_cl.engine.stages.base import Board, FrameBlocks, Kernel, Stage, Step
+from gffe_cl.engine.pipeline.order import stages_of
+from gffe_cl.engine.stages.base import Board, FrameBlocks, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec, DeviceFrame, Sizes
+from gffe_cl.engine.stages.commands import Commands, Launch
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
@@ -34,7 +35,6 @@ MOST_PIXELS = 16384  # each way, of the images that C takes
 # Rendered and extrapolated images: tiny, and as large as C takes them, for there are levels that others do not have.
 _SIZES = ((51, 29), (67, 39)), ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
 _LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects",)  # that frames bring
-_SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,14 @@ class Given:
 
 @dataclass(frozen=True)
 class Operation:
-    """Enqueued operation: `kind` is "LAUNCH" of a `kernel` over a `grid` with `arguments`, "FILL" of a buffer with a
-    `byte`, as many of its texels as `grid` has, "COPY" from `source`, or "NETWORK", where the network runs."""
+    """Enqueued operation: `kind` is "LAUNCH" of a `kernel` over a `grid`, so often as `repeats` says, with `arguments`,
+    "FILL" of a buffer with a `byte`, as many of its texels as `grid` has, or "COPY" from `source`."""
 
     kind: str
     stage: str
     kernel: str = ""
     grid: str = "once"
+    repeats: int = 1
     arguments: tuple[Given, ...] = ()
     buffer: str = ""
     byte: int = 0
@@ -71,8 +72,8 @@ class Operation:
 class Plan:
     """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
     without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color",
-    "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of small ones, memory
-    that is `lent` while frames are extrapolated, and the stages in order."""
+    "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of those that are no
+    images, memory that is `lent` while frames are extrapolated, and the stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -82,15 +83,16 @@ class Plan:
     facts: Mapping[str, Any]
 
 
-class _Tape:
-    """`Recorder` of the stages' commands in one rehearsal."""
+class _Tape(Commands):
+    """Commands that are recorded in one rehearsal, and not enqueued. `names` are those of the buffers, by identity."""
 
     def __init__(self):
         self.operations: list[Operation] = []
         self.names: dict[int, str] = {}
 
-    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
-        arguments = []
+    def launch(self, stage: Stage, launch: Launch, given: Mapping[str, Any]) -> None:
+        kernel, arguments = launch.declared, []
+        values = stage.values(kernel, launch.slot, given)
         for argument in stage.program.arguments[kernel.name]:
             value = argument.packed(values[argument.name])
             if isinstance(value, cl.Buffer):
@@ -99,16 +101,18 @@ class _Tape:
                 arguments.append(Given(argument.name, is_frame_block=True))
             else:
                 arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
-        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, tuple(arguments)))
+        grid, repeats = kernel.grid.format(**given), values[kernel.repeats] if kernel.repeats else 1
+        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, repeats, tuple(arguments)))
 
-    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
-        self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=self._name(buffer), byte=byte))
+    def fill(self, stage: Stage, name: str, byte: int, grid: str) -> None:
+        buffer = self._name(stage.buffer[name])
+        self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=buffer, byte=byte))
 
-    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+    def copy(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
         self.operations.append(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of)))
 
-    def network(self, stage: Stage) -> None:
-        self.operations.append(Operation("NETWORK", stage.name))
+    def read(self, buffer: cl.Buffer, into: np.ndarray) -> None:
+        """Record nothing: the C host reads by itself."""
 
     def take(self) -> list[Operation]:
         taken, self.operations = self.operations, []
@@ -134,19 +138,16 @@ class _Rehearsal:
         others[Upload.name].allocate_small()
         others[FrameBlocks.name] = self.board.blocks
         self.all = self.stages | others
-        for stage in self.all.values():
-            stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):
-            correction.infer = lambda: self.tape.network(correction)
-            if options.scn_model or default_model():
-                correction.upload("head", load_network(options.scn_model or default_model()).head)
+            correction.use(load_network(options.scn_model, OPENCL))
+        self.board.commands = self.tape
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """Return the operations of each occasion, in one set of circumstances."""
         step, composition = self._step(number, first), self.all[Composition.name]
         rendered = replace(step, camera=None)
         shown = self.board.device.buffer(1)
-        self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
+        self.board.show(step.frame, step.previous)
         self._learn_names()
         self.tape.names[id(shown)] = "shown.color"
         composition.swap()  # `take` swaps, too
@@ -234,8 +235,8 @@ class _Rehearsal:
 def record(device: Device, options: Options, int64: bool) -> Plan:
     """Return the operations of a pipeline with these options. `int64`: whether keys take 64-bit atomics.
 
-    Raises GffeError where that depends on the size of images or changes from frame to frame, and with the detection of
-    user interfaces.
+    Raises GffeError where that depends on the size of images or changes from frame to frame, with the detection of user
+    interfaces, and for a network that OpenCL kernels cannot run.
     """
     if options.ui_detection:
         raise GffeError("export: user interface detection is not exported (expected a mask in the overlays, or none)")
@@ -245,30 +246,26 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
         for occasion in performed[0]:
             takes = [taken[occasion] for taken in performed]
-            operations[occasion + "_first" * first] = _require_agreement(takes, rehearsals)
+            operations[occasion + "_first" * first] = _require_agreement(takes)
     buffers = {
         f"{owner.name}.{spec.name}": spec
-        for rehearsal in rehearsals
-        for owner in (rehearsal.board.frame, *rehearsal.all.values())
+        for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
         for spec in owner.buffers
     }
     lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.memory.lent}
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
-def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
-    """Return the operations that every rehearsal enqueues, but for those on buffers that images of its size do not
-    have. Raises GffeError where rehearsals differ."""
-    whole = max(takes, key=len)
-    for take, rehearsal in zip(takes, rehearsals, strict=True):
-        has = set(rehearsal.tape.names.values())
-        expected = [operation for operation in whole if operation.buffers() <= has]
+def _require_agreement(takes: list[list[Operation]]) -> list[Operation]:
+    """Return the operations that every rehearsal enqueues. Raises GffeError where rehearsals differ."""
+    expected = takes[0]
+    for take in takes[1:]:
         if take != expected:
             raise GffeError(
                 f"export: {_difference(take, expected)} depends on the image or the frame, which C does not have"
                 " (expected numbers that change to be members of the frame block, kernels/frame.h)"
             )
-    return whole
+    return expected
 
 
 def _difference(take: list[Operation], expected: list[Operation]) -> str:
@@ -284,13 +281,13 @@ def _difference(take: list[Operation], expected: list[Operation]) -> str:
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
-    """Return the initial values of small buffers that are not zero."""
+    """Return the initial values, by name, of buffers that are no images, where they are not zero: weights."""
     found = {}
-    for name, stage in rehearsal.stages.items():
+    for stage in rehearsal.stages.values():
         for spec in stage.buffers:
-            if spec.grid == "once" and not spec.part_of and spec.nbytes(rehearsal.sizes) <= _SMALL:
-                values = np.empty(spec.nbytes(rehearsal.sizes), np.uint8)
-                cl.enqueue_copy(stage.device.queue, values, stage.buffer[spec.name])
+            if spec.grid == "once" and not spec.part_of:
+                values, buffer = np.empty(spec.nbytes(rehearsal.sizes), np.uint8), stage.buffer[spec.name]
+                cl.enqueue_copy(stage.device.queue, values, buffer)
                 if values.any():
-                    found[f"{name}.{spec.name}"] = values.tobytes()
+                    found[rehearsal.tape.names[id(buffer)]] = values.tobytes()
     return found

@@ -11,14 +11,14 @@ import numpy as np
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
-from gffe_cl.engine.frame import camera, camera_prediction, frame_format, intervals, window
+from gffe_cl.engine.frame import camera, frame_format, intervals
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.engine.inference.model_interface import MULTIPLE
 from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
-from gffe_cl.engine.stages import correction, mu_law, scene_cuts
-from gffe_cl.engine.stages.base import FrameBlocks, Kernel, NearestStage, Stage
+from gffe_cl.engine.stages import mu_law, scene_cuts
+from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
 from gffe_cl.engine.stages.buffers import BLOCK, CUT_SAMPLES, LEAST_ALIGNMENT, TILE_GROUP, BufferSpec, texel_of
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
@@ -51,7 +51,7 @@ _GRIDS = (
     "cells", "runs", "network",
 )  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
-_FLAGS = {"LANES": "GFFE_TAKES_LANES", "RUN": "GFFE_TAKES_RUN", "EXACT_DIVISION": "GFFE_TAKES_EXACT_DIVISION"}
+_FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 
 
@@ -79,8 +79,6 @@ def config(options: Options) -> str:
         "MOST_FRAME_RATE": validation.FRAME_RATES[1],
         "LEAST_EXPOSURE": validation.EXPOSURES[0],
         "MOST_EXPOSURE": validation.EXPOSURES[1],
-        "LEAST_SIDE": validation.SIDES[0],
-        "MOST_SIDE": validation.SIDES[1],
         "MOST_ALPHA": intervals.MOST_ALPHA,
         "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,
         "MOST_FOCAL": camera.MOST_FOCAL,
@@ -89,23 +87,9 @@ def config(options: Options) -> str:
         "MOST_JITTER": frame_format.MOST_JITTER,
         "MOST_PLANES": frame_format.MOST_PLANES,
         "MOST_RATIO": frame_format.MOST_RATIO,
-        "CAMERA_ORDER": options.camera_order or 0,
-        "POSES": camera_prediction.POSES,
-        "JUMP": camera_prediction.JUMP,
-        "LEAST_CHANGE": camera_prediction.LEAST,
-        "FORGETTING": camera_prediction.FORGETTING,
-        "RIDGE": camera_prediction.RIDGE,
-        "MAX_ENLARGEMENT": window.MAX_ENLARGEMENT,
-        "WINDOW_MARGIN": window.MARGIN,
-        "MOST_OF_WINDOW": window.MOST,
-        "HORIZON": window.HORIZON,
-        "AT_REST": window.AT_REST,
-        "NEAR_SAMPLES": window.NEAR_SAMPLES,
-        "NEAR_QUANTILE": window.NEAR_QUANTILE,
         "MU": mu_law.MU,
         "HEADROOM": mu_law.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
-        "CORRECTS_SHADING": int(options.corrects_shading),
         "UPSCALES": int(options.upscale > 0),
         "CUT_SAMPLES_X": CUT_SAMPLES[0],
         "CUT_SAMPLES_Y": CUT_SAMPLES[1],
@@ -182,8 +166,8 @@ class Tables:
                 return _CHOICES.get(value) or str(int(stage.program.constants[value]))
             return str(value)
 
-        steps = ", ".join(map(number, kernel.step))
-        return f'{self.programs.index(launched[0])}, "{kernel.name}", {steps}, {number(kernel.group or 0)}'
+        sides = ", ".join(map(number, (*kernel.step, kernel.group or 0, kernel.group_rows)))
+        return f'{self.programs.index(launched[0])}, "{kernel.name}", {sides}'
 
     # ---- plans -----------------------------------------------------------------------------------------
 
@@ -194,10 +178,7 @@ class Tables:
         arguments: list[str] = []
         for occasion in OCCASIONS:
             operations = plan.operations[occasion]
-            made = [
-                self._operation(operation, buffers, _part(operation, occasion, plan), arguments)
-                for operation in operations
-            ]
+            made = [self._operation(operation, buffers, arguments) for operation in operations]
             parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0, 0"], True))
         parts.insert(1, _table("gffe_argument", f"arguments_{number}", arguments, static=True))
         initial = []
@@ -215,15 +196,14 @@ class Tables:
             rows.append(f"{own}, {{{lists}}}")
         return rows
 
-    def _operation(self, operation: Operation, buffers: _Buffers, part: str, arguments: list[str]) -> str:
+    def _operation(self, operation: Operation, buffers: _Buffers, arguments: list[str]) -> str:
         first = len(arguments)
         arguments += [self._argument(given, buffers) for given in operation.arguments]
         kernel = self.launched.index((operation.stage, operation.kernel)) if operation.kernel else 0
         grid, level = _grid(operation.grid)
         target = buffers.reference(operation.buffer) if operation.buffer else "0"
         other = buffers.reference(operation.source) if operation.source else str(operation.byte)
-        kind = "RUN_NETWORK" if operation.kind == "NETWORK" else operation.kind
-        return f"GFFE_{kind}, {part}, {kernel}, {grid}, {level}, {first}, {target}, {other}"
+        return f"GFFE_{operation.kind}, {kernel}, {grid}, {level}, {operation.repeats}, {first}, {target}, {other}"
 
     def _argument(self, given: Given, buffers: _Buffers) -> str:
         if given.buffer is not None:
@@ -236,33 +216,22 @@ class Tables:
     def _constant(self, content: bytes) -> int:
         """Return where `content` is among the constants, in words. It is appended if it is not there yet."""
         content = content.ljust(-(-len(content) // 4) * 4, b"\0")
-        for start in range(0, len(self.constants) - len(content) + 1, 4):
-            if self.constants[start : start + len(content)] == content:
+        start = self.constants.find(content)
+        while start >= 0:
+            if start % 4 == 0:
                 return start // 4
+            start = self.constants.find(content, start + 1)
         self.constants += content
         return (len(self.constants) - len(content)) // 4
-
-
-def _part(operation: Operation, occasion: str, plan: Plan) -> str:
-    """Return the C name of an operation's part: of shading correction, which C may omit, dependent on it, or "0"."""
-    name, stages = correction.ShadingCorrection.name, list(plan.stages)
-    if operation.stage == name:
-        return "GFFE_OF_CORRECTION"
-    if operation.stage == FrameBlocks.name:
-        return "0"
-    after = occasion.startswith("extrapolated") and name in stages
-    return "GFFE_AFTER_CORRECTION" if after and stages.index(operation.stage) > stages.index(name) else "0"
 
 
 def _grid(name: str) -> tuple[str, int]:
     """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its size.
     Raises GffeError for a grid that C does not have."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip|network)(\d+)", name)):
+    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
-        raise GffeError(
-            f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
-        )
+        raise GffeError(f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, network1 …)")
     return f"GFFE_{name.upper()}", 0
 
 
@@ -293,16 +262,16 @@ class _Buffers:
         """Return the buffer's row of the C table."""
         if name in GIVEN:
             grid, nbytes = GIVEN[name]
-            return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
+            return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, 0, 0, -1, GFFE_GIVEN, -1, -1'
         spec, whole = self.specs[name], _whole(name, self.specs[name])
         grid, level = _grid(spec.grid)
-        flags = ["GFFE_KEPT"] * spec.kept + ["GFFE_MAPPED"] * spec.mapped
+        flags = ["GFFE_KEPT"] * spec.kept
         late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"], "upload": ["GFFE_OF_FORMATS"]}
         flags += late.get(name.partition(".")[0], []) + ["GFFE_MEMORY"] * (name in self.memory)
         flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
         planes = 1 if name in self.memory else spec.planes
         number = self.names.index(whole) if whole else -1
-        numbers = f"{grid}, {level}, {spec.bytes_per_pixel}, {planes}, {number}"
+        numbers = f"{grid}, {level}, {spec.bytes_per_pixel}, {planes}, {spec.border}, {spec.byte}, {number}"
         return f'"{name}", {numbers}, {" | ".join(flags) or "0"}, {self._use(name)}'
 
     def _depth(self, name: str) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,12 +11,10 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import made_folder
 from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.export.tables import Tables, config
-from gffe_cl.engine.inference.network import default_model
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import Options
 
-MODEL = "scn.onnx"
 KERNELS = "kernels"
 MARK = "gffe_config.h"  # a folder that has it was made here
 
@@ -33,7 +30,6 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
     texts = {path.name: path.read_text("utf-8") for path in _templates()}
     texts |= {"gffe_tables.c": tables.text(), MARK: config(options)}
     texts |= {f"{KERNELS}/{name}.cl": expand(f"{name}.cl") for name in tables.programs}
-    model = (options.scn_model or default_model()) if options.corrects_shading else None
     _require_own(folder)
     try:
         with made_folder(folder), TemporaryDirectory(prefix=".gffe-export-", dir=folder) as name:
@@ -41,12 +37,10 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
             (part / KERNELS).mkdir()
             for name, text in texts.items():
                 (part / name).write_text(text, "utf-8")
-            if model:
-                shutil.copyfile(model, part / MODEL)
             _replace(folder, part)
     except OSError as error:
         raise GffeError(f"{error.filename or folder}: cannot write: {error.strerror or error}") from None
-    return sorted([*texts, *[MODEL] * bool(model)])
+    return sorted(texts)
 
 
 def _templates() -> list[Path]:
@@ -56,8 +50,8 @@ def _templates() -> list[Path]:
 
 def _replace(folder: Path, part: Path) -> None:
     """Move the contents of `part` into `folder`, in place of an earlier export's files."""
-    for old in (folder / MODEL, *(folder / KERNELS).glob("*.cl")):
-        old.unlink(missing_ok=True)
+    for old in (*folder.glob("gffe*.[ch]"), *(folder / KERNELS).glob("*.cl")):
+        old.unlink()
     (folder / KERNELS).mkdir(exist_ok=True)
     for path in sorted(path for path in part.rglob("*") if path.is_file()):
         os.replace(path, folder / path.relative_to(part))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,35 +54,9 @@ class Camera:
     def __post_init__(self):
         intrinsics = [validation.require_number(getattr(self, name), f"camera: {name}") for name in _FIELDS[1:]]
         matrix = _matrix(self.world_to_view)
-        intrinsics = np.array(intrinsics, np.float64)
-        _check(matrix[None], intrinsics[None])
+        _check(matrix, *intrinsics)
         matrix.setflags(write=False)
-        self.__dict__.update(zip(_FIELDS, (matrix, *intrinsics.tolist()), strict=True))
-
-    @classmethod
-    def many(cls, world_to_views: list, intrinsics: list) -> list[Camera]:
-        """Return cameras from lists of 4×4 lists and of (fx, fy, cx, cy), faster than one by one. Raises GffeError if
-        any is invalid, without naming it."""
-        try:
-            if not (isinstance(world_to_views, list) and isinstance(intrinsics, list)):
-                raise TypeError
-            types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
-            types |= set(map(type, chain.from_iterable(intrinsics)))
-            if not types <= {int, float}:
-                raise TypeError
-            matrices = np.array(world_to_views, np.float64).reshape(-1, 4, 4)
-            numbers = np.array(intrinsics, np.float64).reshape(len(matrices), 4)
-        except (TypeError, ValueError, OverflowError):
-            raise GffeError("camera: expected 4×4 matrices and fx, fy, cx, cy of numbers") from None
-        if len(matrices):
-            _check(matrices, numbers)
-        matrices.setflags(write=False)
-        cameras = []
-        for matrix, (fx, fy, cx, cy) in zip(matrices, numbers.tolist(), strict=True):
-            camera = object.__new__(cls)
-            camera.__dict__.update(world_to_view=matrix, fx=fx, fy=fy, cx=cx, cy=cy)
-            cameras.append(camera)
-        return cameras
+        self.__dict__.update(zip(_FIELDS, (matrix, *intrinsics), strict=True))
 
     def __eq__(self, other):
         return (
@@ -404,28 +377,23 @@ def _all_numbers(given) -> bool:
     return bool not in {type(value) for row in given if isinstance(row, list | tuple) for value in row}
 
 
-def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
-    """Raise GffeError if any camera is invalid: matrices (N, 4, 4) and intrinsics (N, 4) (fx, fy, cx, cy), float64."""
-    if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
+def _check(matrix: np.ndarray, fx: float, fy: float, cx: float, cy: float) -> None:
+    """Raise GffeError if a camera is invalid; the matrix is (4, 4) float64."""
+    if not (np.isfinite(matrix).all() and all(map(math.isfinite, (fx, fy, cx, cy)))):
         raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
-    rotations = matrices[:, :3, :3]
+    rotation = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
+        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not off <= RIGIDITY_TOLERANCE:
         raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
-    if np.abs(matrices[:, 3] - (0, 0, 0, 1)).max() > 1e-9:
+    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
         raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
-    focal, least = intrinsics[:, :2], intrinsics[:, :2].min()
-    if least <= 0:
-        raise GffeError(f"camera: singular projection, fx and fy must be positive, got {_both(focal)}")
-    if focal.max() > MOST_FOCAL or least < 1 / MOST_FOCAL:
-        raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {_both(focal)}")
-    if np.abs(intrinsics[:, 2:]).max() > MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > MOST_DISTANCE:
+    if min(fx, fy) <= 0:
+        raise GffeError(f"camera: singular projection, fx and fy must be positive, got {fx:g} and {fy:g}")
+    if max(fx, fy) > MOST_FOCAL or min(fx, fy) < 1 / MOST_FOCAL:
+        raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {fx:g} and {fy:g}")
+    if max(abs(cx), abs(cy)) > MOST_FOCAL or np.abs(matrix[:3, 3]).max() > MOST_DISTANCE:
         raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
-
-
-def _both(focal: np.ndarray) -> str:
-    return f"{focal[0, 0]:g} and {focal[0, 1]:g}"
 
 
 def _normalized(vector, name) -> list[float]:

@@ -51,6 +51,7 @@ CHOICES: dict[str, tuple[str, ...]] = {  # of fields of `FrameFormat`
     "camera_motion": CAMERA_MOTIONS,
 }  # fmt: skip
 MOST_JITTER = 16.0  # pixels
+NO_JITTER = (0.0, 0.0)
 MOST_PLANES = 1e30  # times the near plane: the far plane of logarithmic depth
 MOST_RATIO = 3  # of the sides of color and geometry
 
@@ -342,8 +343,9 @@ class FrameFormat:
         """Return the description of which `to_json` gave the fields. Raises GffeError for others."""
         given = require_kind(given, dict, "format", "an object")
         names = [f.name for f in fields(cls)]
-        if unknown := next((name for name in given if name not in names), None):
-            raise GffeError(f"format: unknown field '{unknown}' (expected {', '.join(names)})")
+        unknown = [name for name in given if name not in names]
+        if unknown:
+            raise GffeError(f"format: unknown field '{unknown[0]}' (expected {', '.join(names)})")
         values: dict[str, Any] = {
             n: math.inf if isinstance(v, str) and v == _JSON_INFINITY else v for n, v in given.items()
         }
@@ -384,6 +386,8 @@ def require_render_size(
 
 def require_jitter(value: Any) -> tuple[float, float]:
     """Return the jitter of a frame's geometry. Raises GffeError unless it is two numbers, of pixels, up to 16."""
+    if value is NO_JITTER:
+        return NO_JITTER
     x, y = require_vector(value, "frame: geometry_jitter", 2).tolist()
     if max(abs(x), abs(y)) > MOST_JITTER:
         raise GffeError(f"frame: geometry_jitter must be in pixels, up to {MOST_JITTER:g}, got {shown([x, y])}")

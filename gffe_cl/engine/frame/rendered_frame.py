@@ -21,9 +21,10 @@ from gffe_cl.engine.core.validation import (
     require_kind,
     require_number,
     require_size,
+    shown,
 )
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import DEPTH_TYPES, MOTION_TYPES, TYPES, require_jitter
+from gffe_cl.engine.frame.frame_format import DEPTH_TYPES, MOTION_TYPES, NO_JITTER, TYPES, require_jitter
 
 HALF_MAX = 65504.0
 DEPTH_MOST = 1e37  # beyond, squares and products overflow: nothing is there, as with +inf
@@ -108,7 +109,7 @@ class RenderedFrame:
     display_camera: Camera | None = None
     reset: bool = False
     overlays: Overlays | None = None
-    geometry_jitter: tuple[float, float] = (0.0, 0.0)
+    geometry_jitter: tuple[float, float] = NO_JITTER
     geometry_size: tuple[int, int] | None = None
     # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
@@ -119,18 +120,25 @@ class RenderedFrame:
         return self.display_camera or self.camera
 
 
+# Fields that hold objects: their types, in words, too.
+_OBJECTS = (
+    ("camera", Camera, "a Camera"),
+    ("display_camera", (Camera, type(None)), "a Camera or None"),
+    ("overlays", (Overlays, type(None)), "Overlays or None"),
+)
+
+
 def checked_frame(frame: RenderedFrame) -> RenderedFrame:
     """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
     require_kind(frame, RenderedFrame, "frame")
-    require_kind(frame.camera, Camera, "frame: camera")
-    if frame.display_camera is not None:
-        require_kind(frame.display_camera, Camera, "frame: display_camera", "a Camera or None")
-    if frame.overlays is not None:
-        require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
+    for name, kind, expected in _OBJECTS:
+        if not isinstance(getattr(frame, name), kind):
+            raise GffeError(f"frame: {name} must be {expected}, got {shown(getattr(frame, name))}")
     time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
-    jitter = require_jitter(frame.geometry_jitter)
-    size = frame.geometry_size
+    jitter, size = require_jitter(frame.geometry_jitter), frame.geometry_size
     size = None if size is None else require_size(size, "frame: geometry_size", whole=True)
+    if time is frame.time and reset is frame.reset and jitter is frame.geometry_jitter and size is None:
+        return frame
     checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter, geometry_size=size)
     checked._known_bad = frame._known_bad
     return checked

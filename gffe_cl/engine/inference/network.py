@@ -33,6 +33,7 @@ from gffe_cl.engine.inference.providers import (
     PROVIDERS,
     NetworkError,
     cpu_model,
+    has_onnxruntime,
     load_onnxruntime,
     one_line,
     open_session,
@@ -75,10 +76,10 @@ def load_network(
 ) -> Network | KernelNetwork:
     """Return the network of the ONNX file `path` (None: of the package, in 8-bit integers on the CPU and in OpenCL), as
     layers for OpenCL kernels ("opencl") or on a provider of onnxruntime: a key of `PROVIDERS`, onnxruntime's own name,
-    or "auto". With None and "auto" the kernels run it `on_gpu`, if they can; else it is the CPU for None. A provider
-    that is not the CPU is compared with it in a child process first, once per machine. A network is loaded once as long
-    as the file stays the same, and again in a forked child, where the threads of the parent's session are not. Raises
-    NetworkError."""
+    or "auto". With None and "auto" the kernels run it `on_gpu`, and where onnxruntime is not installed, if they can;
+    else it is the CPU for None. A provider that is not the CPU is compared with it in a child process first, once per
+    machine. A network is loaded once as long as the file stays the same, and again in a forked child, where the threads
+    of the parent's session are not. Raises NetworkError."""
     packaged = path is None
     path = default_model() if path is None else Path(path)
     if path is None:
@@ -89,7 +90,7 @@ def load_network(
         raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
     state = path.stat()
     wanted = next((each.name for each in PROVIDERS.values() if provider in (each.name, each.ort)), provider)
-    if wanted is None and not on_gpu:
+    if wanted is None and not on_gpu and has_onnxruntime():
         wanted = CPU.name
     on_cpu = cpu_model(path) if packaged else path
     key = path.resolve(), on_cpu, wanted, on_gpu
@@ -104,12 +105,15 @@ def load_network(
 
 def _load(path: Path, provider: str | None, on_cpu: Path, on_gpu: bool) -> Network | KernelNetwork:
     remark = ""
-    if provider == OPENCL or (on_gpu and provider in (None, AUTO)):
+    if provider == OPENCL or (provider in (None, AUTO) and (on_gpu or not has_onnxruntime())):
         try:
             return KernelNetwork(on_cpu)
         except NotInKernels as why:
             if provider == OPENCL:
-                raise NetworkError(f"{on_cpu}: OpenCL kernels cannot run it: {why}") from None
+                raise NetworkError(
+                    f"{on_cpu}: OpenCL kernels cannot run it: {why} (expected a network of integers, as"
+                    " `gffe train --integers` makes it)"
+                ) from None
             remark = f"{on_cpu.name}: onnxruntime runs the network, as OpenCL kernels cannot: {why}"
     return Network(path, provider or CPU.name, on_cpu, remark)
 
@@ -119,7 +123,7 @@ def reason(network: Network | KernelNetwork, provider: str | None, on_gpu: bool)
     if provider not in (None, AUTO):
         return "as requested"
     if network.layers:
-        return "the device is a GPU"
+        return "the device is a GPU" if on_gpu else "onnxruntime is not installed"
     if provider == AUTO:
         return "the fastest with the CPU's results"
     return "kernels cannot run it" if on_gpu else "faster on a CPU than kernels, with the same bits"

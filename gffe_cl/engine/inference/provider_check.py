@@ -40,7 +40,7 @@ _TOLD = ("VK_", "ORT_", "DXVK_", "LIBVA_")  # variables that drivers and onnxrun
 
 
 @dataclass
-class Verdict:
+class ProviderVerdict:
     """Result of comparing a provider with the CPU.
 
     Attributes
@@ -73,7 +73,7 @@ class Verdict:
         return f"{self.device + ', ' if self.device else ''}{speed}; differs from the CPU by {self.difference:.1g}"
 
 
-def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
+def verdict(path: Path, provider: Provider, refresh: bool = False) -> ProviderVerdict:
     """Return the verdict on `provider` with the network in the file `path`, from the cache or from a test in a child
     process (`refresh`: always). Failures expire after an hour. Everything expires after a day if the drivers' files
     do not identify them."""
@@ -92,10 +92,10 @@ def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
     return found
 
 
-def compare(path: Path, provider: Provider) -> Verdict:
+def compare(path: Path, provider: Provider) -> ProviderVerdict:
     """Run the network on provider and CPU in this process, and return the verdict. A failure is a verdict, too; a
     driver may crash the process."""
-    found = Verdict(provider.name)
+    found = ProviderVerdict(provider.name)
     try:
         if not provider.built_in:
             found.device = _device_name(provider)
@@ -118,7 +118,7 @@ def compare(path: Path, provider: Provider) -> Verdict:
     return found
 
 
-def _difference(path: Path, provider: Provider, found: Verdict) -> str:
+def _difference(path: Path, provider: Provider, found: ProviderVerdict) -> str:
     """Return the message about results that differ, as a line that a user can report."""
     where = f" on {found.device}" if found.device else ""
     return (
@@ -171,19 +171,21 @@ def _device_name(provider: Provider) -> str:
     return " ".join(words.split())
 
 
-def _in_child(path: Path, provider: Provider) -> Verdict:
+def _in_child(path: Path, provider: Provider) -> ProviderVerdict:
     output, failure = run_child(
         "gffe_cl.engine.inference.provider_check", [str(Path(path).resolve()), provider.name], _SECONDS
     )
     for line in [] if failure.startswith(HANGS) else reversed(output.splitlines()):
         with suppress(ValueError, TypeError, AttributeError):
             return _from_json(line)
-    return Verdict(provider.name, problem=f"provider {provider.name}: its {failure or 'driver crashed (exit code 0)'}")
+    return ProviderVerdict(
+        provider.name, problem=f"provider {provider.name}: its {failure or 'driver crashed (exit code 0)'}"
+    )
 
 
-def _from_json(text: str) -> Verdict:
+def _from_json(text: str) -> ProviderVerdict:
     """Return the verdict of a JSON text. Raises TypeError unless the fields have the declared types."""
-    found = Verdict(**json.loads(text))
+    found = ProviderVerdict(**json.loads(text))
     kinds = {"provider": str, "device": str, "problem": str, "present": bool}
     for name, value in asdict(found).items():
         if not isinstance(value, kinds.get(name, (int, float))):

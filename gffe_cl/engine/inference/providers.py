@@ -95,10 +95,18 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_leave_sessions)
 
 
+def has_onnxruntime() -> bool:
+    """Return whether onnxruntime is installed. Without it OpenCL kernels run the network."""
+    return find_spec("onnxruntime") is not None
+
+
 @cache
 def load_onnxruntime() -> ModuleType:
     """Return onnxruntime without its telemetry and its log output. On import, telemetry would write an id of the
-    device into the user's cache folder. No other function imports onnxruntime."""
+    device into the user's cache folder. No other function imports onnxruntime. Raises NetworkError where it is not
+    installed."""
+    if not has_onnxruntime():
+        raise NetworkError("onnxruntime is not installed (expected: pip install onnxruntime, or the provider opencl)")
     os.environ["ORT_DISABLE_TELEMETRY"] = "1"
     import onnxruntime
 

@@ -124,9 +124,9 @@ class Device:
     info : DeviceInfo
     context : pyopencl.Context
     queue : pyopencl.CommandQueue
-        Queue that works in order. It has profiling, unless it came from an engine without.
+        Queue that works in order. It has profiling only if that was asked for, or if it came from an engine with it.
     profiles : bool
-        Whether the queue has profiling; without there are no timings of kernels.
+        Whether the queue has profiling; without there are no timings (`Pipeline.take_timings`).
     alignment : int
         Alignment in bytes: kernels can use host memory in place that begins at a multiple of it.
     works_in_host_memory : bool
@@ -149,6 +149,7 @@ class Device:
         info: DeviceInfo,
         opened: Opened | None = None,
         queue: cl.CommandQueue | None = None,
+        profiling: bool = False,
     ):
         self.info = require_kind(info, DeviceInfo, "device: info")
         self.cl_device = require_kind(cl_device, cl.Device, "device: cl_device", "a pyopencl.Device (see open_device)")
@@ -159,13 +160,15 @@ class Device:
         self.programs = self.opened.programs
         if queue is not None:
             require_kind(queue, cl.CommandQueue, "device: queue")
+        self.profiles = require_bool(profiling, "device: profiling")
+        if queue is not None:
+            self.profiles = bool(queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
         self._queue = queue
         if self.opened.context is not None and queue is None:
-            self._queue = _profiling_queue(self.opened.context, cl_device)
-        self.profiles = queue is None or bool(queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+            self._queue = self._new_queue(self.opened.context)
 
     @classmethod
-    def from_context(cls, context: Any, queue: Any = None) -> Device:
+    def from_context(cls, context: Any, queue: Any = None, profiling: bool = False) -> Device:
         """Return a device that uses the OpenCL context and queue of an engine: its buffers can be submitted, and its
         events waited for.
 
@@ -176,8 +179,10 @@ class Device:
             with it, is in use; the caller keeps its own reference.
         queue : pyopencl.CommandQueue, int or None
             A queue of this context, or its handle (`cl_command_queue`), that works in order, with or without profiling.
-            All work is enqueued there. None: a new queue with profiling, in a context of one device; then order the
-            work by events (`wait_for` of `Pipeline.submit`, `event` of the frames made).
+            All work is enqueued there. None: a new queue, in a context of one device; then order the work by events
+            (`wait_for` of `Pipeline.submit`, `event` of the frames made).
+        profiling : bool
+            Whether a new queue has profiling, which `Pipeline.take_timings` needs.
 
         Raises
         ------
@@ -191,8 +196,7 @@ class Device:
         """
         context = adopted(context, cl.Context, "from_context: context")
         try:
-            queue = _checked_queue(context, queue)
-            found = queue.device
+            found, queue = _checked_queue(context, queue)
             key = context.int_ptr, found.int_ptr
             opened = _adopted.get(key)
             if opened is None:
@@ -200,11 +204,11 @@ class Device:
             _require_process(opened, found.name.strip())
             info = describe("–", found.platform, found)
             if opened.exact_division is None:
-                opened.exact_division = try_exact_division(context, queue)
+                opened.exact_division = try_exact_division(context, queue or cl.CommandQueue(context, found))
         except cl.Error as error:
             raise GffeError(f"from_context: the driver fails: {' '.join(str(error).split())[:200]}") from None
         info.works, info.exact_division = True, opened.exact_division
-        return cls(found, info, opened, queue)
+        return cls(found, info, opened, queue, profiling)
 
     def __repr__(self):
         return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"
@@ -227,10 +231,15 @@ class Device:
         with self.opened.lock:
             try:
                 self.opened.context = self.opened.context or cl.Context([self.cl_device])
-                self._queue = self._queue or _profiling_queue(self.opened.context, self.cl_device)
+                self._queue = self._queue or self._new_queue(self.opened.context)
             except cl.Error as error:
                 raise GffeError(f"{self.info.name}: cannot be opened: {error} ({_WHERE_IT_IS})") from None
         return self._queue
+
+    def _new_queue(self, context: cl.Context) -> cl.CommandQueue:
+        return cl.CommandQueue(
+            context, self.cl_device, cl.command_queue_properties.PROFILING_ENABLE if self.profiles else 0
+        )
 
     def require_process(self) -> None:
         """Raise GffeError in a forked child if the parent has used the device: drivers wait forever there."""
@@ -356,10 +365,11 @@ def known_devices(refresh: bool = False) -> tuple[list[DeviceInfo], float | None
     return probed.devices + list(_crashing.values()), probed.age
 
 
-def open_device(wanted: str | None = None) -> Device:
-    """Open and return the device that matches `wanted` (an index, a kind or part of a name), or the default one.
+def open_device(wanted: str | None = None, profiling: bool = False) -> Device:
+    """Open and return the device that matches `wanted` (an index, a kind or part of a name), or the default one. With
+    `profiling` its queue times commands (`Pipeline.take_timings`), which costs the host some time for each of them.
 
-    Raises GffeError if no device works or none matches, or `wanted` is no text.
+    Raises GffeError if no device works or none matches, `wanted` is no text, or `profiling` no bool.
     """
     if wanted is not None:
         require_kind(wanted, str, "open_device: wanted", 'a text such as "0:1", "gpu" or "intel"')
@@ -367,11 +377,11 @@ def open_device(wanted: str | None = None) -> Device:
     wanted = wanted or os.environ.get("GFFE_DEVICE") or None
     infos, age = known_devices()
     try:
-        return open_info(_choose(infos, wanted, origin))
+        return open_info(_choose(infos, wanted, origin), profiling)
     except GffeError:
         if age is None or any(opened.process not in (None, _process) for opened in _opened.values()):
             raise
-    return open_info(_choose(list_devices(refresh=True), wanted, origin))
+    return open_info(_choose(list_devices(refresh=True), wanted, origin), profiling)
 
 
 def _choose(infos: list[DeviceInfo], wanted: str | None, origin: str) -> DeviceInfo:
@@ -406,9 +416,9 @@ def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
     return min(near, key=lambda info: (info.kind != "gpu", "pocl" in info.version.lower()))
 
 
-def open_info(info: DeviceInfo) -> Device:
-    """Open a device that `list_devices` returned. Opening it again shares context and kernels until a driver error
-    loses them. Raises GffeError if it is not there or cannot be opened."""
+def open_info(info: DeviceInfo, profiling: bool = False) -> Device:
+    """Open a device that `list_devices` returned, as `open_device` does. Opening it again shares context and kernels
+    until a driver error loses them. Raises GffeError if it is not there or cannot be opened."""
     platform, device = (int(part) for part in info.index.split(":"))
     if known := _opened.get(info.index):
         _require_process(known, info.name)
@@ -418,7 +428,7 @@ def open_info(info: DeviceInfo) -> Device:
         if told != (info.name, info.version, info.driver):
             raise GffeError(f"device {info.index} is {told[0]}, not {info.name} ({_WHERE_IT_IS})")
         opened = known or Opened(None if _forks_when_opened(found) else cl.Context([found]))
-        made = Device(found, info, opened)
+        made = Device(found, info, opened, profiling=profiling)
         _opened[info.index] = opened
         return made
     except IndexError:
@@ -443,17 +453,13 @@ def _require_process(opened: Opened, name: str) -> None:
         )
 
 
-def _profiling_queue(context: cl.Context, device: cl.Device) -> cl.CommandQueue:
-    return cl.CommandQueue(context, device, cl.command_queue_properties.PROFILING_ENABLE)
-
-
-def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
-    """Return the queue that `Device.from_context` works with: `queue`, checked, or a new one. Raises GffeError for a
+def _checked_queue(context: cl.Context, queue: Any) -> tuple[cl.Device, cl.CommandQueue | None]:
+    """Return the device that `Device.from_context` works with, and `queue`, checked, or None. Raises GffeError for a
     queue that it cannot use."""
     if queue is None:
         if len(context.devices) != 1:
             raise GffeError(f"from_context: the context has {len(context.devices)} devices (expected a queue of one)")
-        return _profiling_queue(context, context.devices[0])
+        return context.devices[0], None
     queue = adopted(queue, cl.CommandQueue, "from_context: queue")
     if queue.context != context:
         raise GffeError("from_context: the queue belongs to another OpenCL context")
@@ -461,7 +467,7 @@ def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
         raise GffeError(
             "from_context: the queue works out of order (expected one that works in order, or queue=None and events)"
         )
-    return queue
+    return queue.device, queue
 
 
 def forget_opened(device: Device) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import pyopencl as cl
 
@@ -17,13 +16,20 @@ _MEMORY = {
 }  # fmt: skip
 
 
-@contextmanager
-def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> Iterator[None]:
-    """Turn driver errors within the block `work` into a GffeError of one line with a remedy. `footprint` is the text
+class device_faults:
+    """Turns driver errors within its block `work` into a GffeError of one line with a remedy. `footprint` is the text
     about sizes and memory."""
-    try:
-        yield
-    except cl.Error as error:
+
+    def __init__(self, device: Device, work: str, footprint: Callable[[], str]):
+        self.device, self.work, self.footprint = device, work, footprint
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        if not isinstance(error, cl.Error):
+            return
+        device, work, footprint = self.device, self.work, self.footprint
         forget_opened(device)
         advice = (
             "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"

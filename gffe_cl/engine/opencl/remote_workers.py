@@ -16,7 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import follow_links, following_links
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.opencl.program import kernel_folder
@@ -32,10 +32,9 @@ class Cluster:
     here, and see files under the same paths. Raises GffeError if no scheduler answers."""
 
     def __init__(self, address: str):
-        try:
-            from distributed import Client
-        except ModuleNotFoundError:
-            raise GffeError(f"--scheduler needs dask and distributed: {how_to_install('cluster')}") from None
+        require_packages("--scheduler", "cluster", "dask", "distributed")
+        from distributed import Client
+
         if not _ADDRESS.fullmatch(address):
             raise GffeError(f"--scheduler {address}: is no address (expected tcp://HOST:8786)")
         try:
@@ -95,7 +94,7 @@ def _on_worker(known: str, links: bool, function: Callable[..., Any], arguments:
 @lru_cache(maxsize=1)
 def device_of_worker(name: str | None) -> Device:
     """Return the device that a worker's process opens for all of its work."""
-    return open_device(name)
+    return open_device(name, profiling=True)
 
 
 @cache

@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
-import shutil
 import stat
 import sys
 import tempfile
@@ -40,11 +39,6 @@ _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 _MOST_NAMED, _LONGEST_NAME = 3, 300  # drivers in a message, and characters of a library's name
 # libintelocl.so finds these only if they are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")
-# Patterns of all files that it opens, which must be in the same folder.
-_INTEL_FILES = (
-    "libintelocl.so", *_INTEL_NEEDS, "libtbbmalloc.so.2", "libcommon_clang.so.*", "libocl_svml_*.so",
-    "cl.cfg", "cl*.rtl", "cl*.o",
-)  # fmt: skip
 
 
 def cache_folder() -> Path:
@@ -121,19 +115,18 @@ def prepare_runtimes() -> None:
 def expose_installed_runtimes() -> None:
     """Add OpenCL runtimes of this Python environment to those the ICD loader will list.
 
-    Does nothing if `OCL_ICD_VENDORS` is set (the user has chosen), or if there is no such runtime.
+    Does nothing if `OCL_ICD_VENDORS` is set (the user has chosen), or if there is no such runtime. Intel's does not
+    find its other files in a folder whose name has a space.
     """
     if os.environ.get(VENDORS) or not sys.platform.startswith("linux"):
         return
     library = Path(sys.prefix) / "lib" / "libintelocl.so"
     if not library.exists():
         return
-    try:
-        library = _without_spaces(library)
-    except OSError as error:
+    if any(letter.isspace() for letter in str(library.resolve())):
         warnings.warn(
-            f"{library}: Intel's OpenCL runtime does not work in a folder whose name has a space, and a copy elsewhere"
-            f" is not possible: {error.strerror or error} (expected another folder for the environment)",
+            f"{library}: Intel's OpenCL runtime does not work in a folder whose name has a space (expected another"
+            " folder for the environment)",
             stacklevel=2,
         )
         return
@@ -189,62 +182,6 @@ def hide_vendors(names: set[str]) -> None:
     """Leave out the `.icd` files of these names, in this process and its children. The ICD loader must not have listed
     its platforms yet."""
     os.environ[VENDORS] = str(only_vendors(icd for icd in vendors() if icd.name not in names))
-
-
-def _without_spaces(library: Path) -> Path:
-    """Return a path without spaces to `library`, of Intel's runtime. In a path with spaces it does not find its other
-    files.
-
-    They are linked into the cache, or copied (0.4 GB) where that lies on another file system. Symbolic links do not
-    help: it looks itself up in /proc/self/maps. Raises OSError if nothing can be written.
-    """
-    found = library.resolve()
-    if not _has_space(found):
-        return library
-    base = next((folder for folder in (cache_folder(), _temporary_folder()) if not _has_space(folder.resolve())), None)
-    if base is None:
-        raise OSError("the folders for caches and for temporary files have a space in their names too")
-    facts = found.stat()
-    digest = hashlib.sha256(repr((str(found), facts.st_mtime_ns, facts.st_size)).encode()).hexdigest()[:16]
-    folder = base / f"intel-{digest}"
-    if not folder.is_dir():
-        _forget_copies(base, found)
-        partial = Path(tempfile.mkdtemp(prefix=f"intel-{digest}-", dir=base))
-        try:
-            for pattern in _INTEL_FILES:
-                for path in library.parent.glob(pattern):
-                    _link_or_copy(path.resolve(), partial / path.name)
-            (partial / _ORIGIN).write_text(str(found))
-            partial.rename(folder)
-        except OSError:
-            shutil.rmtree(partial, ignore_errors=True)
-            if not folder.is_dir():  # another process was first
-                raise
-    return folder / library.name
-
-
-_ORIGIN = "origin.txt"
-
-
-def _forget_copies(base: Path, library: Path) -> None:
-    """Remove copies of runtimes that are gone, and those of `library` as it was before."""
-    for origin in base.glob(f"intel-*/{_ORIGIN}"):
-        was = Path(origin.read_text())
-        if was == library or not was.exists():
-            shutil.rmtree(origin.parent, ignore_errors=True)
-
-
-def _link_or_copy(path: Path, to: Path) -> None:
-    if to.exists():
-        return
-    try:
-        os.link(path, to)
-    except OSError:
-        shutil.copy2(path, to)
-
-
-def _has_space(path: Path) -> bool:
-    return any(letter.isspace() for letter in str(path))
 
 
 def redirect_unwritable_caches() -> None:

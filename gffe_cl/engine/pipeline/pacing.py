@@ -145,7 +145,7 @@ class Pacer:
             self._delays.append(delay)
         ahead = min(max(refresh - min(self._delays) - newest, 0.0), self._most_alpha * interval)
         time = newest + ahead if ahead >= _SAME * self._period else newest
-        alpha = (time - newest) / interval_of(self._times, self._fps)
+        alpha = min((time - newest) / interval_of(self._times, self._fps), self._most_alpha)
         plan = Plan(refresh, time, alpha)
         if self._last and time <= self._shown + _SAME * self._period:
             plan = Plan(self._refresh_after(now), max(self._shown, newest), self._last.alpha, held=True)

@@ -111,7 +111,7 @@ class Difference:
         return f"{self.ulp} ulp, {self.pixels} px ({100 * self.share:.2g}%)"
 
 
-class Comparison:
+class BufferComparison:
     """Comparison of one case with its reference, moment by moment: `different` by buffer, and the names of the buffers
     `compared`."""
 

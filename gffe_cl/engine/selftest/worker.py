@@ -18,7 +18,7 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.opencl.device import DeviceInfo, list_devices, open_info
 from gffe_cl.engine.selftest.network import compare_provider
-from gffe_cl.engine.selftest.reference import Comparison, Reference, inputs_digest, recorded
+from gffe_cl.engine.selftest.reference import BufferComparison, Reference, inputs_digest, recorded
 from gffe_cl.engine.selftest.scene import frames
 from gffe_cl.engine.selftest.speed import figures, speed
 from gffe_cl.engine.selftest.workload import CASES, SIZE, Form, forms_of, moments
@@ -52,7 +52,7 @@ def compare_form(info: DeviceInfo, form: Form, reference: Reference, cases: list
     kernels."""
     told: dict[str, Any] = asdict(form) | {"cases": {}}
     for case in cases:
-        comparison = Comparison(reference, case)
+        comparison = BufferComparison(reference, case)
         for moment, buffers in moments(open_info(info), CASES[case], form):
             say(doing=f"{form.name}, {case}, {moment}")
             comparison.add(moment, buffers)
@@ -68,7 +68,7 @@ def compare_form(info: DeviceInfo, form: Form, reference: Reference, cases: list
 
 def run_device(index: str, wanted: dict[str, Any]) -> None:
     info = next(info for info in list_devices() if info.index == index)
-    device = open_info(info)
+    device = open_info(info, profiling=True)
     reference = recorded()
     say(facts=facts_of(device.cl_device), exact_division=device.exact_division)
     cases = wanted["cases"] or list(CASES)

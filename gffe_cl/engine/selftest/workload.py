@@ -37,10 +37,9 @@ class Case:
 CASES = {
     "default": Case("the recommended options, an adaptive window, overlays", Options(), RENDER_SIZE),
     "other": Case(
-        "other orders, levels and hole filling, predicted cameras, antialiasing over time",
+        "other orders and levels, no hole filling, predicted cameras, antialiasing over time",
         Options(
-            history=3, order=2, levels=3, hole_filling="push-pull", focus_mask=False, static_threshold=0.5, upscale=1,
-            upscale_sharpening=0.5,
+            history=3, order=2, levels=3, hole_filling="none", focus_mask=False, static_threshold=0.5, upscale=1,
         ),
         None,
         knows_cameras=False,

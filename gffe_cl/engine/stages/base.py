@@ -6,12 +6,10 @@ of stages and memory, and the bytes per pixel that must move (`gffe bench`).
 
 from __future__ import annotations
 
-import math
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import pyopencl as cl
@@ -21,11 +19,11 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import Program, build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
+from gffe_cl.engine.stages.commands import Commands, Launch
 from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
 from gffe_cl.engine.stages.memory import LentMemory
 
 _PREPARED = 256  # launches of a stage that are kept ready: those of uploads differ by where arrays begin
-_EVENTS = 256  # at most, kept per stage for requests of timings
 # Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
 _ROW, _ROW_OF_LANES = 64, 128
 
@@ -91,24 +89,6 @@ class Kernel:
                 yield kind, argument, access if isinstance(access, Access) else Access(access)
 
 
-class Output(Owner):
-    """Copy of a stage's result in the buffers of the extrapolated frame, kept on request."""
-
-    def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
-        super().__init__(stage.device, stage.sizes)
-        self.name, self.buffers = stage.name, tuple(specs)
-
-    def choose(self, names: set[str]) -> None:
-        """Keep the buffers `names` from now on, and no others."""
-        specs = [spec for spec in self.buffers if spec.name in names and spec.name not in self.buffer]
-        self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
-
-    def keep(self, of: Mapping[str, cl.Buffer]) -> None:
-        """Enqueue copies of the chosen buffers."""
-        for name, buffer in self.buffer.items():
-            cl.enqueue_copy(self.device.queue, buffer, of[name])
-
-
 @dataclass
 class Step:
     """Input of a stage: a rendered frame (after `submit`), or a new frame extrapolated from it.
@@ -169,10 +149,16 @@ class Board:
         self.int64 = device.int64_atomics if int64 is None else int64
         # Members of the frame block that do not change; stages add theirs.
         self.facts = block_facts(self.options, sizes)
-        self.turn = 0  # a bit for each stage, which changes whenever its buffers and those of the frame before do
-        self.members = 0  # stages so far
+        # A bit for the rendered frames, and one for each stage, which changes whenever its buffers and those of the
+        # frame before do.
+        self.turn = 0
+        self.members = 1  # the rendered frames, and stages so far
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself if there is none before
+        self.shown = object()  # the same as long as the buffers of both are, in turns
+        self._alike = False  # whether the rendered frame has the buffers of the frame two before it
+        self._shown = [object(), object()]  # by the rendered frames' bit in `turn`
+        self.commands = Commands(device)
         self.blocks = FrameBlocks(self)
 
     @cached_property
@@ -184,6 +170,20 @@ class Board:
     def writer(self) -> BlockWriter:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
+
+    def show(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
+        """Make `frame` the rendered frame, after `previous` (None: after a reset).
+
+        Kernels have their arguments for either turn. They are set again unless the buffers of both frames are those of
+        two frames before, which the board still holds.
+        """
+        before, alike = self.previous if self.previous is not self.rendered else None, self._alike
+        self._alike = before is not None and all(a is b for a, b in zip(frame.buffers, before.buffers, strict=True))
+        if frame is not self.rendered:
+            self.turn ^= 1
+        if not (previous and alike and self._alike):
+            self._shown[self.turn & 1] = object()
+        self.rendered, self.previous, self.shown = frame, previous or frame, self._shown[self.turn & 1]
 
     def __del__(self):
         self.let_go()
@@ -215,38 +215,11 @@ class Board:
         return (owners.get(owner) or self.stages[owner]).spec(rest.removesuffix("'"))
 
 
-class Recorder(Protocol):
-    """Recorder of the commands that stages would enqueue. Nothing is enqueued meanwhile. It is set as a stage's
-    `recorder`."""
-
-    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
-        """Record a launch of `kernel` over `grid`; `values`: of its arguments, by name, and perhaps others."""
-
-    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
-        """Record that the first texels of a buffer, as many as `grid` has, are set to `byte`."""
-
-    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
-        """Record that a whole buffer is copied from `of` to `to`."""
-
-
-@dataclass
-class _Prepared:
-    """A launch whose arguments stay set: the `kernel` object is its own. `changing` are the arguments that may change
-    from frame to frame: the method that sets them, index, name, and the owner ("rendered" or "previous") and name of a
-    declared buffer. Nothing keeps a reference to these: callers' memory is released when they drop it."""
-
-    kernel: cl.Kernel
-    changing: list[tuple[Callable[[int, Any], None], int, str, str, str]]
-    items: tuple[int, ...]
-    group: tuple[int, ...]
-
-
 class Stage(Owner):
     """Base of all stages.
 
     Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
-    or both. `events` holds the latest events since the last `take_events`, if the queue has profiling; `before` the
-    buffers kept of the frame before.
+    or both. `before` holds the buffers kept of the frame before.
     """
 
     kernels: tuple[Kernel, ...] = ()
@@ -262,14 +235,11 @@ class Stage(Owner):
         self.board = board
         self._bit = 1 << board.members
         board.members += 1
-        self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
-        self.launches: list[tuple[Kernel, dict]] | None = None  # with the arguments, while launches are counted
-        self.recorder: Recorder | None = None
         borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
-        self._prepared: dict[tuple, _Prepared] = {}  # by kernel and numbers
+        self._prepared: dict[tuple, Launch] = {}  # by kernel and numbers
         if self.builds_at_once:
             self._build(**variant)
         if self.registered:
@@ -311,9 +281,7 @@ class Stage(Owner):
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
-        """Make the results those of the frame before; called for all stages before any works on a new frame. Events of
-        the frame before are dropped."""
-        self.events.clear()
+        """Make the results those of the frame before; called for all stages before any works on a new frame."""
         if self.before:
             self.board.turn ^= self._bit
             for name, buffer in self.before.items():
@@ -331,48 +299,42 @@ class Stage(Owner):
             slot = step.slot
             if board.blocks.held.get(slot) is not step.key:
                 board.blocks.set(step)
-        if self.launches is not None:
-            self.launches.append((self._kernels[name], given))
-        if self.recorder:
-            kernel = self._kernels[name]
-            given |= {"frame": board.blocks.buffer[slot]} if slot else {}
-            declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in given}
-            values = given | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
-            self.recorder.launched(self, kernel, kernel.grid.format(**given), values)
-            return
         key = board.turn, name, slot
         if given:
             changing = self._changing[name]
             key += (*given, *(value for argument, value in given.items() if argument not in changing))
-        prepared = self._prepared.get(key)
-        if prepared is None:
-            prepared = self._prepare_launch(self._kernels[name], given, slot)
+        launch = self._prepared.get(key)
+        if launch is None:
+            launch = self._prepare_launch(self._kernels[name], given, slot)
             if len(self._prepared) == _PREPARED:
                 self._prepared.clear()
-            self._prepared[key] = prepared
-        for set_arg, index, argument, owner, own in prepared.changing:
-            value = given.get(argument)
-            set_arg(index, getattr(getattr(board, owner), own) if value is None else value)
-        device = self.device
-        event = cl.enqueue_nd_range_kernel(device.queue, prepared.kernel, prepared.items, prepared.group)
-        if device.profiles:
-            self.events.append((name, event))
+            self._prepared[key] = launch
+        if launch.shown is not board.shown:
+            for set_arg, index, owner, own in launch.of_frames:
+                set_arg(index, getattr(getattr(board, owner), own))
+            launch.shown = board.shown
+        for set_arg, index, argument in launch.given:
+            set_arg(index, given[argument])
+        board.commands.launch(self, launch, given)
 
     def let_go(self) -> None:
         """Drop the buffers, and the kernels that have them as arguments. The stage is of no use any more."""
         for known in (self._prepared, self.buffer, self.before):
             known.clear()
 
-    def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any], slot: str | None) -> _Prepared:
+    def _prepare_launch(self, kernel: Kernel, given: Mapping[str, Any], slot: str | None) -> Launch:
         """Return a launch with the arguments set that do not change from one launch with the numbers in `given` and the
         frame block `slot` to the next."""
         size = self.sizes.of(kernel.grid.format(**given))
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
         group = self._number(kernel.group) if kernel.group else row, self._number(kernel.group_rows)
+        items = -(-width // group[0]) * group[0], -(-height // group[1]) * group[1]
+        if kernel.repeats:
+            items, group = (*items, given[kernel.repeats]), (*group, 1)
         made = self.program.kernel(kernel.name)
+        launch = Launch(kernel, slot, made, items, group)
         declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
-        changing = []
         for index, argument in enumerate(self.program.arguments[kernel.name]):
             if slot and argument.is_frame_block:
                 made.set_arg(index, self.board.blocks.buffer[slot])
@@ -380,61 +342,32 @@ class Stage(Owner):
             if argument.name not in given and argument.name not in declared:
                 raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
             owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
+            # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
+            set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
             if argument.is_number:
                 made.set_arg(index, argument.packed(given[argument.name]))
-            elif argument.name in given or owner in ("rendered", "previous"):
-                # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
-                set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
-                changing.append((set_arg, index, argument.name, owner, own))
+            elif argument.name in given:
+                launch.given.append((set_arg, index, argument.name))
+            elif owner in ("rendered", "previous"):
+                launch.of_frames.append((set_arg, index, owner, own))
             else:
                 made.set_arg(index, self._buffer(f"{owner}.{own}"))
-        items = -(-width // group[0]) * group[0], -(-height // group[1]) * group[1]
-        if kernel.repeats:
-            items, group = (*items, given[kernel.repeats]), (*group, 1)
-        return _Prepared(made, changing, items, group)
+        return launch
+
+    def values(self, kernel: Kernel, slot: str | None, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of a kernel's arguments, by name, in a launch with the arguments in `given` and the frame
+        block `slot`."""
+        values = {**given, "frame": self.board.blocks.buffer[slot]} if slot else dict(given)
+        declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in values}
+        return values | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""
-        buffer, spec = self.buffer[name], self.spec(name)
-        grid = grid or spec.grid
-        if self.recorder:
-            self.recorder.filled(self, buffer, byte, grid)
-            return
-        nbytes = math.prod(self.sizes.of(grid)) * spec.bytes_per_pixel * spec.planes
-        if self.launches is not None:
-            share = nbytes / spec.nbytes(self.sizes)
-            self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
-        event = cl.enqueue_fill_buffer(self.device.queue, buffer, bytes([byte]), 0, nbytes)
-        self._record("fill", event)
+        self.board.commands.fill(self, name, byte, grid or self.spec(name).grid)
 
     def copy(self, to: str, of: str) -> None:
         """Enqueue a copy between buffers of one size, by their names."""
-        target, source = self._buffer(to), self._buffer(of)
-        if self.recorder:
-            self.recorder.copied(self, target, source)
-            return
-        self._record("copy", cl.enqueue_copy(self.device.queue, target, source))
-
-    def take_milliseconds(self) -> float:
-        """Return the milliseconds of kernel time since events were last taken; the device must have finished."""
-        return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
-
-    def take_kernel_milliseconds(self) -> dict[str, float]:
-        """Return the milliseconds of kernel time by kernel since events were last taken; the device must have
-        finished."""
-        taken: dict[str, float] = {}
-        for kernel, event in self.take_events():
-            taken[kernel] = taken.get(kernel, 0.0) + (event.profile.end - event.profile.start) * 1e-6
-        return taken
-
-    def take_events(self) -> list[tuple[str, cl.Event]]:
-        events = list(self.events)
-        self.events.clear()
-        return events
-
-    def _record(self, name: str, event: cl.Event) -> None:
-        if self.device.profiles:
-            self.events.append((name, event))
+        self.board.commands.copy(self, self._buffer(to), self._buffer(of))
 
     def _buffer(self, name: str, given: Mapping[str, Any] = {}) -> cl.Buffer:
         """Return the buffer `name` of this or another stage; {…} in it are `given`."""

@@ -105,8 +105,8 @@ def texel_of(grid: str) -> tuple[int, int]:
     if grid.startswith("network"):
         side = 2 << network_level(grid)
         return side, side
-    if grid.startswith(("level", "mip")):
-        side = 1 << int(grid.removeprefix("level").removeprefix("mip"))
+    if grid.startswith("level"):
+        side = 1 << int(grid.removeprefix("level"))
         return side, side
     return {
         "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
@@ -146,7 +146,7 @@ class BufferSpec:
 
     `grid` is the grid of its pixels: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
     32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
-    "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
+    "levels1" … (so many of these one after another), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
     "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled") and "cut_samples" (so many of the
@@ -159,7 +159,7 @@ class BufferSpec:
     may lie in memory that another stage lends; `fleeting`: the same of each `submit`, and of no use after it.
     `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where this one
     holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and `components`.
-    `border`: pixels that are stored around each plane.
+    `border`: pixels that are stored around each plane. `byte`: what all of its bytes are at first.
     """
 
     name: str
@@ -180,6 +180,7 @@ class BufferSpec:
     known_where: tuple[str, int] | None = None
     packing: Packing | None = None
     border: int = 0
+    byte: int = 0
 
     @property
     def channels(self) -> int:
@@ -261,10 +262,11 @@ class Owner:
         self.nbytes = 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """Return new device buffers by name, with all bits zero."""
-        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
-        for buffer in made.values():
-            cl.enqueue_fill_buffer(self.device.queue, buffer, b"\0", 0, buffer.size)
+        """Return new device buffers by name, all of whose bytes are the `byte` of their description."""
+        made = {}
+        for spec in specs:
+            made[spec.name] = buffer = self.device.buffer(spec.nbytes(self.sizes), spec.mapped)
+            cl.enqueue_fill_buffer(self.device.queue, buffer, bytes([spec.byte]), 0, buffer.size)
             self.nbytes += buffer.size
         return made
 

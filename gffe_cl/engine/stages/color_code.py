@@ -46,5 +46,5 @@ class ColorCode(Stage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        if self.recorder or not step.given.get("coded"):  # what is exported asks the frame block
+        if not step.given.get("coded"):  # what is exported asks the frame block
             self.launch("encode_colors", step)

@@ -112,13 +112,10 @@ class Convolutions(Stage):
         one."""
         if network:
             self._build(**({"FLOAT_SUMS": 1} if self.device.float_sums else {}))
-        specs, buffers = list(type(self).buffers), {_NOTHING: self.buffer[_NOTHING]}
+        images = [_image_spec(image) for image in network.images] if network else []
+        specs, buffers = [*type(self).buffers, *images], {_NOTHING: self.buffer[_NOTHING]} | self.allocate(images)
         self._prepared.clear()
         self.layers = []
-        for image in network.images if network else ():
-            spec = _image_spec(image)
-            specs.append(spec)
-            buffers[spec.name] = self._bordered(spec, image)
         for number, layer in enumerate(network.layers if network else ()):
             arrays = {"numbers": numbers_of(layer)}
             if layer.kind in _LAID_OUT:
@@ -139,17 +136,12 @@ class Convolutions(Stage):
         for kernel, given in self.layers:
             self.launch(kernel, step, asked=asked, **given)
 
-    def _bordered(self, spec: BufferSpec, image: Image) -> cl.Buffer:
-        """Return a new buffer for an image, which holds the byte that stands for 0: that remains as its border."""
-        (made,) = self.allocate([spec]).values()
-        cl.enqueue_fill_buffer(self.device.queue, made, bytes([image.zero]), 0, made.size)
-        return made
-
 
 def _image_spec(image: Image) -> BufferSpec:
+    """Return the buffer of an image. At first it holds the byte that stands for 0: that remains as its border."""
     return BufferSpec(
         image.name, np.uint8, (), f"network{image.level}", "bytes in blocks of four channels", planes=image.channels,
-        scratch=True, border=_BORDER,
+        scratch=True, border=_BORDER, byte=image.zero,
     )  # fmt: skip
 
 

@@ -6,6 +6,8 @@ import math
 import operator
 from array import array
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from struct import pack_into
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.frame.vectors import length, view_to_view
 from gffe_cl.engine.opencl.program import expand, parse_constants, parse_struct
-from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
+from gffe_cl.engine.options import MAX_LEVELS, Options
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.mu_law import color_law
 
@@ -30,6 +32,20 @@ _WORDS = {
 _INTEGERS = {name for name, member in (FRAME.fields or {}).items() if member[0].base.kind == "i"}
 
 
+def _run(*names: str) -> slice:
+    """Return where members are that lie one after another."""
+    assert all(_WORDS[a].stop == _WORDS[b].start for a, b in pairwise(names)), names
+    return slice(_WORDS[names[0]].start, _WORDS[names[-1]].stop)
+
+
+_BEFORE = _run("to_previous", "from_previous")
+_LAW, _DISPLAYS = _WORDS["color_law"], _run("to_render", "to_display", "to_previous_display")
+_TIMES = _run("interval_ratio", "exposure", "code_offset", "camera_step")
+_NEW = _run("to_target", "to_source", "target_to_previous")
+_ALPHA, _ZOOM, _POLYNOMIAL, _PIXEL = (_WORDS[name] for name in ("alpha", "zoom", "polynomial", "pixel_size"))
+_HAS_PREVIOUS, _HAS_OVERLAYS, _ORDER = (_WORDS[name].start for name in ("has_previous", "has_overlays", "order"))
+
+
 class BlockWriter:
     """Writer of frame blocks for images of `sizes`; `facts`: the members that do not change from frame to frame."""
 
@@ -42,6 +58,7 @@ class BlockWriter:
         self._fixed, self._facts = array("f", fixed.tobytes()), facts
         # The last cameras, other parameters, and what follows from them.
         self._rendered: tuple[tuple[Camera, ...], tuple, array[float]] | None = None
+        self._exposed: tuple[float, tuple[array[float], float]] | None = None  # the last one, and what follows from it
 
     def write(
         self,
@@ -61,24 +78,22 @@ class BlockWriter:
         before = previous or frame
         cameras = frame.camera, frame.display_camera, before.camera, before.display_camera
         block = self._of_rendered(cameras, times, exposure)[:]
-        values: dict[str, Any] = {"alpha": (alpha,)}
+        block[_ALPHA.start] = alpha
         if camera is not None:
-            values |= {
-                "to_target": _reprojection(frame.camera, camera),
-                "to_source": _reprojection(camera, frame.camera),
-                "target_to_previous": _reprojection(camera, before.camera),
-                "zoom": (camera.fx / frame.camera.fx, camera.fy / frame.camera.fy),
-                "polynomial": padded(polynomial_weights(times[: order + 1], time, MAX_ORDER)),
-            }
-        _put(block, values)
-        made = np.frombuffer(block, np.uint8)
-        integers = made.view(np.int32)
-        integers[_WORDS["has_previous"].start] = previous is not None
-        integers[_WORDS["has_overlays"].start] = overlays
-        integers[_WORDS["order"].start] = order
+            source = frame.camera
+            _put(block, _NEW, (
+                *_reprojection(source, camera), *_reprojection(camera, source), *_reprojection(camera, before.camera),
+            ))  # fmt: skip
+            _put(block, _ZOOM, (camera.fx / source.fx, camera.fy / source.fy))
+            for row, weights in enumerate(_polynomial(times[: order + 1], time)):
+                _put(block, slice(_POLYNOMIAL.start + 8 * row, _POLYNOMIAL.stop), weights)
+        integers = memoryview(block).cast("B").cast("i")
+        integers[_HAS_PREVIOUS], integers[_HAS_OVERLAYS], integers[_ORDER] = previous is not None, overlays, order
         for name, numbers in (given or {}).items():
-            made.view(np.int32 if name in _INTEGERS else np.float32)[_WORDS[name]] = numbers
-        return made
+            words, start = integers if name in _INTEGERS else block, _WORDS[name].start
+            for k, number in enumerate(numbers if type(numbers) is tuple else (numbers,)):
+                words[start + k] = number
+        return np.frombuffer(block, np.uint8)
 
     def _of_rendered(self, cameras: tuple[Camera, ...], times: Sequence[float], exposure: float) -> array[float]:
         """Return the block, as words, with what does not depend on the new frame: those of one rendered frame share
@@ -87,30 +102,30 @@ class BlockWriter:
         if (last := self._rendered) and others == last[1] and all(map(operator.is_, cameras, last[0])):
             return last[2]
         camera, display, camera_before, display_before = cameras
-        values: dict[str, Any] = {
-            "to_previous": _reprojection(camera, camera_before),
-            "from_previous": _reprojection(camera_before, camera),
-            "to_render": _mapping(display, camera),
-            "to_display": _mapping(camera, display),
-            "to_previous_display": _mapping(camera_before, display_before),
-            "pixel_size": pixel_size(display, camera),
-            "camera_step": (distance(camera, camera_before),),
-            "interval_ratio": ((times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0,),
-            "exposure": (exposure,),
-            "color_law": color_law(exposure),
-            # White is no brighter than the largest half: a brighter one has codes that are no halves.
-            "code_offset": (self._facts.get("code_offset", 0.0) / math.sqrt(max(exposure, 1 / HALF_MAX)),),
-        }
         block = self._fixed[:]
-        _put(block, values)
+        _put(block, _BEFORE, (*_reprojection(camera, camera_before), *_reprojection(camera_before, camera)))
+        _put(block, _DISPLAYS, (
+            *_mapping(display, camera), *_mapping(camera, display), *_mapping(camera_before, display_before),
+        ))  # fmt: skip
+        _put(block, _PIXEL, pixel_size(display, camera))
+        ratio = (times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0
+        law, code_offset = self._of_exposure(exposure)
+        block[_LAW] = law
+        _put(block, _TIMES, (ratio, exposure, code_offset, distance(camera, camera_before)))
         self._rendered = cameras, others, block
         return block
 
+    def _of_exposure(self, exposure: float) -> tuple[array[float], float]:
+        if self._exposed is None or self._exposed[0] != exposure:
+            # White is no brighter than the largest half: a brighter one has codes that are no halves.
+            code_offset = self._facts.get("code_offset", 0.0) / math.sqrt(max(exposure, 1 / HALF_MAX))
+            self._exposed = exposure, (array("f", color_law(exposure)), code_offset)
+        return self._exposed[1]
 
-def _put(block: array[float], values: Mapping[str, Any]) -> None:
-    """Put members, by name sequences of floats, into a block of words."""
-    for name, numbers in values.items():
-        block[_WORDS[name]] = array("f", numbers)  # NumPy would take longer for so few
+
+def _put(block: array[float], words: slice, numbers: Sequence[Any]) -> None:
+    """Put numbers into a block, from the first of the `words` on."""
+    pack_into(f"{len(numbers)}f", block, 4 * words.start, *numbers)  # NumPy would take longer for so few
 
 
 def block_facts(options: Options, sizes: Sizes) -> dict[str, Any]:
@@ -170,16 +185,19 @@ def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> n
         [o − 1, i − 1]: the weight of (P_i − P_0), i ≤ o, in the polynomial of order o. Order 1 gives −α.
     """
     weights = np.zeros((max_order, max_order), np.float32)
-    for order in range(1, min(max_order, len(times) - 1) + 1):
-        nodes = [node - times[0] for node in times[: order + 1]]
-        for i in range(1, order + 1):
-            others = nodes[:i] + nodes[i + 1 :]
-            weights[order - 1, i - 1] = math.prod((time - times[0] - other) / (nodes[i] - other) for other in others)
+    for order, row in enumerate(_polynomial(times[: max_order + 1], time)):
+        weights[order, : len(row)] = row
     return weights
 
 
-def padded(weights: np.ndarray) -> np.ndarray:
-    """Return the weights in rows of 8, float8 in the kernel, one after another."""
-    rows = np.zeros((len(weights), 8), np.float32)
-    rows[:, : weights.shape[1]] = weights
-    return rows.ravel()
+def _polynomial(times: Sequence[float], time: float) -> list[list[float]]:
+    """Return the rows of `polynomial_weights` as far as they are not 0."""
+    nodes = [node - times[0] for node in times]
+    rows = []
+    for order in range(1, len(times)):
+        row = []
+        for i in range(1, order + 1):
+            others = nodes[:i] + nodes[i + 1 : order + 1]
+            row.append(math.prod([(time - times[0] - other) / (nodes[i] - other) for other in others]))
+        rows.append(row)
+    return rows

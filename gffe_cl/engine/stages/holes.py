@@ -14,7 +14,6 @@ from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpe
 from gffe_cl.engine.stages.warp import DISOCCLUDED
 
 _CONSTANTS = constants("holes.cl")
-_VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
 
 UNFILLED = share_of("unfilled", "frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING))
 BORDER = Share("border", lambda board: _share_of_border(*board.sizes.of("cells")))
@@ -144,68 +143,9 @@ class FarSide(Downsampled):
         super().extrapolated(step)
 
 
-class PushPull(HoleFilling):
-    """Fills holes from a pyramid of means."""
-
-    kernels = (
-        Kernel("push_image", "mip1", _VALID, {"mean": "holes.mean_1", "weight": "holes.weight_1"}),
-        Kernel(
-            "push_level",
-            "mip{level}",
-            {"fine_mean": "holes.mean_{fine}", "fine_weight": "holes.weight_{fine}"},
-            {"mean": "holes.mean_{level}", "weight": "holes.weight_{level}"},
-        ),
-        Kernel(
-            "pull_level",
-            "mip{level}",
-            {
-                "coarse_mean": "holes.mean_{coarse}",
-                "mean": "holes.mean_{level}",
-                "weight": "holes.weight_{level}",
-            },
-            {"mean": "holes.mean_{level}"},
-        ),
-        Kernel(
-            "fill_from_pyramid",
-            "target",
-            {"filled_by": "frame.filled_by", "level_mean": Access("holes.mean_1", UNFILLED)},
-            _filled(UNFILLED),
-        ),
-    )
-
-    def __init__(self, board: Board):
-        self.levels = max(1, (max(board.sizes.target) - 1).bit_length())  # halved until one texel is left
-        self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
-        super().__init__(board)
-
-    def extrapolated(self, step: Step) -> None:
-        self.launch("push_image", step)
-        for level in range(2, self.levels + 1):
-            self.launch("push_level", step, level=level, fine=level - 1)
-        for level in range(self.levels - 1, 0, -1):
-            self.launch("pull_level", step, level=level, coarse=level + 1)
-        self.launch("fill_from_pyramid", step)
-
-
 # By the option `hole_filling`; None leaves holes.
 FILLINGS: dict[str, type[HoleFilling] | None] = {
     "far-side": FarSide,
-    "push-pull": PushPull,
     "downsample": Downsampled,
     "none": None,
 }
-
-
-def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
-    about = f"push-pull level {level}"
-    return (
-        BufferSpec(
-            f"mean_{level}",
-            np.float32,
-            ("R", "G", "B", "inverse_depth"),
-            f"mip{level}",
-            f"{about}: completed means",
-            "color",
-        ),
-        BufferSpec(f"weight_{level}", np.float32, (), f"mip{level}", f"{about}: how much of it was valid, 0 to 1"),
-    )

@@ -1,18 +1,29 @@
-"""Intake of rendered frames: everything about a frame is checked here, before any work on it begins."""
+"""Intake of rendered frames: everything about a frame is checked here before any work on it begins, and then brought to
+the device."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import shown
+from gffe_cl.engine.core.validation import require_bool, shown
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import TYPES, FrameFormat, require_render_size
+from gffe_cl.engine.frame.frame_format import (
+    NO_JITTER,
+    TYPES,
+    FrameFormat,
+    conversion,
+    jitter_in_color,
+    require_render_size,
+)
 from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import (
+    BadPixels,
     HostArrays,
     RenderedFrame,
     checked_frame,
@@ -24,7 +35,9 @@ from gffe_cl.engine.frame.rendered_frame import (
     type_of,
 )
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, Sizes, given_buffer
+from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.engine.stages.upload import Upload
 
 
 @dataclass(frozen=True)
@@ -49,6 +62,8 @@ class PreparedFrame:
         With a `FrameFormat`: the types of the values given, by name as `TYPES` has them; None for missing motion.
     channels : dict of str to int
         With a `FrameFormat`: the channels of the values given.
+    zero_copy : bool
+        Whether arrays are to be used in place.
     """
 
     frame: RenderedFrame
@@ -59,6 +74,7 @@ class PreparedFrame:
     format: FrameFormat | None
     types: dict[str, str | None] = field(default_factory=dict)
     channels: dict[str, int] = field(default_factory=dict)
+    zero_copy: bool = False
 
 
 def prepare(
@@ -67,48 +83,74 @@ def prepare(
     device: Device,
     jittered: bool = False,
     format: FrameFormat | None = None,
+    zero_copy: bool = False,
+    earlier: DeviceFrame | None = None,
 ) -> PreparedFrame:
     """Return `frame` ready to be taken by a pipeline of `sizes` on `device`. If it is `jittered`, a display camera that
-    is not given is the rendered one without jitter. `format` describes its buffers if they differ from ours.
+    is not given is the rendered one without jitter. `format` describes its buffers if they differ from ours. Buffers of
+    an `earlier` frame of the pipeline are known to be right.
 
     Raises GffeError for a structural fault: invalid values, shapes or types, buffers that the device cannot use, motion
     missing although the frame is no reset, or two cameras of different poses.
     """
     frame = checked_frame(frame)
+    zero_copy = zero_copy is not False and require_bool(zero_copy, "submit: zero_copy")
     plain = frame
     if jittered and frame.display_camera is None:
         plain = replace(frame, camera=without_jitter(frame.camera, sizes.source))
     display_camera = display_camera_of(plain, sizes.source, sizes.target)
     require_one_pose(frame.camera, display_camera)
-    given: dict[str, Any] = {spec.name: getattr(frame, spec.name) for spec in RENDERED}
     geometry = require_render_size(format, sizes.source, frame.geometry_size)
     if geometry != sizes.source and format is None:
         format = FrameFormat()
-    specs = RENDERED if format is None else described_specs(format)
-    buffers: dict[str, Any] = {
-        s.name: given_buffer(given[s.name], s, sizes if s.name == "color" else replace(sizes, source=geometry), device)
-        for s in specs
-    }
-    if not any(buffers.values()):
-        width, height = sizes.source
-        if format is None:
-            return PreparedFrame(frame, display_camera, {}, host_arrays(frame, height, width), geometry, format)
-        arrays = described_arrays(frame, sizes.source, geometry)
-        types = {s.name: None if (a := getattr(arrays, s.name)) is None else type_of(a) for s in specs}
-        channels = {"color": arrays.color.shape[2], "motion": 2}
-        return PreparedFrame(frame, display_camera, {}, arrays, geometry, format, types, channels)
-    if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
-        del buffers["motion"]
-    if other := next((name for name, buffer in buffers.items() if not buffer), None):
-        raise GffeError(
-            "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
-            f" got {other} as {shown(given[other])}"
-        )
     if format is None:
-        return PreparedFrame(frame, display_camera, buffers, None, geometry, format)
-    types = {name: getattr(format, f"{name}_type") if name in buffers else None for name in given}
-    channels = {"color": format.color_channels, "motion": format.motion_channels}
-    return PreparedFrame(frame, display_camera, buffers, None, geometry, format, types, channels)
+        known = {spec.name: getattr(earlier, spec.name) for spec in RENDERED} if earlier else {}
+        buffers = _given(frame, RENDERED, sizes, sizes, device, known)
+    else:
+        buffers = _given(frame, described_specs(format), sizes, replace(sizes, source=geometry), device)
+    arrays = types = channels = None
+    if not any(buffers.values()):
+        buffers, width, height = {}, *sizes.source
+        if format is None:
+            arrays = host_arrays(frame, height, width)
+        else:
+            arrays = described_arrays(frame, sizes.source, geometry)
+            given = {spec.name: getattr(arrays, spec.name) for spec in RENDERED}
+            types = {name: None if array is None else type_of(array) for name, array in given.items()}
+            channels = {"color": arrays.color.shape[2], "motion": 2}
+    else:
+        if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
+            del buffers["motion"]
+        if other := next((name for name, buffer in buffers.items() if not buffer), None):
+            raise GffeError(
+                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
+                f" got {other} as {shown(getattr(frame, other))}"
+            )
+        if format:
+            types = {s.name: getattr(format, f"{s.name}_type") if s.name in buffers else None for s in RENDERED}
+            channels = {"color": format.color_channels, "motion": format.motion_channels}
+    return PreparedFrame(
+        frame, display_camera, buffers, arrays, geometry, format, types or {}, channels or {}, zero_copy
+    )
+
+
+def _given(
+    frame: RenderedFrame,
+    specs: Iterable[BufferSpec],
+    sizes: Sizes,
+    small: Sizes,
+    device: Device,
+    known: Mapping[str, cl.Buffer] = {},
+) -> dict[str, Any]:
+    """Return the device buffers that a frame gives, by name, with None for arrays. `small`: the sizes with those of
+    depth and motion; `known`: buffers that were checked before."""
+    buffers: dict[str, Any] = {}
+    for spec in specs:
+        array = getattr(frame, spec.name)
+        if known.get(spec.name) is not array or array is None:
+            array = given_buffer(array, spec, sizes if spec.name == "color" else small, device)
+        buffers[spec.name] = array
+    return buffers
 
 
 def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
@@ -119,3 +161,139 @@ def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
         replace(spec, dtype=TYPES[getattr(format, f"{spec.name}_type")][0], components=tuple(letters[spec.name]))
         for spec in (color, depth, motion)
     )
+
+
+def _three(buffers: Mapping[str, cl.Buffer]) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+    return buffers["color"], buffers["depth"], buffers["motion"]
+
+
+class Intake:
+    """Intake of a pipeline: checks rendered frames, and brings them into device buffers in the layout of `RENDERED`.
+
+    Device buffers in that layout are used in place, and so are NumPy arrays on CPUs, on request. All others are copied
+    or converted into buffers of its own, two sets in turn.
+
+    `geometry`: width and height of depth and motion of the last frame, as they were given. `reads_arrays`: whether
+    NumPy arrays were used in place.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes):
+        self.device, self.sizes, self.geometry = device, sizes, sizes.source
+        self.reads_arrays = False
+        self._board: Board | None = None
+        self._upload: Upload | None = None  # made with the first arrays, or buffers to convert
+        self._bad_pixels, self._copied_bytes = BadPixels(), 0  # without those that the stage `upload` still has
+        self._slots: list[DeviceFrame] = []
+        self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
+
+    def begin(self, board: Board) -> None:
+        """Work for the stages on `board` from now on. Counts go on."""
+        self._bad_pixels, self._copied_bytes = self.bad_pixels, self.copied_bytes
+        self._board, self._upload, self.geometry = board, None, self.sizes.source
+
+    @property
+    def bad_pixels(self) -> BadPixels:
+        """Bad pixels of all frames so far; waits for the device."""
+        if self._upload:
+            self._bad_pixels += self._upload.take_bad_pixels()
+        return self._bad_pixels
+
+    @property
+    def copied_bytes(self) -> int:
+        return self._copied_bytes + (self._upload.copied_bytes if self._upload else 0)
+
+    def take(self, prepared: PreparedFrame, previous: DeviceFrame | None, times: list[float]) -> DeviceFrame:
+        """Enqueue what brings a frame to the device, and return it there. `previous`: the frame before, None after a
+        reset; `times`: those of the frames before, newest first, seconds."""
+        frame, self.geometry = prepared.frame, prepared.geometry
+        jitter = frame.geometry_jitter
+        if jitter is not NO_JITTER:
+            jitter = jitter_in_color(jitter, self.sizes.source, prepared.geometry)
+        seen = frame.camera, prepared.display_camera, frame.time, jitter
+        if prepared.arrays is None:
+            return self._of_buffers(prepared, seen, previous, times)
+        upload, host = self._uploading(), prepared.arrays
+        self._count_conversions(frame, host)
+        if prepared.format:
+            color, depth, motion = self._slot()
+            taken = DeviceFrame(color, depth, motion, *seen)
+            upload.take(host, taken, step=self._conversion(prepared, taken, previous, times),
+                        is_dilated=prepared.format.motion_dilated)  # fmt: skip
+            return taken
+        shared = upload.shared(host) if prepared.zero_copy else {}
+        self.reads_arrays |= bool(shared)
+        color, depth, motion = _three(shared) if len(shared) == len(RENDERED) else self._slot(shared)
+        taken = DeviceFrame(color, depth, motion, *seen)
+        upload.take(host, taken, shared)
+        return taken
+
+    def conversions(self, format: FrameFormat | None) -> Iterator[tuple[Owner, BufferSpec, tuple[int, int]]]:
+        """Yield what `Pipeline.conversions` does, for frames of a `format`."""
+        upload, is_small = self._upload, self.geometry != self.sizes.source
+        if upload is None or not (is_small or (format and format.motion_dilated)):
+            return
+        for spec in upload.buffers:
+            if spec.view != "scalar" and spec.name in upload.buffer and (is_small or spec.name != "small_depth"):
+                yield upload, spec, self.geometry
+
+    def _uploading(self) -> Upload:
+        if self._upload is None:
+            assert self._board is not None  # `begin` was called
+            self._upload = Upload(self._board)
+        return self._upload
+
+    def _of_buffers(
+        self, prepared: PreparedFrame, seen: tuple, previous: DeviceFrame | None, times: list[float]
+    ) -> DeviceFrame:
+        """Return the frame of device buffers: with the buffers themselves, or converted ones."""
+        given, format = prepared.buffers, prepared.format
+        if format is None:
+            return DeviceFrame(given["color"], given["depth"], given.get("motion") or self._zero_motion(), *seen)
+        ours = format.is_ours
+        ours["geometry"] &= prepared.geometry == self.sizes.source
+        converted = {n: b for n, b in given.items() if not ours["color" if n == "color" else "geometry"]}
+        kept = {name: buffer for name, buffer in given.items() if name not in converted}
+        if "depth" in kept and "motion" not in given:
+            kept["motion"] = self._zero_motion()
+        if not converted:
+            color, depth, motion = _three(kept)
+            return DeviceFrame(color, depth, motion, *seen)
+        color, depth, motion = self._slot(kept)
+        taken = DeviceFrame(color, depth, motion, *seen)
+        step = self._conversion(prepared, taken, previous, times)
+        self._uploading().convert(converted, taken, step, format.motion_dilated)
+        return taken
+
+    def _conversion(
+        self, prepared: PreparedFrame, taken: DeviceFrame, previous: DeviceFrame | None, times: list[float]
+    ) -> Step:
+        """Return the step with the numbers that convert a frame into the buffers of `taken`."""
+        jitters = taken.geometry_jitter, previous.geometry_jitter if previous else taken.geometry_jitter
+        assert prepared.format is not None  # as it is only called with one
+        told = prepared.types, prepared.channels
+        given = conversion(prepared.format, self.sizes.source, *told, *jitters, prepared.geometry)
+        return Step(taken, previous, [taken.time, *times], given=given)
+
+    def _slot(self, instead: Mapping[str, cl.Buffer] = {}) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+        """Return buffers of its own for a frame, but for those given `instead`, by name. Two sets are used in turn."""
+        if len(self._slots) < 2:
+            motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
+            made = DeviceFrame.allocate(self.device, self.sizes.source, None, None, 0.0, motion=motion)
+            self._slots.append(made)
+        else:
+            self._slots.append(self._slots.pop(0))
+        return _three({spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED} | dict(instead))
+
+    def _count_conversions(self, frame: RenderedFrame, host: HostArrays) -> None:
+        """Count the bytes of arrays that the host converted to another type or layout."""
+        for spec in RENDERED:
+            array, made = getattr(frame, spec.name), getattr(host, spec.name)
+            if made is not None and not (isinstance(array, np.ndarray) and np.may_share_memory(array, made)):
+                self._copied_bytes += made.nbytes
+
+    def _zero_motion(self) -> cl.Buffer:
+        zeros = self._no_motion
+        if zeros is None:
+            self._no_motion = zeros = self.device.buffer(RENDERED[2].nbytes(self.sizes))
+            cl.enqueue_fill_buffer(self.device.queue, zeros, b"\0", 0, zeros.size)
+        return zeros

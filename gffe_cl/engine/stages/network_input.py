@@ -30,7 +30,7 @@ class NetworkInput(Stage):
             planes=INPUT_PLANES, mapped=True,
         ),
         BufferSpec(
-            "histogram", np.uint32, (), "once", "of the depths' leading bits",
+            "histogram", np.uint32, (), "once", "of the depths' leading bits; cleared once the median is known",
             planes=_CONSTANTS["BINS"], scratch=True,
         ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of every eighth row, to 1/256"),
@@ -47,7 +47,7 @@ class NetworkInput(Stage):
             "find_median",
             "once",
             {"histogram": "network_input.histogram"},
-            {"median_depth": "network_input.median_depth"},
+            {"histogram": "network_input.histogram", "median_depth": "network_input.median_depth"},
             group="SCANNERS",
         ),
         Kernel(
@@ -75,7 +75,6 @@ class NetworkInput(Stage):
         """Fill `frames`. After a reset there is no input."""
         if step.previous is None or (self.board.stages[ShadingTrend.name].is_still and not self._looked_at):
             return
-        self.fill("histogram", 0)
         self.launch("depth_histogram", step)
         self.launch("find_median")
         self.launch("network_input", step)

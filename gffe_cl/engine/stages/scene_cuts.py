@@ -74,10 +74,7 @@ class SceneCuts(Stage):
         self._camera_step = distance(step.frame.camera, step.previous.camera)
         self._jumped = before is not None and self._camera_step > TELEPORT * before
         self.launch("compare_samples", step)
-        if self.recorder is None:
-            queue, counts = self.device.queue, self.buffer["counts"]
-            self._counted = cl.enqueue_copy(queue, self._counts, counts, is_blocking=False)
-            queue.flush()
+        self._counted = self.board.commands.read(self.buffer["counts"], self._counts)
 
     def is_cut(self) -> bool:
         """Return whether the last rendered frame must be treated as a reset. Waits until its samples are counted: they
@@ -87,7 +84,7 @@ class SceneCuts(Stage):
         self._counted.wait()
         self._counted = None
         _, rows = self.sizes.of("cut_samples")
-        counts = map(sum, zip(*self._counts[:rows].tolist(), strict=True))  # NumPy would take longer for so few
+        counts = self._counts[:rows].sum(0).tolist()
         return counts_say_cut(dict(zip(COUNTED, counts, strict=True)), self._jumped)
 
 

@@ -13,9 +13,13 @@ from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
 
 _CONSTANTS = constants("shading_flow.cl")
-_LEVELS, _STEPS, _PRODUCTS = (_CONSTANTS[name] for name in ("FLOW_LEVELS", "FLOW_STEPS", "PRODUCTS"))
-_DIFFERENCES = _CONSTANTS["DIFFERENCES"]
+_LEVELS, _STEPS, _DIFFERENCES = (_CONSTANTS[name] for name in ("FLOW_LEVELS", "FLOW_STEPS", "DIFFERENCES"))
 assert _CONSTANTS["CANDIDATES"] == CANDIDATE_PLANES
+
+
+def _tiled(name: str, grid: str, reads: dict, writes: dict) -> Kernel:
+    """Return a kernel whose work-groups work in local memory on tiles of a grid."""
+    return Kernel(name, grid, reads, writes, group="TILE_WIDTH", group_rows="TILE_HEIGHT")
 
 
 class ShadingFlow(Stage):
@@ -50,13 +54,9 @@ class ShadingFlow(Stage):
             "texture", np.float32, (), "network1", "how far detail of brightness within 2×2 pixels of half the"
             " resolution is that of the previous frame, 0 to 1: texture of the surface",
         ),
+        BufferSpec("begun", np.float32, (), "network2", "the flow between steps, of any level", planes=2, scratch=True),
         BufferSpec(
-            "warped", np.float32, (), "network1", "brightness of the previous frame moved along the flow, of any level",
-            scratch=True,
-        ),
-        BufferSpec(
-            "products", np.float32, (), "network2", "products of gradients and differences, of any level",
-            planes=_PRODUCTS, scratch=True,
+            "no_flow", np.float32, (), f"network{_LEVELS + 1}", "zeros, with which it begins", planes=2, scratch=True
         ),
         BufferSpec(
             "differences", np.float32, (), "network2", "mean squared difference of brightness nearby: in place (1) and"
@@ -86,58 +86,27 @@ class ShadingFlow(Stage):
         ),
         Kernel(
             "halve_brightness",
-            "network{level}",
-            {"fine": "shading_flow.brightness{finer}"},
-            {"brightness": "shading_flow.brightness{level}"},
+            "network3",
+            {"brightness1": "shading_flow.brightness1", "brightness2": "shading_flow.brightness2"},
+            {"brightness2": "shading_flow.brightness2", "brightness3": "shading_flow.brightness3"},
             step=("LANES", 1),
         ),
-        Kernel(
-            "double_flow",
-            "network{coarser}",
-            {"coarse": "shading_flow.flow{coarsest}"},
-            {"flow": "shading_flow.flow{coarser}"},
-            step=("LANES", 1),
-        ),
-        Kernel(
-            "warp_brightness",
-            "network{level}",
-            {"brightness": "shading_flow.brightness{level}", "flow": "shading_flow.flow{coarser}"},
-            {"warped": "shading_flow.warped"},
-            step=("LANES", 1),
-        ),
-        Kernel(
-            "sum_products",
-            "network{coarser}",
-            {"brightness": "shading_flow.brightness{level}", "warped": "shading_flow.warped"},
-            {"products": "shading_flow.products"},
-            step=("LANES", 1),
-        ),
-        Kernel(
+        _tiled(
             "step_flow",
             "network{coarser}",
-            {"products": "shading_flow.products", "flow": "shading_flow.flow{coarser}"},
-            {"flow": "shading_flow.flow{coarser}"},
-            step=("LANES", 1),
+            {"brightness": "shading_flow.brightness{level}", "begun": "shading_flow.{from}"},
+            {"flow": "shading_flow.{to}"},
         ),
-        Kernel(
-            "sum_differences",
+        _tiled(
+            "find_differences",
             "network2",
             {
                 "brightness": "shading_flow.brightness1",
-                "warped": "shading_flow.warped",
                 "coarser": "shading_flow.brightness2",
                 "flow": "shading_flow.flow2",
                 "trends": Access("shading_trend.trends", planes=1),
             },
-            {"products": Access("shading_flow.products", planes=_DIFFERENCES)},
-            step=("LANES", 1),
-        ),
-        Kernel(
-            "blur_differences",
-            "network2",
-            {"products": Access("shading_flow.products", planes=_DIFFERENCES)},
             {"differences": "shading_flow.differences"},
-            step=("LANES", 1),
         ),
         Kernel(
             "find_candidates",
@@ -163,18 +132,14 @@ class ShadingFlow(Stage):
         if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             return
         self.launch("halve_frames", step)
-        for level in range(2, _LEVELS + 1):
-            self.launch("halve_brightness", step, level=level, finer=level - 1)
-        self.fill(f"flow{_LEVELS + 1}", 0)
+        self.launch("halve_brightness", step)
+        begun = "no_flow"
         for level in range(_LEVELS, 0, -1):
-            at = {"level": level, "coarser": level + 1}
-            if level < _LEVELS:
-                self.launch("double_flow", step, **at, coarsest=level + 2)
-            for _ in range(_STEPS):
-                self.launch("warp_brightness", step, **at)
-                self.launch("sum_products", step, **at)
-                self.launch("step_flow", step, **at)
-        self.launch("warp_brightness", step, level=1, coarser=2)
-        self.launch("sum_differences", step)
-        self.launch("blur_differences", step)
+            for number in range(_STEPS):
+                made = "begun" if (_STEPS - number) % 2 == 0 else f"flow{level + 1}"
+                doubles = int(number == 0 and level < _LEVELS)
+                given = {"level": level, "coarser": level + 1, "doubles": doubles, "from": begun, "to": made}
+                self.launch("step_flow", step, **given)
+                begun = made
+        self.launch("find_differences", step)
         self.launch("find_candidates", step)

@@ -65,6 +65,7 @@ class ShadingTrend(Stage):
             {"changes": "shading_trend.changes"},
             {"blurred": "shading_trend.blurred"},
             step=("LANES", 1),
+            repeats="planes",
         ),
         Kernel(
             "find_trend",
@@ -142,9 +143,9 @@ class ShadingTrend(Stage):
         self.launch("measure_changes", step)
         self.launch("find_change", step)
         options = self.board.options
-        if self.host_decides and options.corrects_shading and options.focus_mask and self.recorder is None:
+        if self.host_decides and options.corrects_shading and options.focus_mask:
             self._known = self._changed.open()
-        self.launch("blur_rows", step)
+        self.launch("blur_rows", step, planes=_CHANGES)
         self.launch("find_trend", step)
 
     def extrapolated(self, step: Step) -> None:

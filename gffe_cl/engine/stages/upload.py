@@ -122,12 +122,13 @@ class Upload(Stage):
             places = {name: self._in_memory(array) for name, array in given.items()}
         else:
             places = self._copy(given)
+        plain = Step(frame, None, [frame.time])
         if step:
             self.convert_places(places, frame, step, is_dilated)
         elif "color" in copied:
-            self._take_color(arrays.color, *places["color"], frame)
+            self._take_color(arrays.color, *places["color"], plain)
         if "depth" in copied and not step:
-            self._take_geometry(places, frame)
+            self._take_geometry(places, plain)
         if copied and self._in_place:
             self.device.queue.finish()  # kernels read the arrays
         if arrays.known_bad:
@@ -196,19 +197,19 @@ class Upload(Stage):
             return False
         return array.ctypes.data % self.device.alignment == 0
 
-    def _take_color(self, color: np.ndarray, given: cl.Buffer, start: int, frame: DeviceFrame) -> None:
-        kernel = "take_halves" if color.dtype == np.float16 else "take_floats"
-        step = Step(frame, None, [frame.time])
-        self.launch(kernel, step, given=given, start=start, channels=color.shape[2], color=frame.color)
-        self.copied_bytes += frame.color.size
+    def _take_color(self, color: np.ndarray, given: cl.Buffer, start: int, step: Step) -> None:
+        kernel, made = "take_halves" if color.dtype == np.float16 else "take_floats", step.frame.color
+        self.launch(kernel, step, given=given, start=start, channels=color.shape[2], color=made)
+        self.copied_bytes += made.size
 
-    def _take_geometry(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame) -> None:
+    def _take_geometry(self, places: Mapping[str, tuple[cl.Buffer, int]], step: Step) -> None:
+        frame = step.frame
         if "motion" not in places:
             cl.enqueue_fill_buffer(self.device.queue, frame.motion, b"\0", 0, frame.motion.size)
         given_depth, depth_start = places["depth"]
         given_motion, motion_start = places.get("motion", (frame.motion, 0))
         self.launch(
-            "take_geometry", Step(frame, None, [frame.time]),
+            "take_geometry", step,
             given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
             depth=frame.depth, motion=frame.motion,
         )  # fmt: skip

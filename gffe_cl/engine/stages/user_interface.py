@@ -49,9 +49,6 @@ class UserInterface(Stage):
     def is_wanted(cls, options: Options) -> bool:
         return options.ui_detection
 
-    def swap(self) -> None:
-        """Do nothing: `found` comes before the stages swap, and its events must stay."""
-
     def found(
         self,
         layers: Mapping[str, np.ndarray | cl.Buffer],
@@ -61,7 +58,6 @@ class UserInterface(Stage):
     ) -> dict[str, np.ndarray | cl.Buffer]:
         """Return the layers of `frame`, as of `Composition.prepared`, with what was found in `fixed_mask`. `previous`:
         the frame before, None after a reset. Both have all of their depth."""
-        super().swap()
         given = layers.get("fixed_mask")
         if isinstance(given, np.ndarray):
             cl.enqueue_copy(self.device.queue, self.buffer["mask"], given)

@@ -32,7 +32,7 @@ NEW_FRAME = {
 
 
 class Warp(NearestStage):
-    """Splats every fragment's footprint, nearest first, and resamples the rendered frame."""
+    """Splats every fragment's footprint, keeps the nearest fragment of each pixel, and resamples the rendered frame."""
 
     name = "warp"
     needs_footprints = True

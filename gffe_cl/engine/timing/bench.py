@@ -23,8 +23,9 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.base import Board, FrameBlocks, read_some_rows
+from gffe_cl.engine.stages.base import Board, read_some_rows
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.timing import traffic
@@ -203,8 +204,7 @@ def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Sampl
         ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(loop.interval)).color),
     ):
         launches[when] = traffic.launches_of(pipeline, work)
-        stages = {FrameBlocks.name: pipeline.board.blocks} | pipeline.stages
-        events[when] = {name: stage.take_events() for name, stage in stages.items()}
+        events[when] = pipeline.board.commands.take_events()
     pipeline.device.queue.finish()
     wall = (time.perf_counter() - start) * 1e3
     correction = pipeline.stages.get(ShadingCorrection.name)
@@ -217,9 +217,9 @@ def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Sampl
     for when, stages in events.items():
         for stage, done in stages.items():
             for kernel, event in done:
-                milliseconds = (event.profile.end - event.profile.start) * 1e-6
-                kernels[f"{stage}.{kernel}"] += milliseconds
-                parts[traffic.part(stage, when)] += milliseconds
+                ms = (event.profile.end - event.profile.start) * 1e-6
+                kernels[f"{stage}.{kernel}"] += ms
+                parts[traffic.part(stage, when)] += ms
                 commands[traffic.group(stage)] += 1
     parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
@@ -244,7 +244,7 @@ def _with_sums(parts: dict[str, float]) -> dict[str, float]:
     "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
     scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
-    apart = {name: value for name, value in parts.items() if name == "misc" or name in traffic.UPSCALING}
+    apart = {name: value for name, value in parts.items() if name == "misc" or name == "upscaling"}
     gae = {name: value for name, value in parts.items() if name not in scn and name not in apart}
     return gae | {"GAE": math.fsum(gae.values())} | apart | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
 
@@ -265,4 +265,5 @@ def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
     )
     presentation.present(now, before)
     device.queue.finish()
-    return host + presentation.take_milliseconds()
+    taken = milliseconds_of(presentation.board.commands.take_events())
+    return host + sum(taken[presentation.name].values())

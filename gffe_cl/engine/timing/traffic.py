@@ -7,11 +7,12 @@ the frame.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.base import Kernel, Share, share_of
+from gffe_cl.engine.stages.base import Access, Kernel, Share, share_of
+from gffe_cl.engine.stages.commands import Commands, Launch
 
 FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes the frame
 
@@ -21,12 +22,11 @@ SCN = {
     "shading_flow": "SCN, flow", "convolutions": "SCN, convolutions", "correction": "SCN, kernels",
     "network": "SCN, network", "network copies": "SCN, copies",
 }  # fmt: skip
-UPSCALING = ("upscaling", "sharpening")
 
 
 def group(stage: str) -> str:
     """Return the group of a stage in tables: "GAE", "SCN" or "upscaling"."""
-    return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
+    return "SCN" if stage in SCN else "upscaling" if stage == "upscaling" else "GAE"
 
 
 def part(stage: str, when: str) -> str:
@@ -44,21 +44,46 @@ def counters(pipeline: Pipeline) -> dict[str, float]:
     return {share.name: share.count(pipeline.board) for share in [*shares, FOCUS]}
 
 
-Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with the arguments of each launch
+Launches = dict[str, list[tuple[Kernel, Mapping[str, Any]]]]  # by stage: kernels, with the arguments of each launch
+
+
+class CountingCommands(Commands):
+    """Commands that are counted: `launches` are those of the pipeline's stages since they were last taken."""
+
+    def __init__(self, pipeline: Pipeline):
+        super().__init__(pipeline.device)
+        self._stages = (pipeline.board.blocks.name, *pipeline.stages)
+        self.launches: Launches = {name: [] for name in self._stages}
+
+    def launch(self, stage: Any, launch: Launch, given: Mapping[str, Any]) -> None:
+        super().launch(stage, launch, given)
+        self._note(stage, launch.declared, given)
+
+    def fill(self, stage: Any, name: str, byte: int, grid: str) -> None:
+        super().fill(stage, name, byte, grid)
+        share = math.prod(stage.sizes.of(grid)) / math.prod(stage.spec(name).size(stage.sizes))
+        self._note(stage, Kernel("fill", "once", writes={"": Access(f"{stage.name}.{name}", share)}), {})
+
+    def take_launches(self) -> Launches:
+        """Return `launches`, and begin anew."""
+        taken, self.launches = self.launches, {name: [] for name in self._stages}
+        return taken
+
+    def _note(self, stage: Any, kernel: Kernel, given: Mapping[str, Any]) -> None:
+        if stage.name in self.launches:
+            self.launches[stage.name].append((kernel, given))
 
 
 def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:
     """Return the launches of the pipeline during `work`."""
-    blocks = pipeline.board.blocks
-    stages = {blocks.name: blocks} | pipeline.stages
-    for stage in stages.values():
-        stage.launches = []
+    board = pipeline.board
+    before, board.commands = board.commands, (counting := CountingCommands(pipeline))
     try:
         work()
-        return {name: stage.launches for name, stage in stages.items()}
     finally:
-        for stage in stages.values():
-            stage.launches = None
+        board.commands = before
+        before.events += counting.events
+    return counting.launches
 
 
 def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, float]) -> dict[str, dict[str, float]]:

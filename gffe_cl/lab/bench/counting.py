@@ -164,8 +164,6 @@ def _make(folder: Path) -> None:
     for turn in before:
         pipeline.submit(turn.frame)
     pipeline.device.queue.finish()
-    for stage in pipeline.stages.values():
-        stage.take_events()
 
     def pair() -> None:
         pipeline.submit(last.frame)
@@ -175,10 +173,7 @@ def _make(folder: Path) -> None:
     device.queue.finish()
     moved = traffic.bytes_per_pixel(pipeline, launches, traffic.counters(pipeline))
     launched = [
-        (name, kernel)
-        for name, stage in pipeline.stages.items()
-        for kernel, _ in stage.take_events()
-        if kernel not in ("fill", "copy")
+        (name, kernel.name) for name in pipeline.stages for kernel, _ in launches[name] if kernel.name != "fill"
     ]
     declared = {f"{stage}.{kernel}": nbytes for stage, kernels in moved.items() for kernel, nbytes in kernels.items()}
     (folder / "made").write_text(json.dumps({"launched": launched, "declared": declared}))

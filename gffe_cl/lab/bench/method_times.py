@@ -40,7 +40,7 @@ _REST = 0.02  # seconds before each turn, in which the threads of the method bef
 OpenStep = Callable[[str, int], Callable[[], None]]  # description, number of parts → function to call after each
 
 
-class Clip(Footage):
+class TimedClip(Footage):
     """The first rendered frames of `footage`, up to the one after which `moments` new ones have been made: one after
     each that has any, the one nearest to the middle of the interval. Colors are float32."""
 
@@ -115,7 +115,7 @@ def measure_methods(subject: Subject, devices: list[Device], options: Options, r
     if options.upscale:
         raise GffeError("--methods takes frames of the display's size, not --upscale's")
     advance = step(f"{subject.name}: frames and ground truth", NO_HISTORY + min(subject.moments, MOMENTS))
-    clip = Clip(open_subject(subject, devices[0]), MOMENTS, advance)
+    clip = TimedClip(open_subject(subject, devices[0]), MOMENTS, advance)
     moments = sum(len(shot.moments) for shot in clip.shots())
     advance = step(f"{clip.name}: regions", moments)
     clip.labels = [labels for labels in find_labels(clip, devices[0]) if advance() is None]
@@ -126,7 +126,7 @@ def measure_methods(subject: Subject, devices: list[Device], options: Options, r
     return _report(clip, contestants, skipped)
 
 
-def _play(clip: Clip, contestants: list[Contestant], rounds: int, advance: Callable[[], None]) -> None:
+def _play(clip: TimedClip, contestants: list[Contestant], rounds: int, advance: Callable[[], None]) -> None:
     """Play the clip so many times: quality is measured in the first round, time in the others. In each turn another
     method begins."""
     for turn, (playing, (number, shot)) in enumerate(product(range(rounds), enumerate(clip.shots()))):
@@ -142,7 +142,7 @@ def _play(clip: Clip, contestants: list[Contestant], rounds: int, advance: Calla
             advance()
 
 
-def _contestants(clip: Clip, devices: list[Device], options: Options) -> tuple[list[Contestant], dict[str, str]]:
+def _contestants(clip: TimedClip, devices: list[Device], options: Options) -> tuple[list[Contestant], dict[str, str]]:
     """Return all contestants, and the reasons why methods are left out, by name."""
     changes = {FULL: {}, WITHOUT_NETWORK: {"shading_correction": False}, **OTHER_PRESETS}
     if not options.corrects_shading:
@@ -161,7 +161,7 @@ def _contestants(clip: Clip, devices: list[Device], options: Options) -> tuple[l
     return found, skipped
 
 
-def _report(clip: Clip, contestants: list[Contestant], skipped: dict[str, str]) -> dict:
+def _report(clip: TimedClip, contestants: list[Contestant], skipped: dict[str, str]) -> dict:
     """Return the `share` of the pixels by region; and by method the medians of milliseconds and of the ratios of its
     time to the first method's within a turn, PSNR in dB of all pixels together (not a mean of frames), and PSNR by
     region."""

@@ -27,9 +27,7 @@ class Flicker:
     def add(self, shown: np.ndarray, truth: np.ndarray) -> float | None:
         """Add display values (H, W, 3) of the next frame, as shown and as it should be. Return the change from the
         frame before, per cent; None for the first."""
-        from scipy.ndimage import gaussian_filter  # takes as long to import as all else the viewer starts with
-
-        error = gaussian_filter((shown - truth) @ LUMA, _SIGMA * shown.shape[0])
+        error = blurred((shown - truth) @ LUMA, _SIGMA * shown.shape[0])
         before, self._before = self._before, error
         if before is None:
             return None
@@ -45,3 +43,18 @@ class Flicker:
     def mean(self) -> float:
         """The mean over all changes; NaN if there were none."""
         return self.sum / self.count if self.count else float("nan")
+
+
+def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Return (H, W) float32, blurred by a Gaussian of `sigma` pixels up to 4 sigma; the image is mirrored at its
+    borders."""
+    radius = int(4 * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    weights = (weights / weights.sum()).astype(np.float32)
+    for _ in range(2):  # along columns, then along rows
+        padded = np.pad(image, ((radius, radius), (0, 0)), mode="symmetric")
+        sums = np.zeros_like(image)
+        for k, weight in enumerate(weights):
+            sums += weight * padded[k : k + len(image)]
+        image = np.ascontiguousarray(sums.T)
+    return image

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gffe_cl.engine.core.errors import how_to_install, require_packages
 from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure
 from gffe_cl.engine.frame.transfer_function import to_display as to_display  # inputs of metrics
 from gffe_cl.engine.stages.shading import FOCUS_SMAPE, SMAPE_EPSILON
@@ -81,7 +82,7 @@ class Metric:
 
     def missing(self) -> str | None:
         """Return None if the metric is available, else a sentence that names the package to install."""
-        what = f"{self.label} needs {self.package}: pip install {self.package}"
+        what = f"{self.label} needs {self.package}: {how_to_install('lab')}"
         try:
             importlib.import_module(self.module)
         except ModuleNotFoundError:
@@ -118,6 +119,7 @@ def similarity(a, b) -> np.ndarray:
     It is NaN where its window, 7×7, does not fit into the image. Source: Wang et al., Image Quality Assessment, TIP
     2004.
     """
+    require_packages("SSIM", "lab", "skimage")
     from skimage.metrics import structural_similarity
 
     a, b = np.asarray(a), np.asarray(b)

@@ -101,7 +101,7 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return `values` (H, W, C) with those of the nearest known pixel where `known` (H, W) is not set."""
     if known.all() or not known.any():
         return values
-    from scipy.ndimage import distance_transform_edt  # see flicker.py
+    from scipy.ndimage import distance_transform_edt
 
     nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
     y, x = nearest

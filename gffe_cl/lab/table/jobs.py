@@ -47,7 +47,7 @@ class Cell:
 
 @lru_cache(maxsize=1)
 def _device(name: str | None) -> Device:
-    return open_device(name)
+    return open_device(name, profiling=True)
 
 
 @lru_cache(maxsize=1)

@@ -52,7 +52,7 @@ class Filled:
 
 
 @dataclass(frozen=True)
-class Order:
+class TableOrder:
     """Requested evaluation. `methods`, `onnx` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`; `recompute`:
     ignore cached cells; `network`: as of `chosen_methods`."""
 
@@ -65,7 +65,7 @@ class Order:
 
 
 def fill(
-    order: Order,
+    order: TableOrder,
     folder: Path,
     device: str | None = None,
     executor: Executor | None = None,

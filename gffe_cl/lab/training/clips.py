@@ -35,6 +35,7 @@ _SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
 _SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
 _ALPHAS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 1.0)
 _RENDERED = 4  # rendered frames per clip
+_SAMPLES = 5  # of a pixel, across and down
 _UNSEEN = 2  # the first ones, without samples: trends need two intervals
 _PER_FRAME = 2  # ground truths after each of the others
 _MOST_INVERSE_DEPTH = 8.0
@@ -77,7 +78,7 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, l
     """Render and extrapolate a clip, and return samples (S, 11, H, W) float16 (`PLANES`), their trends (S, 8, H/2,
     W/2), of which the pipeline has every second row and column, and α."""
     scene = plan.make_scene()
-    scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
+    scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, _SAMPLES))
     options = Options(shading_inputs=True, shading_correction=False)
     pipeline = Pipeline(device, plan.width, plan.height, options, fps=plan.fps)
     pipeline.exposure = scene.exposure

@@ -12,9 +12,9 @@ from gffe_cl.captures.scenes.scene_types import (
     Box,
     Capsule,
     Ellipsoid,
-    Flicker,
     Group,
     Light,
+    LightFlicker,
     Material,
     Scene,
     Sphere,
@@ -245,7 +245,7 @@ def _screens(view: _View, rng) -> list[Group]:
         material = Material(
             (0.02,) * 3,
             emission=tuple(rng.uniform(0.1, 1.5, 3)),
-            flicker=Flicker(rate, 0.05, int(rng.integers(1 << 16))),
+            flicker=LightFlicker(rate, 0.05, int(rng.integers(1 << 16))),
         )
         box = Box((x * side, y * side, 0), (0.9 * side, 0.9 * side, 0.02), material)
         groups.append(Group([box], at, casts_shadow=False, name="screen"))

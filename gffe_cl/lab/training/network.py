@@ -75,7 +75,7 @@ class _Doubled(nn.Module):
         return double(image)
 
 
-class Convolutions(nn.Module):
+class ConvolutionLayers(nn.Module):
     """The convolutions of the network, stored in the ONNX file. `forward(frames, candidates)` returns the judgement,
     (N, 20, h/2, w/2), see `ShadingCorrectionNetwork`.
 
@@ -127,7 +127,7 @@ class ShadingCorrectionNetwork(nn.Module):
 
     def __init__(self):
         super().__init__()
-        self.convolutions = Convolutions()
+        self.convolutions = ConvolutionLayers()
         (hidden, seen), (said, _) = HEAD_LAYERS
         self.head = nn.Sequential(_conv(seen, hidden, size=1), nn.Conv2d(hidden, said, 1))
         self._begin()

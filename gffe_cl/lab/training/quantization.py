@@ -20,7 +20,7 @@ from onnx import helper, numpy_helper
 from torch import Tensor, nn
 
 from gffe_cl.engine.inference.model_interface import OUTPUT
-from gffe_cl.lab.training.network import Convolutions
+from gffe_cl.lab.training.network import ConvolutionLayers
 
 _LEVELS = 255  # steps of an activation's range
 _LARGEST_WEIGHT = 63
@@ -28,7 +28,7 @@ _KEPT = 1e-4  # share of an activation's values beyond its range, at either end
 _BALANCE = 0.5  # how far scales go by activations rather than by weights, as exponent
 _MOST_VALUES = 1 << 20  # of an activation that its range is found from
 
-Inputs = tuple[Tensor, Tensor]  # of `Convolutions.forward`
+Inputs = tuple[Tensor, Tensor]  # of `ConvolutionLayers.forward`
 
 
 class RoundedActivation(nn.Module):
@@ -57,7 +57,7 @@ def rounded(weight: Tensor) -> Tensor:
     return torch.fake_quantize_per_channel_affine(weight, unit, zero, 0, -_LARGEST_WEIGHT, _LARGEST_WEIGHT)
 
 
-class Gain(nn.Module):
+class ChannelGain(nn.Module):
     """Gain layer that scales the candidates, so that all channels share one range."""
 
     def __init__(self, gain: Tensor):
@@ -68,7 +68,7 @@ class Gain(nn.Module):
         return candidates * self.get_buffer("gain")
 
 
-def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
+def quantize(network: ConvolutionLayers, inputs: Iterable[Inputs]) -> None:
     """Make `network` compute as its integers will, with channels equalized and ranges found on `inputs`."""
     inputs = list(inputs)
     equalize(network, inputs)
@@ -80,7 +80,7 @@ def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
         convolution.weight_rounding = rounded
 
 
-def rounded_weights(network: Convolutions) -> Convolutions:
+def rounded_weights(network: ConvolutionLayers) -> ConvolutionLayers:
     """Return a copy of a network that was quantized, with the rounded weights in place of those that are trained."""
     network = copy.deepcopy(network)
     for convolution in _in_integers(network):
@@ -105,7 +105,7 @@ def equalize(network: Any, inputs: list[Inputs]) -> None:
         for weight in weights:
             weight *= scale.view(1, -1, 1, 1)
         if name == "given":
-            network.given = Gain(1 / scale)
+            network.given = ChannelGain(1 / scale)
         else:
             block: Any = network.get_submodule(name)
             convolution = block[0]
@@ -140,7 +140,7 @@ def _in_integers(network: Any) -> Iterator[Any]:
             yield module
 
 
-def _rounded(network: Convolutions) -> list[str]:
+def _rounded(network: ConvolutionLayers) -> list[str]:
     """Return the names of the modules whose outputs are integers."""
     names = ["seen.1", "given"]
     for name in _readers(network):
@@ -155,7 +155,7 @@ def _round(module: Any, _, x: Tensor) -> Tensor:
 
 @torch.no_grad()
 def _activations(
-    network: Convolutions, inputs: list[Inputs], names: list[str], by_channel: bool = False
+    network: ConvolutionLayers, inputs: list[Inputs], names: list[str], by_channel: bool = False
 ) -> dict[str, np.ndarray]:
     """Return some of the output values of the modules `names`, by name: (n,), or (channels, n)."""
     found: dict[str, list[Tensor]] = {name: [] for name in names}

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from doctor_clips import COUNT, H, W, assert_restored, clip, made_world, names, tiled, written
+from parameters import few
 from synthetic import Rect, Rects, camera
 
 from gffe_cl.captures.doctor import Repair, examine, open_for_check, quick_warning
@@ -100,7 +101,10 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("fault", NAMED)
+SEEN = ("motion negated", "motion to the next frame", "depth reversed", "camera transposed", "two frames swapped")
+
+
+@pytest.mark.parametrize("fault", few(NAMED, *SEEN, "motion rows"))
 def test_a_fault_is_named_and_repaired(fault):
     diagnosis, frames = repaired([fault])
     assert names(diagnosis) == [NAMED[fault]]
@@ -252,11 +256,11 @@ def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):
 
 def test_a_run_warns_of_what_does_not_fit(gffe, tmp_path):
     bad = written(tmp_path / "bad", broken(clip(), ["motion negated"]))
-    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn")
+    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn", checked=True)
     said = " ".join(err.split())
     assert code == 0 and "warning: motion vectors do not fit depth and cameras (median" in said
     assert f"`gffe check {bad}` has details" in said
-    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check")
+    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check", checked=True)
     assert code == 0 and "do not fit" not in err
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from doctor_clips import H, W, clip, names, written
+from parameters import few
 
 from gffe_cl import check
 from gffe_cl.captures.doctor import examine, quick_warning
@@ -98,7 +99,11 @@ def test_frames_without_anything_usable_are_named():
 
 
 @pytest.mark.parametrize(
-    ("value", "share"), [(65504, 0.002), ((-3e4, 0), 0.4), ((-W, -H), 0.02), ((-W / 2, -H / 2), 0.4)], ids=str
+    ("value", "share"),
+    few(
+        [(65504, 0.002), ((-3e4, 0), 0.4), ((-W, -H), 0.02), ((-W / 2, -H / 2), 0.4)], (65504, 0.002), ((-W, -H), 0.02)
+    ),
+    ids=str,
 )
 def test_vectors_that_were_never_written_are_no_evidence(value, share):
     """... neither for a fault, nor against a fault that there is."""

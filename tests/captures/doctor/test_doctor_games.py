@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from doctor_clips import clip, written
+from parameters import few
 from synthetic import camera
 
 from gffe_cl.captures.doctor import examine, quick_warning
@@ -103,7 +104,7 @@ def repeated(image, ratio):
     return image[(rows * ratio).astype(int)][:, (columns * ratio).astype(int)]
 
 
-@pytest.mark.parametrize(("ratio", "size"), [(1.5, (80, 45)), (2, (60, 34)), (3, (40, 23))])
+@pytest.mark.parametrize(("ratio", "size"), few([(1.5, (80, 45)), (2, (60, 34)), (3, (40, 23))], (1.5, (80, 45))))
 def test_repeated_geometry_is_named_with_its_size(ratio, size):
     small = [replace(f, depth=repeated(f.depth, ratio), motion=repeated(f.motion, ratio)) for f in clip().images]
     notes = [f for f in examine(Kept(small)).findings if f.name == "repeated"]
@@ -147,7 +148,7 @@ def test_a_run_detects_the_user_interface_that_its_check_sees(gffe, tmp_path):
         ("auto", hud, ()), ("on", hud, ("--ui-detection", "on")), ("off", hud, ("--ui-detection", "off")),
         ("unchecked", hud, ("--no-check",)), ("plain", plain, ()), ("plain off", plain, ("--ui-detection", "off")),
     ):  # fmt: skip
-        code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options)
+        code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options, checked=True)
         assert code == 0, error
         assert ("user interface detection is on" in text) == (name == "auto")
         assert ("warning: user interface in the color" in error) == (name in ("auto", "on", "off"))

@@ -25,7 +25,11 @@ def changed(**buffers):
     ("change", "said"),
     [
         (lambda z: np.minimum(z, 11.0), "are 11, the largest number, and vectors say that most of these are farther"),
-        (lambda z: np.minimum(np.round(z / 9 * 255), 255) * (9 / 255), "are 9, the largest number"),
+        pytest.param(
+            lambda z: np.minimum(np.round(z / 9 * 255), 255) * (9 / 255),
+            "are 9, the largest number",
+            marks=pytest.mark.long,
+        ),
         (lambda z: np.maximum(z, 9.5), "are 9.5, the smallest number, and vectors say that most of these are nearer"),
     ],
     ids=["clamped", "8 bits", "near"],

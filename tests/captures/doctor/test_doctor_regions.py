@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from doctor_clips import COUNT, H, W, clip, made_world, names
+from parameters import few
 from synthetic import camera
 
 from gffe_cl.captures.doctor import examine, quick_warning
@@ -46,7 +47,7 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("kind", VIEWS)
+@pytest.mark.parametrize("kind", few(VIEWS, "side by side"))
 def test_a_picture_of_several_views_is_noted(kind):
     left, top, width, height, scale, said = VIEWS[kind]
     bad = with_part(left, top, other_view(width, height, clip().images[0].camera.fx * scale))
@@ -62,7 +63,7 @@ PARTS = {
 }
 
 
-@pytest.mark.parametrize("kind", PARTS)
+@pytest.mark.parametrize("kind", few(PARTS, "half"))
 def test_vectors_of_another_convention_in_a_part_are_a_fault(kind):
     change, said = PARTS[kind]
     others = [

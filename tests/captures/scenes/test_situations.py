@@ -6,7 +6,7 @@ import pytest
 from scene_oracle import cast, clearances
 
 from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, is_scene, load_scene
-from gffe_cl.captures.scenes.scene_types import Flicker
+from gffe_cl.captures.scenes.scene_types import LightFlicker
 from gffe_cl.captures.scenes.situations import BUILDERS
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.lab.table.datasets import parse_subject
@@ -14,7 +14,7 @@ from gffe_cl.lab.table.datasets import parse_subject
 W, H = 64, 36
 TIME, STEP = 0.7, 1 / 30
 MOVING = ("handheld", "cab", "wipers", "quantized", "entering", "railings")  # cameras
-MOVERS, SHADING = ("bars", "ropes", "balls", "rotors"), ("lamps", "shadows", "fan", "screen")
+MOVERS, SHADING = ("bars", "ropes", "balls", "rotors", "marbles"), ("lamps", "shadows", "fan", "screen")
 
 
 def render(device, scene, time=TIME, other_time=TIME - STEP, size=(W, H), camera=None, **more):
@@ -50,11 +50,11 @@ def test_motion_is_rigid_and_the_camera_keeps_clear(name):
 
 
 def test_flicker_holds_and_jumps():
-    flicker = Flicker(rate=10.0, least=0.2, seed=3)
+    flicker = LightFlicker(rate=10.0, least=0.2, seed=3)
     values = np.array([[flicker((k + part) / 10) for part in (0.0, 0.4, 0.9)] for k in range(40)])
     assert np.ptp(values, axis=1).max() == 0 and 0.2 <= values.min() < 0.3 and 0.9 < values.max() <= 1
     assert np.abs(np.diff(values[:, 0])).mean() > 0.15
-    assert values[5, 0] != Flicker(rate=10.0, least=0.2, seed=4)(0.5)
+    assert values[5, 0] != LightFlicker(rate=10.0, least=0.2, seed=4)(0.5)
 
 
 def test_a_handheld_camera_accelerates_and_others_hardly_move():

@@ -85,7 +85,7 @@ def write(folder, frames, format):
 
 def on_device(pipeline):
     found = np.empty((H, W), np.float32), np.empty((H, W, 2), np.float32)
-    for array, buffer in zip(found, pipeline._current.buffers[1:], strict=True):
+    for array, buffer in zip(found, pipeline.frames.current.buffers[1:], strict=True):
         cl.enqueue_copy(pipeline.device.queue, array, buffer)
     return found
 

@@ -153,7 +153,7 @@ def test_engines_buffers_become_our_conventions(device, engine):
                           geometry_jitter=jitter if jittered else NONE)
         )  # fmt: skip
     found, moved = np.empty((H, W), np.float32), np.empty((H, W, 2), np.float32)
-    for array, buffer in ((found, pipeline._current.depth), (moved, pipeline._current.motion)):
+    for array, buffer in ((found, pipeline.frames.current.depth), (moved, pipeline.frames.current.motion)):
         cl.enqueue_copy(device.queue, array, buffer)
     # Depth of planes 0.25 and 60 units away in 24 bits of a mantissa: 2^-24 · z / near, some 3e-5 at 50 units.
     np.testing.assert_allclose(found, world.depth, rtol=5e-5)
@@ -189,12 +189,12 @@ def test_no_conversion_of_our_own_buffers(device):
     arrays = [np.ones((H, W, n), dtype) for n, dtype in ((4, np.float16), (1, np.float32), (2, np.float32))]
     buffers = [cl.Buffer(device.context, flags, hostbuf=array) for array in arrays]
     pipeline.submit(RenderedFrame(*buffers, NOW, 0.0, reset=True))
-    assert pipeline._current.buffers == tuple(buffers)
+    assert pipeline.frames.current.buffers == tuple(buffers)
     pipeline.format = FrameFormat(motion_unit="uv")
     pipeline.submit(RenderedFrame(*buffers, NOW, 0.1))
-    assert pipeline._current.color is buffers[0] and pipeline._current.depth is not buffers[1]
+    assert pipeline.frames.current.color is buffers[0] and pipeline.frames.current.depth is not buffers[1]
     moved = np.empty((H, W, 2), np.float32)
-    cl.enqueue_copy(device.queue, moved, pipeline._current.motion)
+    cl.enqueue_copy(device.queue, moved, pipeline.frames.current.motion)
     assert np.isnan(moved).all()  # a whole image and more: no pixel moves so far
     assert pipeline.bad_pixels.long == W * H
 
@@ -209,7 +209,7 @@ def test_invalid_values_are_unknown_and_not_bad(device):
         motion[3, :, 0] = value if abs(value) < 1 else 0.01  # one component alone is a vector
         pipeline.submit(RenderedFrame(np.ones((H, W, 3), np.float16), np.ones((H, W)), motion, NOW, 0.0))
         moved = np.empty((H, W, 2), np.float32)
-        cl.enqueue_copy(device.queue, moved, pipeline._current.motion)
+        cl.enqueue_copy(device.queue, moved, pipeline.frames.current.motion)
         assert np.isnan(moved[:3]).all() and np.isfinite(moved[3:]).all() and not pipeline.bad_pixels
 
 
@@ -231,6 +231,7 @@ def test_invalid_values_are_unknown_and_not_bad(device):
         ({"camera_motion": "movers_only"}, "needs motion_invalid"),
         ({"motion_invalid": math.nan}, "motion_invalid must be a finite number"),
         ({"color_size": (0, 5)}, "color_size must be (width, height)"),
+        ({"geometry_size": (5, 0)}, "geometry_size must be (width, height)"),
     ],
 )
 def test_wrong_descriptions_are_refused(wrong, text):
@@ -274,7 +275,7 @@ def test_edges_of_smaller_geometry_follow_color(device):
         how = {"reset": k == 0, "geometry_jitter": jitter, "geometry_size": geometry}
         pipeline.submit(RenderedFrame(color.astype(np.float16), depth, motion, view, k / 30, **how))
         found, moved = np.empty(size[::-1], np.float32), np.empty((*size[::-1], 2), np.float32)
-        for array, buffer in ((found, pipeline._current.depth), (moved, pipeline._current.motion)):
+        for array, buffer in ((found, pipeline.frames.current.depth), (moved, pipeline.frames.current.motion)):
             cl.enqueue_copy(device.queue, array, buffer)
         wrong = (np.abs(found / full_depth - 1) > 0.01) | (np.abs(moved - full_motion).max(-1) > 0.01)
         y, x = (np.arange(n) * m // n for n, m in zip(size[::-1], geometry[::-1], strict=True))
@@ -282,7 +283,7 @@ def test_edges_of_smaller_geometry_follow_color(device):
         shares.append((wrong.mean(), repeated.mean()))
     worst, by_repeating = np.max(shares, 0)
     assert worst < 0.002 and by_repeating > 0.005
-    assert len(pipeline._times) == len(sizes) and not pipeline.is_cut
+    assert len(pipeline.frames.times) == len(sizes) and not pipeline.is_cut
     dynamic = pipeline.stages["history"].read("dynamic_mask") != 0
     assert (dynamic != (full_motion != 0).any(-1)).mean() < 0.005
 

@@ -22,7 +22,7 @@ from gffe_cl.engine.inference import provider_check, provider_choice
 from gffe_cl.engine.inference import providers as runtime
 from gffe_cl.engine.inference.model_interface import shapes_at
 from gffe_cl.engine.inference.network import Network, NetworkError, load_network
-from gffe_cl.engine.inference.provider_check import Verdict, verdict
+from gffe_cl.engine.inference.provider_check import ProviderVerdict, verdict
 from gffe_cl.engine.inference.provider_choice import Choice, choose
 from gffe_cl.engine.inference.providers import CPU, PROVIDERS
 
@@ -69,7 +69,7 @@ def test_providers_that_are_not_there(tmp_path, name):
 
 
 def passing(provider, milliseconds):
-    return Verdict(provider, "GPU", 1e-6, milliseconds, 90.0)
+    return ProviderVerdict(provider, "GPU", 1e-6, milliseconds, 90.0)
 
 
 @pytest.mark.parametrize(
@@ -79,9 +79,13 @@ def passing(provider, milliseconds):
         ({"webgpu": passing("webgpu", 5.0), "openvino": passing("openvino", 50.0)}, "webgpu", ""),
         ({"webgpu": passing("webgpu", 200.0)}, "cpu", ""),
         ({"webgpu": passing("webgpu", float("inf"))}, "cpu", ""),
-        ({"webgpu": Verdict("webgpu", problem="no device", present=False)}, "cpu", ""),
-        ({"webgpu": Verdict("webgpu", problem="its results differ")}, "cpu", "its results differ"),
-        ({"webgpu": Verdict("webgpu", problem="crashed"), "openvino": passing("openvino", 9.0)}, "openvino", "crashed"),
+        ({"webgpu": ProviderVerdict("webgpu", problem="no device", present=False)}, "cpu", ""),
+        ({"webgpu": ProviderVerdict("webgpu", problem="its results differ")}, "cpu", "its results differ"),
+        (
+            {"webgpu": ProviderVerdict("webgpu", problem="crashed"), "openvino": passing("openvino", 9.0)},
+            "openvino",
+            "crashed",
+        ),
     ],
 )
 def test_auto_is_the_fastest_that_passes(monkeypatch, found, expected, remark):
@@ -115,7 +119,7 @@ def test_verdicts_are_kept(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/another.json")
     verdict(path, WEBGPU)
     assert len(calls) == 5
-    answer = Verdict("webgpu", problem="its driver crashed")
+    answer = ProviderVerdict("webgpu", problem="its driver crashed")
     verdict(path, WEBGPU, refresh=True)
     assert verdict(path, WEBGPU) == answer and len(calls) == 6
     newest = max(cache.iterdir(), key=lambda file: file.stat().st_mtime)
@@ -171,9 +175,9 @@ def test_what_a_driver_does_is_no_harm(cache, tmp_path, monkeypatch, does, probl
 
 def test_devices_says_what_may_run_the_network(gffe, tmp_path, monkeypatch):
     found = {
-        "webgpu": Verdict("webgpu", "Fast GPU", 2e-6, 5.0, 90.0),
-        "cuda": Verdict("cuda", problem="provider cuda: its driver crashed (exit code -11)"),
-        "openvino": Verdict("openvino", "Slow one", 2e-6),
+        "webgpu": ProviderVerdict("webgpu", "Fast GPU", 2e-6, 5.0, 90.0),
+        "cuda": ProviderVerdict("cuda", problem="provider cuda: its driver crashed (exit code -11)"),
+        "openvino": ProviderVerdict("openvino", "Slow one", 2e-6),
     }
     monkeypatch.setattr(inference, "default_model", lambda: Path(look_model(tmp_path / "m.onnx")))
     monkeypatch.setattr(runtime, "installed_providers", lambda: [CPU, *(PROVIDERS[name] for name in found)])
@@ -249,7 +253,17 @@ def test_a_driver_that_fails_as_a_session_is_made(device, tmp_path, monkeypatch)
     assert network.provider == CPU.ort and "no memory" in network.remark
 
 
-@pytest.mark.parametrize("command", ["run", "study", "view"])
+def test_kernels_run_the_network_where_onnxruntime_is_not_installed(monkeypatch):
+    monkeypatch.setattr(inference, "_loaded", {})
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    network = load_network(runtime.cpu_model(runtime.PACKAGED), None)
+    assert network.layers and inference.reason(network, None, on_gpu=False) == "onnxruntime is not installed"
+    runtime.load_onnxruntime.cache_clear()
+    with pytest.raises(NetworkError, match="onnxruntime is not installed"):
+        load_network(runtime.PACKAGED, CPU.name)
+
+
+@pytest.mark.parametrize("command", ["run", "eval", "view"])
 def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, monkeypatch, command):
     """... the viewer in its window, too."""
     monkeypatch.setattr(inference, "choose", lambda *_: Choice(CPU, remark="provider webgpu: crashed"))
@@ -258,8 +272,9 @@ def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, mo
     if command == "run":
         tiny_sequence.write(tmp_path / "in", frames=2)
         arguments = ("run", tmp_path / "in", tmp_path / "out", "--no-check")
-    elif command == "study":
-        arguments = ("study", "corridor", "--shading", "--seeds", "1", "--frames", "4", "--size", "64x36")
+    elif command == "eval":
+        options = ("--methods", "gffe", "--frames", "4", "--size", "64x36", "--out", tmp_path / "report")
+        arguments = ("eval", "corridor", *options)
     else:
         pytest.importorskip("imgui_bundle")
         monkeypatch.setattr("gffe_cl.viewer.shell.start.require_display", lambda: None)

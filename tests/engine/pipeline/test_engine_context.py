@@ -12,7 +12,7 @@ import pytest
 import scn_models
 from synthetic import Rect, Rects, camera
 
-from gffe_cl import Device, GffeError, Options, Overlays, Pipeline
+from gffe_cl import Device, GffeError, Options, Overlays, Pipeline, open_device
 from gffe_cl.engine.frame.rendered_frame import host_arrays
 from gffe_cl.engine.stages.correction import ShadingCorrection
 
@@ -70,7 +70,7 @@ def references(thing, info):
 
 
 def test_an_engines_context_and_buffers_give_the_same_bits(device, context):
-    """All of it by handles; without profiling there are no timings."""
+    """All of it by handles; without profiling there are no timings, and buffers that come again are used again."""
     queue = cl.CommandQueue(context)
     own = Device.from_context(context.int_ptr, queue.int_ptr)
     assert (own.context, own.queue, own.profiles) == (context, queue, False)
@@ -80,7 +80,12 @@ def test_an_engines_context_and_buffers_give_the_same_bits(device, context):
         kept.append(buffers_of(frame, context))
         pipeline.submit(by_handle(frame, kept[-1]))
     assert bits(pipeline.extrapolate()) == expected_bits(device)
-    assert pipeline.take_timings() == {} and pipeline.copied_bytes == 0
+    assert pipeline.copied_bytes == 0
+    for take in (pipeline.take_timings, pipeline.take_kernel_timings):
+        with pytest.raises(
+            GffeError, match=r"^take_\w*timings: .* has no profiling .expected open_device.profiling=True"
+        ):
+            take()
 
 
 def test_handles_of_another_loader(device):
@@ -114,8 +119,9 @@ def test_handles_of_another_loader(device):
     assert loader.clReleaseCommandQueue(pointer(queue)) == loader.clReleaseContext(pointer(context)) == 0
 
 
-def test_a_queue_with_profiling_gives_timings(context):
-    own = Device.from_context(context, None)
+def test_a_queue_with_profiling_gives_timings(device, context):
+    assert not any(made.profiles for made in (Device.from_context(context), open_device(device.info.index)))
+    own = Device.from_context(context, None, profiling=True)
     assert own.profiles and own.queue.context == context
     pipeline = Pipeline(own, W, H, PLAIN)
     pipeline.submit(next(frames()))
@@ -278,7 +284,7 @@ def test_the_event_comes_after_the_network(engine, tmp_path, monkeypatch, beside
     cl.enqueue_copy(cl.CommandQueue(engine.context), out, made.color)
     assert out[..., :3].tobytes() == made.numpy("color").tobytes()
     assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
-    assert set(pipeline.take_timings()) == {"network"}
+    assert set(correction.take_network_milliseconds()) == {"network"}
 
 
 def test_events_that_cannot_be_waited_for(device, engine, context):

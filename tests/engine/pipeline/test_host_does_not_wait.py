@@ -5,9 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
+from held_device import is_complete, wait_for, while_the_device_waits
 
 from gffe_cl import Options, Pipeline
+from gffe_cl.engine.core import validation
+from gffe_cl.engine.frame import frame_format, rendered_frame
+from gffe_cl.engine.pipeline import pipeline as pipeline_module
 from gffe_cl.engine.selftest.scene import CUT, FPS, display_camera, frames
+from gffe_cl.engine.stages import intake
 
 SIZE = (64, 36)
 
@@ -35,20 +40,16 @@ def make(pipeline, frame):
     return pipeline.extrapolate(display_camera(time, *SIZE), time)
 
 
-def is_complete(event):
-    return event.command_execution_status == cl.command_execution_status.COMPLETE
-
-
 def behind_a_gate(device, pipeline, frame, also):
-    """Submit `frame` to a device that may not begin, and do `also`; returns the event of `submit`."""
-    gate = cl.UserEvent(device.context)
-    try:
+    """Submit `frame` to a device that may not begin, do `also`, and wait for the event of `submit`."""
+
+    def work(gate):
         done = pipeline.submit(frame, wait_for=[gate])
         also()
         assert not is_complete(done)
-    finally:
-        gate.set_status(cl.command_execution_status.COMPLETE)
-    done.wait()
+        return done
+
+    wait_for(while_the_device_waits(device, work))
 
 
 @pytest.mark.parametrize("detects", [True, False])
@@ -81,6 +82,33 @@ def test_arrays_are_copied_without_waiting(device, seen, monkeypatch):
     for name in ("color", "depth", "motion"):
         np.testing.assert_array_equal(make(expected, seen[-1]).numpy(name), make(found, seen[-1]).numpy(name))
     assert found.bad_pixels == expected.bad_pixels
+
+
+def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
+    """Validation is entered three times. Buffers that come in turns are arguments of kernels already, whatever the
+    order of others before; the bits are those of buffers that are new each time."""
+    options = Options(shading_correction=False, cut_detection=False)
+    again, anew = Pipeline(device, *SIZE, options), Pipeline(device, *SIZE, options)
+    sets = [on(device, seen[k]) for k in range(3)]
+    entered, set_again = [], []
+    for k, number in enumerate((0, 1, 2, 0, 1, 0, 1, 0, 1)):
+        frame = replace(seen[number], time=k / FPS, reset=k in (0, 5))
+        with monkeypatch.context() as patch:
+            for name in (name for name in vars(validation) if name.startswith("require_")):
+                for module in (intake, rendered_frame, frame_format, pipeline_module):
+                    if function := vars(module).get(name):
+                        patch.setattr(
+                            module, name, lambda *a, f=function, **more: (entered.append(f), f(*a, **more))[1]
+                        )
+            buffers = {name: getattr(sets[number], name) for name in ("color", "depth", "motion")}
+            again.submit(replace(frame, **buffers))
+            assert len(entered) <= 3
+            entered.clear()
+        set_again.append(again.board.shown)
+        anew.submit(replace(frame, **{name: getattr(on(device, frame), name) for name in buffers}))
+        made = [make(pipeline, frame).numpy("color") for pipeline in (again, anew)]
+        np.testing.assert_array_equal(*made)
+    assert set_again[8] is set_again[6] and set_again[6] is not set_again[4]
 
 
 def test_an_unmarked_cut_is_one_in_the_frame_that_is_made_next(device, seen):

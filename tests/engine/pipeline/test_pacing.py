@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from parameters import few
 
 from gffe_cl import Camera, GffeError, Options, Pacer, Pipeline, RenderedFrame
 from gffe_cl.engine.frame.intervals import FAR_ALPHA, HELD_ALPHA, interval_of
@@ -272,19 +273,21 @@ class AnyProgram:
         self.now += 0 if plan.held else making
         self.pacer.ready(self.now)
         assert np.isfinite([plan.refresh, plan.time, plan.alpha, self.pacer.statistics.jitter]).all()
-        assert 0 <= plan.alpha <= self.most + 1e-6
+        assert 0 <= plan.alpha <= self.most
         if self.last:
             assert plan.refresh > self.last.refresh and plan.time >= self.last.time
         if not plan.held:  # what `Pipeline.extrapolate` would be given
-            assert 0 <= (plan.time - self.times[0]) / interval_of(self.times, self.rate) <= self.most + 1e-6
+            interval = interval_of(self.times, self.rate)
+            rounding = 1e-6 + 2 * np.spacing(abs(self.times[0])) / interval
+            assert 0 <= (plan.time - self.times[0]) / interval <= self.most + rounding
         self.last = plan
         return plan
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", few(range(10), 0, 1, 2))
 def test_any_events_keep_the_limits_and_are_forgotten(seed):
     """Two hundred sequences for each seed. After random events 24 rendered frames come evenly, and are paced evenly
-    from the third on."""
+    from the third on, after a renderer's clock that stood still from the sixth on."""
     for turn in range(200):
         rng = np.random.default_rng([seed, turn])
         program, stands_still = AnyProgram(rng), rng.random() < 0.3
@@ -305,7 +308,7 @@ def test_any_events_keep_the_limits_and_are_forgotten(seed):
                 count += 1
             plans.append((count, program.show(0.2 / shown)))
             program.now = max(program.now, program.last.refresh)
-        refreshes = [plan.refresh for count, plan in plans if count > 3]
+        refreshes = [plan.refresh for count, plan in plans if count > (6 if stands_still else 3)]
         assert np.allclose(np.diff(refreshes), 1 / shown, rtol=1e-3), turn
         beat = rate // math.gcd(rate, shown)  # rendered frames, of which the quickest is the delay
         held = sum(plan.held for count, plan in plans if count > 2 + 2 * beat)

@@ -39,7 +39,7 @@ def submitting(pipeline, frame):
         assert may_end.wait(SECONDS)
 
     pipeline.watcher = SimpleNamespace(before=before, submitted=lambda *_: None)
-    thread = threading.Thread(target=pipeline.submit, args=(frame,))
+    thread = threading.Thread(target=pipeline.submit, args=(frame,), daemon=True)
     thread.start()
     assert inside.wait(SECONDS)
     try:

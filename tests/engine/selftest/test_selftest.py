@@ -20,7 +20,7 @@ from gffe_cl.engine.selftest import report, selftest
 from gffe_cl.engine.selftest.network import compare_provider, model_digest
 from gffe_cl.engine.selftest.reference import (
     KEPT_MOMENT,
-    Comparison,
+    BufferComparison,
     Difference,
     Reference,
     digest,
@@ -47,7 +47,7 @@ def differences(device, form, cases=CASES, until=None):
     """By "case: buffer"."""
     found = {}
     for name in cases:
-        comparison = Comparison(recorded(), name)
+        comparison = BufferComparison(recorded(), name)
         for moment, buffers in moments(open_info(device.info), CASES[name], form):
             comparison.add(moment, buffers)
             if moment == until:
@@ -110,7 +110,7 @@ def test_differences_are_told_in_ulp_and_pixels():
     other = values.copy()
     other[1, 2] = np.nextafter(np.float16(1), np.float16(2))
     other[3, 4, 0] = np.nextafter(np.float16(1), np.float16(0))
-    comparison = Comparison(reference, "a")
+    comparison = BufferComparison(reference, "a")
     comparison.add("frame 0 + 1/3", {"x.color": other, "x.mask": np.zeros((4, 5), np.uint8)})
     comparison.add(KEPT_MOMENT, {"x.color": other, "x.mask": np.zeros((4, 5), np.uint8)})
     (name, found), *others = comparison.different.items()
@@ -207,11 +207,11 @@ def test_oclgrind_gives_the_recorded_bits():
         pytest.skip("oclgrind is not installed")
     code = """
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.engine.selftest.reference import Comparison, recorded
+from gffe_cl.engine.selftest.reference import BufferComparison, recorded
 from gffe_cl.engine.selftest.workload import CASES, forms_of, moments
 device = open_device()
 assert device.info.platform == "Oclgrind"
-comparison = Comparison(recorded(), "default")
+comparison = BufferComparison(recorded(), "default")
 for moment, buffers in moments(device, CASES["default"], forms_of(device)[0]):
     comparison.add(moment, buffers)
     if moment == "frame 1 + 1/3":

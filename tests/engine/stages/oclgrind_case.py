@@ -42,8 +42,8 @@ def without_looks(folder):
 def stages(device, int64):
     """All kernels of the pipeline, in the path with 64-bit atomics or the one without."""
     for options in (
-        Options(history=3, order=2, shading_inputs=True, upscale=1, upscale_sharpening=0.5),
-        Options(hole_filling="push-pull"),
+        Options(history=3, order=2, shading_inputs=True, upscale=1),
+        Options(),
         Options.preset("performance"),
     ):
         case = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))

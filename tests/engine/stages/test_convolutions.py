@@ -1,6 +1,5 @@
 """The network's convolutions as kernels: against their twin and onnxruntime, bit by bit."""
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,17 +7,14 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
-from device_arrays import copy_to
-from network_stages import made_stages
+from network_stages import made_before_the_device_begins, made_stages
 from scn_models import integer_model
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
-from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.inference.providers import cpu_model
-from gffe_cl.engine.stages.buffers import DeviceFrame
 
 SIZES = [(61, 37), (1, 1), (130, 70), (20, 150)]
 
@@ -214,25 +210,9 @@ def test_the_host_waits_for_nothing(device, default_model, monkeypatch):
     monkeypatch.setattr(inference, "default_model", default_model)
     pipeline = Pipeline(device, 40, 24, Options(scn_provider=OPENCL, cut_detection=False))
     for frame in moving_light((40, 24), 4):
-        buffers = DeviceFrame.allocate(device, (40, 24), frame.camera, frame.camera, frame.time)
-        color = np.concatenate([frame.color, np.zeros_like(frame.color[..., :1])], -1)
-        copy_to(device, buffers, HostArrays(color, frame.depth, frame.motion))
-        frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
-        may_begin, made = cl.UserEvent(device.context), []
-
-        def make(frame=frame, may_begin=may_begin, made=made):
-            pipeline.submit(frame, wait_for=[may_begin])
-            made.append(pipeline.extrapolate())
-
-        making = threading.Thread(target=make)
-        making.start()
-        making.join(20)
-        returned = bool(made)
-        may_begin.set_status(cl.command_execution_status.COMPLETE)
-        making.join(20)
-        assert returned, "the host waited for the device"
+        made = made_before_the_device_begins(pipeline, frame)
         assert pipeline._unfinished is None
-    assert made[0].numpy("color").tobytes() != made[0].numpy("gae").tobytes()
+    assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
 
 
 def files_of(folder):

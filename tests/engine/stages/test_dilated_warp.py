@@ -6,7 +6,8 @@ from twin_cases import assert_close, run
 from twins.dilated_warp import dilated_splat, resample_dilated
 
 from gffe_cl.engine.options import PRESETS, Options
-from gffe_cl.engine.pipeline.pipeline import Pipeline, stages_of
+from gffe_cl.engine.pipeline.order import stages_of
+from gffe_cl.engine.pipeline.pipeline import Pipeline
 
 OPTIONS = Options.preset("performance")
 SIZES = ((61, 37), None), ((48, 33), (64, 48)), ((64, 48), (40, 31)), ((5, 4), None)

@@ -329,7 +329,7 @@ def test_device_buffers_are_used_in_place(device):
                 frame.motion = None
             pipeline.submit(frame)
             if on_device:
-                assert pipeline._current.color is frame.color
+                assert pipeline.frames.current.color is frame.color
             out = pipeline.extrapolate(dolly(k + 0.5), (k + 0.5) / 30)
             results.append([out.numpy(n).tobytes() for n in ("color", "depth", "motion", "filled_by")])
             assert isinstance(out.color, cl.Buffer)

@@ -56,11 +56,12 @@ def test_tracking(device, lanes, size, positions):
     past = dynamic = history = None
     for frame in frames(width, height, 5):
         host = host_arrays(frame).in_device_layout()
-        board.previous = board.rendered
-        board.rendered = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
-        copy_to(device, board.rendered, host)
+        before = board.rendered
+        taken = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
+        copy_to(device, taken, host)
         stage.swap()
-        stage.rendered(Step(board.rendered, board.previous, []))
+        board.show(taken, before)
+        stage.rendered(Step(taken, before, []))
         if past is None:
             expected = *(np.zeros((height, width)) for _ in range(2)), np.zeros((positions - 1, height, width, 4))
         else:
@@ -98,11 +99,12 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
         frame = world.frame(view, k / 30, width, height, past and (past.camera, past.time), reset=k == 0)
         mover = frame.depth < 10
         frame.motion = sum(sign * encoding.motion(sign * frame.motion / lookups) for _ in range(lookups))
-        board.previous = board.rendered
-        board.rendered = DeviceFrame.allocate(device, (width, height), view, view, frame.time)
-        copy_to(device, board.rendered, host_arrays(frame).in_device_layout())
+        before = board.rendered
+        taken = DeviceFrame.allocate(device, (width, height), view, view, frame.time)
+        copy_to(device, taken, host_arrays(frame).in_device_layout())
         stage.swap()
-        stage.rendered(Step(board.rendered, board.previous, []))
+        board.show(taken, before)
+        stage.rendered(Step(taken, before, []))
         if past is None:
             past = frame
     threshold, error = twins.static_threshold(frame.depth, frame.motion, reprojection(frame.camera, past.camera))

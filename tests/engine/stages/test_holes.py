@@ -8,8 +8,8 @@ from synthetic import Rect, Rects, camera
 from twin_cases import assert_close, frames
 
 from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.outputs import Output
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.base import Output
 from gffe_cl.engine.stages.frame_block import reprojection
 
 
@@ -26,19 +26,17 @@ def test_kernels_equal_their_twins(case):
         changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
         assert changed > 5e-4 or case.options.levels == 1
         warped |= {"color": mixed}
-    sums, surfaces, reach = (None, None), None, case.pipeline.stages["holes"].reach
-    if case.options.hole_filling != "push-pull":
-        lines = None
-        if reach:
-            lines = case.read("holes", "border_lines")
-            codes = case.read("color_code", "codes")[..., :3]
-            np.testing.assert_allclose(lines, twins.border_lines(codes), rtol=1e-4, atol=1e-6 * np.abs(lines).max())
-            assert (lines[0] > 0).sum() > 10
-        surfaces = twins.continued_surfaces(warped, reach, case.to_source, *source, lines)
-        asked = twins.asked_texels(warped, surfaces)
-        sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
-        np.testing.assert_allclose(case.read("holes", "downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
-        np.testing.assert_allclose(case.read("holes", "downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
+    lines, reach = None, case.pipeline.stages["holes"].reach
+    if reach:
+        lines = case.read("holes", "border_lines")
+        codes = case.read("color_code", "codes")[..., :3]
+        np.testing.assert_allclose(lines, twins.border_lines(codes), rtol=1e-4, atol=1e-6 * np.abs(lines).max())
+        assert (lines[0] > 0).sum() > 10
+    surfaces = twins.continued_surfaces(warped, reach, case.to_source, *source, lines)
+    asked = twins.asked_texels(warped, surfaces)
+    sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
+    np.testing.assert_allclose(case.read("holes", "downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(case.read("holes", "downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
     filled = twins.fill_holes(warped, *sums, case.to_source, reach, source[0], surfaces)
     left = case.after("holes")
     for name in ("color", "depth", "motion"):
@@ -131,7 +129,7 @@ def test_turning_away_fills_everything(device):
 def test_labels_tell_holes_that_are_filled_from_those_that_are_not(device):
     """255 is hole filling; 253 is nothing, where holes stay."""
     turned = camera(W, H, yaw=0.5)
-    for filling, label in (("far-side", 255), ("push-pull", 255), ("downsample", 255), ("none", 253)):
+    for filling, label in (("far-side", 255), ("downsample", 255), ("none", 253)):
         pipeline = Pipeline(device, W, H, Options(hole_filling=filling))
         submit(pipeline, Rects([WALL]), [camera(W, H)] * 2, [0, 1 / 30])
         out = pipeline.extrapolate(turned, 1.5 / 30)

@@ -3,7 +3,7 @@
 import numpy as np
 import twins
 from synthetic import Rect, Rects, camera
-from twin_cases import assert_close, read_history, read_movers
+from twin_cases import assert_close, read_history, read_movers, time_of
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.stages.frame_block import polynomial_weights, reprojection
@@ -27,7 +27,7 @@ def test_kernel_equals_its_twin(case):
         known = (dynamic > 0) & (met_depth > 0)
         with np.errstate(invalid="ignore"):
             history = np.concatenate([twins.move(in_previous, case.from_previous), known[..., None]], -1)[None]
-    weights = polynomial_weights([now.time, past.time, *(past.time - k / 30 for k in (1, 2))], now.time + 0.02, 5)
+    weights = polynomial_weights([time_of(k) for k in (3, 2, 1, 0)], now.time + 0.02, 5)
     found = read_movers(case.pipeline)
     with np.errstate(invalid="ignore"):
         predicted = twins.predict_positions(

@@ -7,18 +7,16 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 import pytest
-from device_arrays import copy_to
+from network_stages import made_before_the_device_begins
 from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
 from synthetic import Rect, Rects, camera
 from twin_cases import run
 
 from gffe_cl import GffeError, Options, Pipeline
-from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.engine.inference.network import load_network
 from gffe_cl.engine.opencl.device import quiet_builds
-from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.correction import ShadingCorrection
 
 
@@ -62,7 +60,7 @@ def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypa
             made = pipeline.extrapolate()
             before_color(pipeline, following)
             yield bits(made.numpy("color")), bits(made.numpy("gae"))
-            if following and pipeline._current.time < following.time:
+            if following and pipeline.frames.current.time < following.time:
                 pipeline.submit(following)
 
     expected = list(images(Pipeline(device, *size, options), lambda *_: None))
@@ -102,28 +100,9 @@ def test_nothing_waits_for_the_decision_that_a_frame_is_still(device, model, mon
     for k, factor in enumerate((1, 0.6, 0.36, 0.36)):
         frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
         frame.color = frame.color * np.float16(factor)
-        buffers = DeviceFrame.allocate(device, (40, 24), cam, cam, frame.time)
-        copy_to(device, buffers, HostArrays(with_alpha(frame.color), frame.depth, frame.motion))
-        frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
-        may_begin, made = cl.UserEvent(device.context), []
-
-        def make(frame=frame, may_begin=may_begin, made=made):
-            pipeline.submit(frame, wait_for=[may_begin])
-            made.append(pipeline.extrapolate())
-
-        making = threading.Thread(target=make)
-        making.start()
-        making.join(20)
-        returned = bool(made)
-        may_begin.set_status(cl.command_execution_status.COMPLETE)
-        making.join(20)
-        assert returned, "the host waited for the device"
-        assert (bits(made[0].numpy("color")) == bits(made[0].numpy("gae"))) == (k != 2)
+        made = made_before_the_device_begins(pipeline, frame)
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k != 2)
     assert pipeline.stages["shading_trend"].is_still
-
-
-def with_alpha(color):
-    return np.concatenate([color, np.zeros_like(color[..., :1])], -1)
 
 
 @pytest.mark.parametrize("beside", [False, True], ids=["here", "beside"])

@@ -81,7 +81,7 @@ def test_a_few_samples_that_change_are_noise(device, size):
     """More than eight in one tile of 4×4 cells are not; tiles at the border have fewer cells."""
     pipeline = Pipeline(device, *size, LOOKED_AT)
     pipeline.submit(next(lit_frames([1.0], size)))
-    stage, step = pipeline.stages["shading_trend"], Step(pipeline._current, None, [0.0])
+    stage, step = pipeline.stages["shading_trend"], Step(pipeline.frames.current, None, [0.0])
     height, width = shape = stage.read("changed_samples").shape
     for corner in {(0, 0), (height - 1, width - 1), (min(3, height - 1), min(4, width - 1))}:
         samples, (top, left) = np.zeros(shape, np.uint8), (4 * (side // 4) for side in corner)

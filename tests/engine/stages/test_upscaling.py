@@ -333,10 +333,10 @@ def test_options_refuse_what_is_between_off_and_one():
 
 
 def test_all_devices_give_the_same_bits():
-    """Of all that is kept, and of generated frames, sharpened."""
+    """Of all that is kept, and of generated frames."""
     made = []
     for info in (info for info in list_devices() if info.works):
-        pipeline = pipeline_for(open_info(info), upscale_sharpening=0.5)
+        pipeline = pipeline_for(open_info(info))
         for frame in frames(MOVING, 5, still=False):
             pipeline.submit(frame)
         stage = pipeline.stages["upscaling"]

@@ -12,8 +12,8 @@ def _is_of_cell(z, cell_depth):
 
 
 def _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth):
-    """Mean velocity in the world and in view space, position and depths of the nearest mover among pixels `inside`;
-    None if there is none."""
+    """Return mean velocity in the world and in view space, position and depths of the nearest mover among pixels
+    `inside`; None if there is none."""
     nearest = min((depth[at] for at in inside), default=INF)
     of_it = [at for at in inside if _is_of_cell(depth[at], nearest)]
     if not of_it:
@@ -33,14 +33,15 @@ def _trust(velocity, found, share):
 
 
 def _carried_on(found, before):
-    """The third difference goes on as at α = ½, less where it is over half of the second."""
+    """Return the acceleration with its change continued as at α = ½, less where that is over half of the
+    acceleration."""
     change, most = found - before, F(ACCELERATION.TURN_MOST) * np.linalg.norm(found)
     size = np.linalg.norm(change)
     return found + F(ACCELERATION.TURN) * change * (F(1) if size <= most else (most / size) ** 2)
 
 
 def _as_packed(acceleration):
-    """As it reads after packing: ten bits of the mantissa, trust in steps of 1/62."""
+    """Return values as they are after packing: ten bits of the mantissa, trust in steps of 1/62."""
     vector = ((np.ascontiguousarray(acceleration[..., :3]).view(np.uint32) + 0x1000) & 0xFFFFE000).view(F)
     trust, steps = acceleration[..., 3:], F(ACCELERATION.MOST_TRUST)
     return np.concatenate([vector, np.where(trust < 0, F(-1), np.floor(trust * steps + F(0.5)) / steps)], -1)
@@ -59,8 +60,8 @@ def track_acceleration(
     from_previous,
     camera_fixed=True,
 ):
-    """Velocity and depth, acceleration and trust, what goes on of it, velocity in view space and whether the camera
-    carries the mover, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
+    """Return velocity and depth, acceleration and trust, the part of it that goes on, velocity in view space and
+    whether the camera carries the mover, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
     side, (height, width) = ACCELERATION.MOVER_CELL, depth.shape
     cells = -(-height // side), -(-width // side)
     velocity, acceleration, bend, view_velocity = (np.zeros((*cells, 4), F) for _ in range(4))

@@ -11,14 +11,15 @@ EMPTY_TEXEL, SHOWN, REMEMBERED, EDGE = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKG
 
 
 def shown_state(depth, dynamic, single):
-    """(H, W) uint8: the state of level 0 before anything is remembered; of a `single` one only what is beside movers is
-    open."""
+    """Return (H, W) uint8: the state of level 0 before anything is remembered; of a `single` one only what is beside
+    movers is open."""
     static = single & (unmixed(np.where(invalid(depth), np.nan, F(1)), dynamic) > 0)
     return np.where(unmixed(depth, dynamic) > 0, SHOWN, np.where(static, EDGE, EMPTY_TEXEL)).astype(np.uint8)
 
 
 def collect_shown(color, depth, dynamic, single):
-    """Level 0, perhaps a `single` one, before anything is remembered: color (H, W, 4) float16, depth, px, state."""
+    """Return level 0, perhaps a `single` one, before anything is remembered: color (H, W, 4) float16, depth, px,
+    state."""
     height, width = depth.shape
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
@@ -31,7 +32,7 @@ def collect_shown(color, depth, dynamic, single):
 
 
 def as_rgb9e5(color):
-    """(…, 4) float16 of colors (…, 3 or 4) once they were stored in three mantissas that share an exponent."""
+    """Return (…, 4) float16 of colors (…, 3 or 4) once they were stored in three mantissas that share an exponent."""
     kept = np.clip(color[..., :3].astype(np.float64), 0, BACKGROUND.COLOR_MOST)
     exponent = np.floor(np.log2(np.maximum(kept.max(-1, keepdims=True), 2.0**-16)))
     carries = np.rint(kept.max(-1, keepdims=True) * 2.0 ** (8 - exponent)) == 512
@@ -42,7 +43,7 @@ def as_rgb9e5(color):
 
 
 def as_offset(px, texel, level):
-    """(2,) float32 of a position once it was stored as the offset from the center of `texel` (row, column)."""
+    """Return (2,) float32 of a position once it was stored as the offset from the center of `texel` (row, column)."""
     side = F(1 << level)
     center = (np.array(texel[::-1], F) + F(0.5)) * side
     units = np.clip(np.rint((px - center) * (BACKGROUND.PX_UNITS / side)), -32768, 32767)
@@ -59,7 +60,7 @@ def _slopes(depth, links):
 
 
 def _fragments(level):
-    """px, depth, color and presence of all that a level holds, flat: what is shown first."""
+    """Return px, depth, color and presence of all fragments of a level, flat: shown ones first."""
     shown = level.get("shown", level)
     present = [(level["state"] == state).reshape(-1) for state in (SHOWN, REMEMBERED)]
     return [
@@ -69,14 +70,14 @@ def _fragments(level):
 
 
 def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
-    """All levels of a rendered frame from those of the frame before (lists of dicts; "shown" of level 0 is its
+    """Return all levels of a rendered frame from those of the frame before (lists of dicts; "shown" of level 0 is its
     `collect_shown`) and `level0`, its `collect_shown`. Ties and order as in the kernels."""
     height, width = depth.shape
     count = len(levels_before)
     slopes = _slopes(depth, links)
 
     def may_be_at(sy, sx, z):
-        """(allowed, margin, behind) for a fragment of depth z."""
+        """Return (allowed, margin, behind) for a fragment of depth z."""
         shown = depth[sy, sx]
         if invalid(shown):
             return True, F(0), True
@@ -139,7 +140,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
 
 
 def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
-    """Code of the color of a static point in the frame before, or None."""
+    """Return the code of the color of a static point in the frame before, or None."""
     height, width = depth_prev.shape
     x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
     if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or not unmixed_prev[int(y), int(x)]:
@@ -158,7 +159,7 @@ def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
 
 
 def project_background(warped, levels, zoom, to_target, to_source, before):
-    """color, depth, motion and filled_by of the warped frame after background projection; levels as for
+    """Return color, depth, motion and filled_by of the warped frame after background projection; levels as for
     `collect_levels`; `before`: the arguments of `shown_before` from color_prev on."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape

@@ -1,4 +1,4 @@
-"""What twins share: projections, constants of kernels."""
+"""Shared parts of twins: projections, constants of kernels."""
 
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ COMMON = SimpleNamespace(**constants("common.h"))
 
 
 def kernel_constants(file):
-    """Those of a kernel file, as attributes; fractions are float32."""
+    """Return the constants of a kernel file as attributes; fractions are float32."""
     return SimpleNamespace(**{name: F(v) if isinstance(v, float) else v for name, v in constants(file).items()})
 
 
@@ -26,7 +26,7 @@ CODE_OFFSET = F(0.5)  # of color_code.h, at exposure 1; tests set it to 0 for li
 
 
 def encode_color(c):
-    """Codes of colors."""
+    """Return codes of colors."""
     c = np.asarray(c, F)
     if not CODE_OFFSET:
         return c
@@ -38,7 +38,7 @@ def encode_color(c):
 
 
 def decode_color(code):
-    """Colors of codes."""
+    """Return colors of codes."""
     code = np.asarray(code, F)
     if not CODE_OFFSET:
         return code
@@ -52,7 +52,7 @@ def decode_color(code):
 
 
 def centers(height, width):
-    """(H, W, 2) float32 pixel centers."""
+    """Return (H, W, 2) float32 pixel centers."""
     y, x = np.mgrid[:height, :width].astype(F)
     return np.stack([x + F(0.5), y + F(0.5)], -1)
 

@@ -7,14 +7,14 @@ from twins.warp import load_color
 
 
 def layer_texels(layer):
-    """(H, W, 4) float32 of a premultiplied layer; what is no number is transparent."""
+    """Return (H, W, 4) float32 of a premultiplied layer; what is no number is transparent."""
     alpha = layer[..., 3].astype(F)
     alpha = np.where(np.isnan(alpha), F(0), np.clip(alpha, F(0), F(1)))
     return np.concatenate([load_color(layer), alpha[..., None]], -1)
 
 
 def layer_at(layer, px):
-    """Bilinear at positions (…, 2); transparent beyond the image."""
+    """Return bilinear samples at positions (…, 2); transparent beyond the image."""
     height, width = layer.shape[:2]
     texels = np.zeros((height + 4, width + 4, 4), F)
     texels[2:-2, 2:-2] = layer_texels(layer)
@@ -43,7 +43,7 @@ def effects_origin(px, alpha, motion):
 
 
 def compose(color, frame, source_color, source_depth, to_render, alpha, layers):
-    """Composed color (H, W, 4) float16; changes the dictionary `frame` (depth, motion, dynamic, disoccluded,
+    """Return composed color (H, W, 4) float16; changes the dictionary `frame` (depth, motion, dynamic, disoccluded,
     filled_by). `layers`: arrays by the names of `Overlays`' fields."""
     height, width = color.shape[:2]
     px = centers(height, width)

@@ -7,7 +7,7 @@ from twins.common import F
 
 
 def judge_with(network, frames, candidates):
-    """Judgement (20, h, w) float32 and all images between the layers, (channels, h, w) uint8 by name."""
+    """Return judgement (20, h, w) float32 and all images between the layers, (channels, h, w) uint8 by name."""
     made = {}
     for layer in network.layers:
         sources = [made[image.name] for image in layer.sources]
@@ -34,7 +34,7 @@ def numbers_of(image, pixels):
 
 
 def sums_of(pixels, layer):
-    """Sums of integers, in steps of the first rounding."""
+    """Return sums of integers, in steps of the first rounding."""
     size, zero = layer.weights.shape[-1], layer.sources[0].zero
     padded = np.pad(pixels.astype(np.int64), ((0, 0), *[(size // 2,) * 2] * 2), constant_values=zero)
     windows = sliding_window_view(padded, (size, size), (1, 2))[:, :: layer.stride, :: layer.stride]
@@ -45,7 +45,7 @@ def sums_of(pixels, layer):
 
 
 def rounded_in_turn(results, layer):
-    """Images of a layer: rounded twice and, for joining, once more."""
+    """Return images of a layer: rounded twice and, for joining, once more."""
     steps = results if layer.kind == "convolution" else in_steps(results, layer.roundings[0])
     pixels = to_bytes(steps, layer.roundings[0])
     images = []
@@ -63,14 +63,14 @@ def in_steps(numbers, rounding):
 
 
 def to_bytes(steps, rounding):
-    """NaN is the least byte."""
+    """Return values as bytes; NaN is the least one."""
     whole = np.rint(np.fmin(np.fmax(steps, F(-rounding.zero)), F(255 - rounding.zero)))
     return (whole + rounding.zero).astype(np.uint8)
 
 
 def in_floats(planes, layer, border):
-    """A convolution in floats, in the order of onnxruntime: of one input channel after the other, each from 0; of
-    single pixels of all at once."""
+    """Return a convolution in floats, in the order of onnxruntime: of one input channel after the other, each from 0;
+    of single pixels of all at once."""
     size, outputs = layer.weights.shape[-1], len(layer.weights)
     padded = np.pad(planes, ((0, 0), *[(border, border)] * 2))
     windows = sliding_window_view(padded, (size, size), (1, 2))[:, :: layer.stride, :: layer.stride]
@@ -85,7 +85,8 @@ def in_floats(planes, layer, border):
 
 
 def fused(a, b, c):
-    """a b + c in float32, rounded once: in float64 the sum is rounded to odd, so that no second rounding counts."""
+    """Return a b + c in float32, rounded once: in float64 the sum is rounded to odd, so that no second rounding
+    counts."""
     product, c = a.astype(np.float64) * b.astype(np.float64), c.astype(np.float64)
     total = product + c
     back = total - product
@@ -96,7 +97,7 @@ def fused(a, b, c):
 
 
 def doubled_image(numbers):
-    """Numbers (channels, h, w) at twice the size, bilinear, in the order of onnxruntime."""
+    """Return numbers (channels, h, w) at twice the size, bilinear, in the order of onnxruntime."""
     (left, right, wx), (above, below, wy) = (neighbors(n) for n in numbers.shape[:0:-1])
     wy = wy[:, :, None]
     parts = (
@@ -111,7 +112,7 @@ def doubled_image(numbers):
 
 
 def neighbors(count):
-    """Both pixels that each doubled one lies between, and their weights (2, 2 count)."""
+    """Return both pixels that each doubled one lies between, and their weights (2, 2 count)."""
     centers = np.clip((np.arange(2 * count) + 0.5) / 2 - 0.5, 0, count - 1).astype(F)
     first = centers.astype(int)
     second = np.minimum(first + 1, count - 1)

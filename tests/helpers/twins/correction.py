@@ -21,8 +21,8 @@ def sigmoid(x):
 
 
 def choose_flow(judgement, candidates, differences, alpha):
-    """(4, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts, and how far the
-    focus mask is trusted."""
+    """Return (4, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts, and how far
+    the focus mask is trusted."""
     found = F(alpha) * (CANDIDATES.FOUND_UNIT * candidates[CANDIDATES.FOUND : CANDIDATES.FOUND + 2])
     own = CORRECTION.FLOW_UNIT * judgement[:2]
     lasts = np.clip(candidates[CANDIDATES.HELD] + judgement[3], F(0), F(1))
@@ -33,7 +33,8 @@ def choose_flow(judgement, candidates, differences, alpha):
 
 
 def judge(frames, trends, judgement, chosen, head, texture, refined=False):
-    """(5, h, w): the correction at half resolution; unless the `refined` image is made, too, only where it is used."""
+    """Return (5, h, w): the correction at half resolution; unless the `refined` image is made, too, only where it is
+    used."""
     seen_count, hidden, said_count = CORRECTION.SEEN, CORRECTION.HIDDEN, CORRECTION.SAID
     parts = np.split(head, np.cumsum([hidden * seen_count, hidden, said_count * hidden]))
     first, bias, second, last = parts[0].reshape(hidden, -1), parts[1], parts[2].reshape(said_count, -1), parts[3]
@@ -68,7 +69,7 @@ def judge(frames, trends, judgement, chosen, head, texture, refined=False):
 
 
 def correct(color, frames, correction, exposure, within_mask=True):
-    """(refined (H, W, 4) float16, focus mask (H, W) float16, final (H, W, 4) float16)."""
+    """Return (refined (H, W, 4) float16, focus mask (H, W) float16, final (H, W, 4) float16)."""
     height, width = color.shape[:2]
     half_height, half_width = frames.shape[1:]
     y, x = np.mgrid[:height, :width]

@@ -11,7 +11,7 @@ NOTHING = np.iinfo(np.uint64).max
 
 
 def dilate(depth):
-    """The least depth (H, W) of each 3x3 and the index of its pixel; of sky the pixel's own."""
+    """Return the least depth (H, W) of each 3x3 and the index of its pixel; of sky the pixel's own."""
     height, width = depth.shape
     y, x = np.mgrid[:height, :width]
     least, nearest = np.full(depth.shape, np.inf, F), y * width + x
@@ -24,7 +24,7 @@ def dilate(depth):
 
 
 def dilate_splat(depth, motion, alpha):
-    """Keys (H, W) uint64 that the splat leaves: depth bits << 32 | word, or all bits."""
+    """Return keys (H, W) uint64 that the splat leaves: depth bits << 32 | word, or all bits."""
     height, width = depth.shape
     least, nearest = dilate(depth)
     move = -F(alpha) * motion.reshape(-1, 2)[nearest]
@@ -41,8 +41,8 @@ def dilate_splat(depth, motion, alpha):
 
 
 def with_neighbors(keys, accepts=lambda y, x, offered: np.ones(len(offered), bool)):
-    """Keys in which pixels that none reached have the least of the nearest ring around them that `accepts` accepts for
-    the pixel, if there is one."""
+    """Return keys in which pixels that none reached have the least of the nearest ring around them that `accepts`
+    accepts for the pixel, if there is one."""
     found = keys.copy()
     for y, x in np.argwhere(words_of(keys) == NOBODY):
         for reach in range(1, SPLAT.FILL_REACH + 1):
@@ -58,12 +58,12 @@ def with_neighbors(keys, accepts=lambda y, x, offered: np.ones(len(offered), boo
 
 
 def components(words):
-    """The vectors (…, 2) in words."""
+    """Return the vectors (…, 2) in words."""
     return (np.stack([words & 0xFFFF, words >> 16], -1).astype(F) - SPLAT.ZERO) * (F(1) / SPLAT.STEPS)
 
 
 def warp_back(keys, motion, color, alpha):
-    """Color (H, W, 4) float32 of the new frame from those keys; of `color` as halfs."""
+    """Return color (H, W, 4) float32 of the new frame from those keys; of `color` as halfs."""
     height, width = keys.shape
     filling = with_neighbors(keys)
     move = components(words_of(filling))

@@ -8,7 +8,7 @@ from twins.warp import codes_of, load_color, resampled
 
 
 def dilated_splat(target_position, depth, zoom, target_size):
-    """Keys (H', W') uint64 that the splat leaves: depth bits << 32 | word, or all bits."""
+    """Return keys (H', W') uint64 that the splat leaves: depth bits << 32 | word, or all bits."""
     height, width = depth.shape
     target_width, target_height = target_size
     _, nearest = dilate(depth)
@@ -30,8 +30,8 @@ def dilated_splat(target_position, depth, zoom, target_size):
 
 
 def with_surfaces_beside(keys, z_there, zoom):
-    """Keys in which pixels that none reached have that of the nearest surface beside which shows nothing nearer where
-    it leads them. `z_there` (H, W): depths of the rendered frame's pixels in the new one."""
+    """Return keys in which pixels that none reached have that of the nearest surface beside which shows nothing nearer
+    where it leads them. `z_there` (H, W): depths of the rendered frame's pixels in the new one."""
     own = centers(*keys.shape) * (F(1) / zoom)
 
     def shows_itself(y, x, offered):
@@ -44,7 +44,7 @@ def with_surfaces_beside(keys, z_there, zoom):
 
 
 def resample_dilated(keys, target_position, color, dynamic, zoom, to_source):
-    """All outputs of the stage, as a dict of (H', W', …) arrays named like the frame's buffers."""
+    """Return all outputs of the stage, as a dict of (H', W', …) arrays named like the frame's buffers."""
     height, width = keys.shape
     source_height, source_width = dynamic.shape
     filling, center = with_surfaces_beside(keys, target_position[..., 2], zoom), centers(height, width)

@@ -11,8 +11,9 @@ FRAME = kernel_constants("frame.h")
 
 
 def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, before=None):
-    """color, depth, motion and filled_by of the warped frame with the hidden parts of movers, and the parts of those
-    that enter. `before`: motion from the rendered frame to the one before it, depth there, and the reprojection."""
+    """Return color, depth, motion and filled_by of the warped frame with the hidden parts of movers, and the parts
+    of those that enter. `before`: motion from the rendered frame to the one before it, depth there, and the
+    reprojection."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     depth, holes, dynamic = warped["depth"], warped["disoccluded"] > 0, warped["dynamic"] > 0
     height, width = source_depth.shape
@@ -22,7 +23,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         return np.array([q[1] + 0.5, q[0] + 0.5], F) + warped["motion"][q] + np.array(offset, F)
 
     def mover(y, x, d):
-        """(distance, pixel) of the first mover in direction d, or None."""
+        """Return (distance, pixel) of the first mover in direction d, or None."""
         before = []
         for distance, q in march(y, x, d, reach, depth.shape):
             if not dynamic[q]:
@@ -40,7 +41,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         return None
 
     def seen_through(q, px, z):
-        """Whether the frame before showed something farther where the part at `px`, at depth z, was then."""
+        """Return whether the frame before showed something farther where the part at `px`, at depth z, was then."""
         if before is None:
             return False
         motion, depth_prev, to_previous = before
@@ -52,7 +53,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         return HIDDEN.HIDES * z_prev > reproject(px[None], F(z)[None], to_previous)[0, 2]
 
     def entered(y, x):
-        """The pixel of the mover that goes on to the border, or None."""
+        """Return the pixel of the mover that goes on to the border, or None."""
         rows, columns = depth.shape
         from_x, from_y, border = min(x, columns - 1 - x), min(y, rows - 1 - y), columns // HIDDEN.BORDER_SHARE
         if min(from_x, from_y) >= border:
@@ -96,8 +97,9 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
 
 
 def show_reappearing(shown, now, past, tracked, target_position, zoom, from_previous, reach):
-    """color, depth, motion, dynamic and filled_by of the frame `shown` with the parts of movers that reappear. `now`,
-    `past`: the rendered frame and the one before; `tracked`: dynamic mask, links, and depth met in the frame before."""
+    """Return color, depth, motion, dynamic and filled_by of the frame `shown` with the parts of movers that reappear.
+    `now`, `past`: the rendered frame and the one before; `tracked`: dynamic mask, links, and depth met in the frame
+    before."""
     out = {name: shown[name].copy() for name in ("color", "depth", "motion", "dynamic", "filled_by")}
     dynamic, links, met = tracked
     height, width = now.depth.shape
@@ -111,11 +113,11 @@ def show_reappearing(shown, now, past, tracked, target_position, zoom, from_prev
         return 0 <= px[0] < width and 0 <= px[1] < height
 
     def is_hidden(q, z):
-        """Whether something static and nearer than `z` is shown at pixel `q`."""
+        """Return whether something static and nearer than `z` is shown at pixel `q`."""
         return dynamic[q] == FRAME.STATIC and 0 < now.depth[q] < HIDDEN.HIDES * z
 
     def was_shown(px, of):
-        """Whether the frame before showed a mover of depth `of` at `px`."""
+        """Return whether the frame before showed a mover of depth `of` at `px`."""
         if not is_inside(px):
             return False
         q = int(px[1]), int(px[0])

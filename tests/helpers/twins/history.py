@@ -10,8 +10,8 @@ EXACT = np.zeros(4, F)  # errors of quantization
 
 
 def static_residual_squared(depth, motion, to_previous, error=EXACT):
-    """r² of the static test, beyond `error` of quantization, NaN where it does not apply; and where the fragment
-    is if static."""
+    """Return r² of the static test, beyond `error` of quantization, NaN where it does not apply; and the place of the
+    fragment if it is static."""
     px = centers(*depth.shape)
     where = reproject(px, depth, to_previous)
     with np.errstate(invalid="ignore"):
@@ -21,12 +21,12 @@ def static_residual_squared(depth, motion, to_previous, error=EXACT):
 
 
 def _start(b):
-    """Squared residual at which bin b begins, px²."""
+    """Return the squared residual at which bin b begins, px²."""
     return np.array([(b + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
 
 
 def _counts(vectors):
-    """(64,) histogram of the squared lengths of (N, 2)."""
+    """Return (64,) histogram of the squared lengths of (N, 2)."""
     r2 = vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]
     bins = HISTORY.RESIDUAL_BINS
     which = np.clip((r2.view(np.uint32) >> 22).astype(int) - HISTORY.RESIDUAL_FIRST_BIN, 0, bins - 1)
@@ -34,7 +34,7 @@ def _counts(vectors):
 
 
 def _residuals(depth, motion, to_previous):
-    """Residual (H, W, 2) of the static test, where it applies, and where it is sampled, both (H, W) bool."""
+    """Return the residual (H, W, 2) of the static test, where it applies, and where it is sampled, both (H, W) bool."""
     px = centers(*depth.shape)
     where = reproject(px, depth, to_previous)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -46,8 +46,8 @@ def _residuals(depth, motion, to_previous):
 
 
 def residual_histogram(depth, motion, to_previous):
-    """(6, 64) int32: of the squared residual, of its squared change over 8 px diagonally, and of the steps of motion
-    over that distance, by component and sign."""
+    """Return (6, 64) int32: of the squared residual, of its squared change over 8 px diagonally, and of the steps of
+    motion over that distance, by component and sign."""
     residual, use, sampled = _residuals(depth, motion, to_previous)
     bins, apart = HISTORY.RESIDUAL_BINS, HISTORY.SCATTER_DISTANCE
     near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
@@ -74,7 +74,7 @@ def _quantile_bin(counts, share):
 
 
 def _end(counts, last, below, share=0.01):
-    """The last bin of a population that holds `below` up to `last`."""
+    """Return the last bin of a population that holds `below` up to `last`."""
     while last + 2 < len(counts) and counts[last + 1 : last + 3].sum() > F(share) * F(below):
         last += 1
         below += counts[last]
@@ -95,7 +95,7 @@ def noise_threshold_squared(histogram, low=0.25, high=4.0):
 
 
 def _step(counts):
-    """Of a class of quantized motion, px; 0: not quantized, −1: not known."""
+    """Return the step of a class of quantized motion, px; 0: not quantized, −1: not known."""
     pairs, steps = counts.sum(), counts[2:].sum()
     if pairs < HISTORY.STEP_SAMPLES or counts[0] == pairs:
         return F(-1)
@@ -108,7 +108,7 @@ def _step(counts):
 
 
 def motion_steps(histogram, threshold_squared):
-    """(4,) float32: steps of motion in x, of negative motion in x, in y, of negative motion in y; px, or 0."""
+    """Return (4,) float32: steps of motion in x, of negative motion in x, in y, of negative motion in y; px, or 0."""
     steps = [_step(counts) for counts in histogram[2:]]
     known = [step for step in steps if step > 0]
     if not known or threshold_squared <= max(F(HISTORY.THRESHOLD_LOW) ** 2, F(0.140625) * min(known) * min(known)):
@@ -121,14 +121,14 @@ def motion_steps(histogram, threshold_squared):
 
 
 def beyond(residual, motion, error):
-    """By how much residuals (…, 2) exceed `error` (4,), by component and sign; float32, NaN stays."""
+    """Return the excess of residuals (…, 2) over `error` (4,), by component and sign; float32, NaN stays."""
     with np.errstate(invalid="ignore"):
         excess = np.abs(residual) - np.where(motion + residual < 0, error[1::2], error[::2])
         return np.where(excess < 0, F(0), excess)
 
 
 def refined_threshold(depth, motion, to_previous, steps):
-    """ε² beside errors of quantization, and these errors (4,), of as many vectors as were added."""
+    """Return ε² beside errors of quantization, and these errors (4,), of as many vectors as were added."""
     residual, use, sampled = _residuals(depth, motion, to_previous)
     residual, motion = residual[use & sampled], motion[use & sampled]
     least = F(HISTORY.QUANTIZED_LOW) ** 2
@@ -148,7 +148,7 @@ def refined_threshold(depth, motion, to_previous, steps):
 
 
 def static_threshold(depth, motion, to_previous):
-    """The automatic threshold: ε², px², and (4,) errors of quantization beside it, px."""
+    """Return the automatic threshold: ε², px², and (4,) errors of quantization beside it, px."""
     histogram = residual_histogram(depth, motion, to_previous)
     threshold = noise_threshold_squared(histogram)
     steps = motion_steps(histogram, threshold)
@@ -156,7 +156,7 @@ def static_threshold(depth, motion, to_previous):
 
 
 def _depth_met(px, expected, tolerance, depth_prev):
-    """One fragment's look-up in the previous depth: (depth or −1, index of the pixel used)."""
+    """Return one fragment's depth in the previous frame: (depth or −1, index of the pixel used)."""
     height, width = depth_prev.shape
 
     def plausible(z):
@@ -208,7 +208,7 @@ def _depth_met(px, expected, tolerance, depth_prev):
 
 
 def fixed_to_camera(depth, motion, moves, z_static, to_previous, depth_prev):
-    """(H, W) bool: constant in view space, though a static fragment would not be."""
+    """Return (H, W) bool: constant in view space, though a static fragment would not be."""
     height, width = depth.shape
     px, inverse, before = centers(height, width), to_previous[4], to_previous[5]
     with np.errstate(invalid="ignore"):
@@ -281,8 +281,9 @@ def track_history(
 
 
 def last_stir(before, number, depth, dynamic, depth_prev):
-    """(rows, columns) int32: the number of the last frame in which something stirred near each block, under a camera
-    that rests. `before`: the same of the frame before; `depth_prev` None after a reset, when nothing is looked for."""
+    """Return (rows, columns) int32: the number of the last frame in which something stirred near each block, under a
+    camera that rests. `before`: the same of the frame before; `depth_prev` None after a reset, when nothing is looked
+    for."""
     height, width = depth.shape
     side_y, side_x, reach = HISTORY.BLOCK_HEIGHT, HISTORY.BLOCK_WIDTH, HISTORY.STIR_REACH
     rows, columns = -(-height // side_y), -(-width // side_x)

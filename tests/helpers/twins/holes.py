@@ -11,7 +11,7 @@ HOLES = kernel_constants("holes.cl")
 
 
 def downsample(warped, source_color, source_depth):
-    """Weighted sums per 32×32 block: (color, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
+    """Return weighted sums per 32×32 block: (color, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
     height, width = warped["depth"].shape
     size = HOLES.DOWNSAMPLING
     blocks = (-(-height // size), -(-width // size))
@@ -33,55 +33,12 @@ def downsample(warped, source_color, source_depth):
     return color_sum, inverse_sum
 
 
-def _upsample(mean, height, width):
-    """Bilinear interpolation of a level (h, w, 4) at the texels of the next finer one."""
-    y, x = np.mgrid[:height, :width]
-    u, v = np.where(x & 1, F(0.25), F(0.75)), np.where(y & 1, F(0.25), F(0.75))
-    total = np.zeros((height, width, 4), F)
-    for tap in range(4):
-        tx = np.clip(((x - 1) >> 1) + (tap & 1), 0, mean.shape[1] - 1)
-        ty = np.clip(((y - 1) >> 1) + (tap >> 1), 0, mean.shape[0] - 1)
-        weight = np.where(tap & 1, u, F(1) - u) * np.where(tap >> 1, v, F(1) - v)
-        total = total + weight[..., None] * mean[ty, tx]
-    return total
-
-
-def _quads(image):
-    """(4, h/2, w/2, …): the four children of each texel of the next level, zeros beyond the border."""
-    height, width = image.shape[:2]
-    padded = np.pad(image, ((0, height % 2), (0, width % 2)) + ((0, 0),) * (image.ndim - 2))
-    return np.stack([padded[k >> 1 :: 2, k & 1 :: 2] for k in range(4)])
-
-
-def push_pull(warped):
-    """(H, W, 4) color and inverse depth for every pixel, from a pyramid of means of the valid ones."""
-    height, width = warped["depth"].shape
-    valid = (warped["filled_by"] != COMMON.BY_NOTHING).astype(F)
-    color = load_color(warped["color"])
-    with np.errstate(all="ignore"):
-        inverse = np.where(np.isinf(warped["depth"]), F(0), F(1) / warped["depth"])
-    weight = valid / (F(1) + np.maximum(color.max(-1), F(0)))
-    values = np.concatenate([color, np.where(valid > 0, inverse, F(0))[..., None]], -1).astype(F)
-    total, count = (_quads(weight[..., None] * values).sum(0), _quads(weight).sum(0))
-    with np.errstate(all="ignore"):
-        means = [np.where(count[..., None] > 0, total / count[..., None], F(0)).astype(F)]
-    weights = [(count > 0).astype(F)]
-    for _ in range(max(1, (max(height, width) - 1).bit_length()) - 1):
-        total, count = _quads(weights[-1][..., None] * means[-1]).sum(0), _quads(weights[-1]).sum(0)
-        with np.errstate(all="ignore"):
-            means.append(np.where(count[..., None] > 0, total / count[..., None], F(0)).astype(F))
-        weights.append(np.minimum(count, F(1)))
-    for level in range(len(means) - 2, -1, -1):
-        w = weights[level][..., None]
-        means[level] = w * means[level] + (F(1) - w) * _upsample(means[level + 1], *means[level].shape[:2])
-    return _upsample(means[0], height, width)
-
-
 _DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
 def march(y, x, d, reach, shape):
-    """(distance in px, (y, x)) of the pixels from (y, x) on in direction d that lie in the image and within reach."""
+    """Yield (distance in px, (y, x)) of the pixels from (y, x) on in direction d that lie in the image and within
+    reach."""
     step = F(1.41421356) if d[0] and d[1] else F(1)
     t = 1
     while F(t) * step <= F(reach):
@@ -93,7 +50,8 @@ def march(y, x, d, reach, shape):
 
 
 def _border_code(at, source_color):
-    """Code of the rendered image (height, width, 3) at a place, or at the place on its border that is closest."""
+    """Return the code of the rendered image (height, width, 3) at a place, or at the place on its border that is
+    closest."""
     height, width = source_color.shape[:2]
     x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
     xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
@@ -103,15 +61,16 @@ def _border_code(at, source_color):
 
 
 def continued(beside, at, source_color):
-    """What is beside a hole that lies out of screen, with the border of the rendered image (height, width, 3)."""
+    """Return the surroundings of a hole that lies out of screen, with the border of the rendered image (height, width,
+    3)."""
     if not at[2] > 0:
         return beside
     return decode_color((encode_color(beside) + _border_code(at, source_color)) / 2)
 
 
 def border_lines(codes):
-    """Structure tensor (3, h, w) of color codes (height, width, 3): sums of xx, xy and yy in cells at the border, 0 in
-    others."""
+    """Return the structure tensor (3, h, w) of color codes (height, width, 3): sums of xx, xy and yy in cells at the
+    border, 0 in others."""
     height, width = codes.shape[:2]
     cell = HOLES.CELL
     found = np.zeros((3, -(-height // cell), -(-width // cell)))
@@ -129,8 +88,8 @@ def border_lines(codes):
 
 
 def _lines_at(along, cells, side):
-    """(slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes along
-    the border, of both changes, and of changes inward."""
+    """Return (slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes
+    along the border, of both changes, and of changes inward."""
     at = min(max(along, F(0)), F(side)) / F(HOLES.CELL) - F(0.5)
     k = np.arange(cells.shape[1])
     around = HOLES.CELLS_AROUND
@@ -144,7 +103,8 @@ def _lines_at(along, cells, side):
 
 
 def beyond(at, source_color, lines):
-    """Color out of screen at `at`: `border_lines` go on from the border of the rendered image (height, width, 3)."""
+    """Return the color out of screen at `at`: `border_lines` go on from the border of the rendered image (height,
+    width, 3)."""
     height, width = source_color.shape[:2]
     out = [np.clip(at[k], F(0.5), F(side - 0.5)) - at[k] for k, side in ((0, width), (1, height))]
     axis = 0 if abs(out[1]) > abs(out[0]) else 1  # along the border
@@ -164,7 +124,7 @@ def beyond(at, source_color, lines):
 
 
 def source_of(y, x, inverse, to_source):
-    """Where a static pixel of the new frame is in the rendered one: x, y, depth."""
+    """Return the place of a static pixel of the new frame in the rendered one: x, y, depth."""
     z = np.array([F(1) / inverse if inverse > 0 else INF], F)
     return reproject(np.array([[x + 0.5, y + 0.5]], F), z, to_source)[0]
 
@@ -175,8 +135,8 @@ def is_outside(at, image):
 
 
 def surface_behind(met, ways, source_depth):
-    """[(weight, values)] of the surface behind a disocclusion, of what was `met` beside it: static surfaces that do not
-    lie in front of what the rendered frame shows at `ways` (x, y, depth there); else of the far side."""
+    """Return [(weight, values)] of the surface behind a disocclusion, from the surfaces `met` beside it: static ones
+    that do not lie in front of the rendered frame's at `ways` (x, y, depth there); else those of the far side."""
 
     def are_as_far(a, b):
         return not a > b * HOLES.FAR_SIDE and not b > a * HOLES.FAR_SIDE
@@ -195,8 +155,8 @@ def surface_behind(met, ways, source_depth):
 
 
 def continued_surface(warped, y, x, reach, to_source, source_color, source_depth, lines):
-    """(color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width, 3);
-    `lines`: `border_lines`."""
+    """Return (color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width,
+    3); `lines`: `border_lines`."""
     met = []
     for d in _DIRECTIONS:
         for distance, q in march(y, x, d, reach, warped["depth"].shape):
@@ -223,7 +183,7 @@ def continued_surface(warped, y, x, reach, to_source, source_color, source_depth
 
 
 def mix_far_side(warped):
-    """Color of the frame as the background left it, its fills mixed with the far side."""
+    """Return color of the frame as the background left it, its fills mixed with the far side."""
     color, shown = warped["color"].copy(), load_color(warped["color"])
     hole = warped["disoccluded"] != 0
     others = COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING
@@ -250,14 +210,14 @@ def mix_far_side(warped):
 
 
 def continued_surfaces(warped, reach, to_source, source_color, source_depth, lines):
-    """{(y, x): `continued_surface`} of all holes."""
+    """Return {(y, x): `continued_surface`} of all holes."""
     holes = map(tuple, np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING))
     return {at: continued_surface(warped, *at, reach, to_source, source_color, source_depth, lines) for at in holes}
 
 
 def asked_texels(warped, surfaces):
-    """(h, w) bool: 32×32 blocks between whose centers a hole lies without valid pixels near; `surfaces`: those of
-    `continued_surfaces`."""
+    """Return (h, w) bool: 32×32 blocks between whose centers a hole lies without valid pixels near; `surfaces`: those
+    of `continued_surfaces`."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
     for (y, x), found in surfaces.items():
@@ -269,12 +229,9 @@ def asked_texels(warped, surfaces):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces=None):
-    """Color, depth, motion of the warped frame with its holes filled: from `continued_surfaces` within `reach` px,
-    else from the block sums; by push-pull if these are None."""
-    if color_sum is None:
-        filled = push_pull(warped)
-        return _filled(warped, filled[..., :3], filled[..., 3], to_source)
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces):
+    """Return color, depth, motion of the warped frame with its holes filled: from `continued_surfaces` within `reach`
+    px, else from the block sums."""
     height, width = warped["depth"].shape
     px = centers(height, width)
     b = px.astype(np.float64) / HOLES.DOWNSAMPLING - 0.5
@@ -312,6 +269,6 @@ def _filled(warped, mean, mean_inverse, to_source):
 
 
 def static_motion(px, z, to_source):
-    """Motion into the source image of static points at depth z of the target."""
+    """Return motion into the source image of static points at depth z of the target."""
     where = reproject(px, z, to_source)
     return np.where((where[..., 2] > 0)[..., None], where[..., :2] - px, F(0))

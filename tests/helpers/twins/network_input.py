@@ -10,12 +10,12 @@ NETWORK_INPUT = kernel_constants("network_input.cl")
 
 
 def encode(color, exposure):
-    """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative color is black."""
+    """Return the μ-law code ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative color is black."""
     return log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log1p(5000))
 
 
 def _parts(x):
-    """Mantissa and exponent: of the power of two within sqrt(2)."""
+    """Return mantissa and exponent of the power of two within sqrt(2)."""
     bits = x.view(np.int32)
     exponent = (bits - 0x3F3504F3) >> 23
     return (bits - (exponent << 23)).view(F), exponent
@@ -48,7 +48,7 @@ def decode(encoded, exposure):
 
 
 def exp_less_one(x):
-    """exp(x) − 1 for x from 0 to 88."""
+    """Return exp(x) − 1 for x from 0 to 88."""
     n = np.floor(x * F(1.44269504088896341) + F(0.5))
     r = x - n * F(0.693359375) + n * F(2.12194440e-4)
     y = F(1.9875691500e-4)
@@ -59,8 +59,8 @@ def exp_less_one(x):
 
 
 def depth_median(depth):
-    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths in every eighth row;
-    1 without."""
+    """Return the middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths in every
+    eighth row; 1 without."""
     depth = depth[:: NETWORK_INPUT.COUNTED_ROWS]
     bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
     if not len(bits):
@@ -71,8 +71,8 @@ def depth_median(depth):
 
 
 def network_input(frame, previous, mask, exposure, network_size, past, to_previous):
-    """(8, h, w) float32 from the GAE `frame`, its pixels' warped previous frame (H, W, 4) and input mask (H, W), and
-    the `past` frame, in which 2×2 pixels of one surface are looked up together."""
+    """Return (8, h, w) float32 from the GAE `frame`, its pixels' warped previous frame (H, W, 4) and input mask (H, W),
+    and the `past` frame, in which 2×2 pixels of one surface are looked up together."""
     color, depth = load_color(frame["color"]), frame["depth"]
     inverse = np.minimum(depth_median(depth) / depth, NETWORK_INPUT.MAX_INVERSE_DEPTH)
     (height, width), (w, h) = depth.shape, network_size
@@ -99,8 +99,8 @@ def network_input(frame, previous, mask, exposure, network_size, past, to_previo
 
 
 def quads(frame, nearness, taps, past, to_previous):
-    """Whether 2×2 pixels show one surface that was in the previous image (h, w), and their colors there
-    (4 × (h, w, 3)), with the GAE colors where it is hidden."""
+    """Return whether 2×2 pixels show one surface that was in the previous image (h, w), and their colors there (4 × (h,
+    w, 3)), with the GAE colors where it is hidden."""
     height, width = past.depth.shape
     rows, (source_inverse, target) = to_previous[:3], to_previous[4:6]
     mean = F(0.25) * ((nearness[0] + nearness[1]) + (nearness[2] + nearness[3]))

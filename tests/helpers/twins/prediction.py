@@ -8,7 +8,7 @@ PREDICTION = kernel_constants("prediction.cl")
 
 
 def entering_depth(depth, motion, dynamic, met_depth, to_previous):
-    """`met_depth` (H, W), and the depth in the frame before of dynamic fragments that it does not show."""
+    """Return `met_depth` (H, W) with the depth in the frame before of dynamic fragments that it does not show."""
     height, width = depth.shape
     px = centers(height, width)
     before = px + motion
@@ -38,9 +38,9 @@ def entering_depth(depth, motion, dynamic, met_depth, to_previous):
 
 
 def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None, in_previous=None):
-    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration,
-    what goes on of it, and velocity in view space, of cells, where acceleration is used; `in_previous`, with them: P_1
-    in the view space of the frame before."""
+    """Return (H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration, the
+    part of it that goes on, and velocity in view space, of cells, where acceleration is used; `in_previous`, with them:
+    P_1 in the view space of the frame before."""
     px = centers(*depth.shape)
     out = reproject(px, depth, to_target)
     p0 = unproject(px, depth, to_target[4])

@@ -7,7 +7,7 @@ from twins.warp import _cubic_weights, load_color
 
 
 def present(color, depth, motion, size, to_render, to_display, to_previous_display):
-    """Displayed color, depth and motion; mappings are (scale x, scale y, offset x, offset y) float32."""
+    """Return displayed color, depth and motion; mappings are (scale x, scale y, offset x, offset y) float32."""
     height, width = depth.shape
     px = centers(size[1], size[0]) * to_render[:2] + to_render[2:]
     corner = np.floor(px - F(0.5))

@@ -30,7 +30,7 @@ def _depth_before(px, px_prev, mv, z, to_previous):
 
 
 def _depth_is_right(px_prev, expected, depth_prev):
-    """(compared, right) of samples that land inside."""
+    """Return (compared, right) of samples that land inside."""
     height, width = depth_prev.shape
     first = np.floor(px_prev - F(0.5)).astype(int)
     taps = np.stack([
@@ -48,7 +48,7 @@ def _depth_is_right(px_prev, expected, depth_prev):
 
 
 def counts(color, depth, motion, color_prev, depth_prev, to_previous, camera_step):
-    """What is counted of the samples, (7,) in the order of the kernel's enum."""
+    """Return the counts of the samples, (7,) in the order of the kernel's enum."""
     height, width = depth.shape
     columns, rows = min(width, CUTS.SAMPLES_X), min(height, CUTS.SAMPLES_Y)
     x = (2 * np.arange(columns) + 1) * width // (2 * columns)

@@ -9,7 +9,7 @@ SHADING = kernel_constants("warped_previous.h")
 
 
 def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
-    """(warped previous (H, W, 4) float16, input mask (H, W) float16); `color_prev` None after a reset."""
+    """Return (warped previous (H, W, 4) float16, input mask (H, W) float16); `color_prev` None after a reset."""
     height, width = warped["depth"].shape
     source_height, source_width = motion.shape[:2]
     rest = np.where(warped["disoccluded"] > 0, SHADING.MASK_DISOCCLUDED, SHADING.MASK_REST)

@@ -8,13 +8,13 @@ CANDIDATES, FLOW = kernel_constants("candidates.h"), kernel_constants("shading_f
 
 
 def halved(plane):
-    """Means over 2×2 pixels."""
+    """Return means over 2×2 pixels."""
     a, b, c, d = (plane[y::2, x::2] for y in (0, 1) for x in (0, 1))
     return F(0.25) * ((a + b) + (c + d))
 
 
 def doubled(plane):
-    """Bilinear interpolation to twice the size, pixel centers on one plane, borders repeated."""
+    """Return an image interpolated to twice the size, pixel centers on one plane, borders repeated."""
     height, width = plane.shape
     y, x = np.mgrid[: 2 * height, : 2 * width]
     left, top = np.clip((x - 1) >> 1, 0, width - 1), np.clip((y - 1) >> 1, 0, height - 1)
@@ -25,7 +25,8 @@ def doubled(plane):
 
 
 def sampled(plane, x, y):
-    """Bilinear at positions in pixels, whole numbers at centers, borders repeated; NaN is the far border."""
+    """Return values interpolated at positions in pixels, whole numbers at centers, borders repeated; NaN is the far
+    border."""
     height, width = plane.shape
     x, y = (np.maximum(np.where(p < last, p, F(last)), F(0)) for p, last in ((x, width - 1), (y, height - 1)))
     x0, y0 = x.astype(int), y.astype(int)
@@ -36,7 +37,7 @@ def sampled(plane, x, y):
 
 
 def mean_around(plane):
-    """Over 3×3 pixels, or those of them that there are."""
+    """Return means over 3×3 pixels, or over those of them that exist."""
     height, width = plane.shape
     total, columns = np.zeros_like(plane), np.zeros_like(plane)
     rows = np.minimum(np.arange(height) + 1, height - 1) - np.maximum(np.arange(height) - 1, 0) + 1
@@ -55,7 +56,7 @@ def mean_around(plane):
 
 
 def find_flow(now, before):
-    """(2, h/2, w/2): the flow of every second pixel, in pixels; now and before (h, w)."""
+    """Return (2, h/2, w/2): the flow of every second pixel, in pixels; now and before (h, w)."""
     images = [(now, before)]
     while len(images) < FLOW.FLOW_LEVELS:
         images.append(tuple(halved(image) for image in images[-1]))
@@ -88,13 +89,14 @@ def _step(a, b):
 
 
 def _summed(plane):
-    """Over 2×2 pixels, in the kernels' order."""
+    """Return sums over 2×2 pixels, in the kernels' order."""
     a, b, c, d = (plane[y::2, x::2] for y in (0, 1) for x in (0, 1))
     return ((a + b) + c) + d
 
 
 def find_texture(frames):
-    """(h/2, w/2) from frames (8, h, w): how far detail of brightness within 2×2 pixels is the same in both frames."""
+    """Return (h/2, w/2) from frames (8, h, w): how far detail of brightness within 2×2 pixels is the same in both
+    frames."""
     change, power = F(0), FLOW.FAINT
     third = FLOW.THIRD
     parts = [(third * c[0] + third * c[1]) + third * c[2] for c in (frames[:3], frames[3:6])]
@@ -108,7 +110,7 @@ def find_texture(frames):
 
 
 def find_candidates(frames, trends, alpha):
-    """(flow (2, h/4, w/4), differences (4, h/4, w/4), candidates (16, h/2, w/2)) from frames (8, h, w)."""
+    """Return (flow (2, h/4, w/4), differences (4, h/4, w/4), candidates (16, h/2, w/2)) from frames (8, h, w)."""
     halves = np.stack([halved(plane) for plane in frames[:6]])
     now, before = (FLOW.THIRD * ((c[0] + c[1]) + c[2]) for c in (halves[:3], halves[3:]))
     flow = find_flow(now, before)

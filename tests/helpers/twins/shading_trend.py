@@ -10,8 +10,8 @@ TREND = kernel_constants("shading_trend.cl")
 
 
 def measure_changes(frame, before, dynamic, exposure, to_previous):
-    """(4, h, w) of cells, and how many samples of each change, (h, w) uint8; `frame` and `before`: (color (H, W, 4)
-    float16, depth)."""
+    """Return (4, h, w) of cells, and how many samples of each change, (h, w) uint8; `frame` and `before`: (color (H, W,
+    4) float16, depth)."""
     (color, depth), (color_prev, depth_prev) = frame, before
     height, width = depth.shape
     cell, stride, most = TREND.CELL, TREND.SAMPLE_STRIDE, F(TREND.MOST_CHANGE)
@@ -56,7 +56,7 @@ def measure_changes(frame, before, dynamic, exposure, to_previous):
 
 
 def find_change(changed_samples):
-    """Whether in any tile of 4×4 cells more than a few samples change."""
+    """Return whether in any tile of 4×4 cells more than a few samples change."""
     tile = TREND.TILE
     padded = np.pad(changed_samples, [(0, -side % tile) for side in changed_samples.shape])
     height, width = padded.shape
@@ -65,7 +65,7 @@ def find_change(changed_samples):
 
 
 def find_trend(changes, reach):
-    """(4, h, w): means over the neighborhood of what is known, and the share that is."""
+    """Return (4, h, w): means over the neighborhood of what is known, and the share that is."""
     weights = np.arange(reach + 1, 0, -1, dtype=F) / F((reach + 1) ** 2)
     for axis in (2, 1):
         total, size = np.zeros_like(changes), changes.shape[axis]
@@ -80,7 +80,7 @@ def find_trend(changes, reach):
 
 
 def carry_trends(depth, trend, trend_prev, changes_prev, alpha, to_source, to_previous, network_size):
-    """(8, h/2, w/2) of the network."""
+    """Return trends (8, h/2, w/2) of the network."""
     height, width = depth.shape
     w, h = (side // 2 for side in network_size)
     j, i = np.minimum(4 * np.arange(h) + 2, height - 1), np.minimum(4 * np.arange(w) + 2, width - 1)

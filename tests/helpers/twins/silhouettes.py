@@ -24,13 +24,13 @@ def tent(dx, dy):
 
 
 def color_of(color):
-    """What load_color gives, or codes of it, nothing negative."""
+    """Return colors as load_color gives them, or their codes, nothing negative."""
     rgb = np.nan_to_num(color[..., :3].astype(F), nan=0, posinf=COMMON.COLOR_MAX, neginf=0)
     return np.clip(rgb, 0, COMMON.COLOR_MAX)
 
 
 def halfway(depths):
-    """Between the sides of a step of depth; None if there is none."""
+    """Return the middle of the sides of a step of depth; None if there is none."""
     valid = [z for z in depths if z > 0]
     if not valid or not min(valid) < (F(1) - STEP) * max(valid):
         return None
@@ -39,7 +39,7 @@ def halfway(depths):
 
 
 def find_layers(color, depth, links, smooth, target_position, zoom):
-    """layer (H, W) uint8, behind (H, W, 4) float32: a code and a share. `smooth`: of source blocks."""
+    """Return layer (H, W) uint8 and behind (H, W, 4) float32: a code and a share. `smooth`: of source blocks."""
     height, width = depth.shape
     color, layer = color_of(codes_of(color)), np.zeros((height, width), np.uint8)
     behind = np.zeros((height, width, 4), F)
@@ -64,7 +64,7 @@ def find_layers(color, depth, links, smooth, target_position, zoom):
 
 
 def mark_blocks(layer, target_position, size):
-    """Target blocks, (rows, columns), where layers go; `size`: width and height of the new frame."""
+    """Return target blocks, (rows, columns), where layers go; `size`: width and height of the new frame."""
     marked = np.zeros((-(-size[1] // BLOCK[1]), -(-size[0] // BLOCK[0])), np.uint8)
     for px in target_position[layer > 0][:, :2]:
         if (px > -MARKED).all() and (px < np.add(size, MARKED)).all():
@@ -108,7 +108,7 @@ class Softening:
         self.filled = shown["filled_by"] != COMMON.BY_NOTHING
 
     def run(self, marked):
-        """coverage (H, W) uint8, color (H, W, 3) float16."""
+        """Return coverage (H, W) uint8, color (H, W, 3) float16."""
         coverage = np.zeros(self.warped.shape, np.uint8)
         color = self.shown["color"][..., :3].copy()
         for y, x in np.ndindex(coverage.shape):
@@ -126,7 +126,8 @@ class Softening:
         return coverage, color
 
     def taps(self, x, y, px_source, z, most):
-        """(x, y, weight, whether it goes along, depth it goes to) of the four pixels around a place that lie inside."""
+        """Yield (x, y, weight, whether it goes along, depth it goes to) of the four pixels around a place that lie
+        inside."""
         first = np.floor(px_source - F(0.5))
         u, v = px_source - F(0.5) - first
         for k in range(4):
@@ -139,7 +140,7 @@ class Softening:
                 yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
 
     def far_layer(self, x, y, px_source, z):
-        """Colors around a place of the rendered frame, times their weights, and the weights."""
+        """Return colors around a place of the rendered frame, times their weights, and the weights."""
         total = np.zeros(4, F)
         for i, j, weight, along, _ in self.taps(x, y, px_source, z, ALIKE):
             if along:
@@ -158,7 +159,7 @@ class Softening:
         return (total[:3] / total[3], True) if total[3] > F(0.05) else (rgb, False)
 
     def far_color(self, x, y, far):
-        """`far`: (x, y, dx, dy) of the pixels around that show the far layer."""
+        """Return the color of the far layer. `far`: (x, y, dx, dy) of the pixels around that show it."""
         seen = np.zeros(4, F)
         if far[0] != (x, y, 0, 0):
             place = np.mean([self.place(*g) for g in far], 0, dtype=F)
@@ -190,7 +191,7 @@ class Softening:
         return np.append(total[:3] * (coverage / total[3] if coverage > 0 else F(0)), coverage)
 
     def pair(self, x, y):
-        """(place of the near layer, its depth, code of the far one)."""
+        """Return (place of the near layer, its depth, code of the far one)."""
         height, width = self.warped.shape
         groups = [
             [(x + dx, y + dy, dx, dy) for dx, dy in group if 0 <= x + dx < width and 0 <= y + dy < height]

@@ -12,8 +12,8 @@ UNITS = {np.uint8: F(1) / F(255), np.uint16: F(1) / F(65535)}
 
 
 def convert_color(color):
-    """(H, W, 4) float16 from (H, W, 3 or 4) half or float, with 0 in the fourth channel; how many pixels hold NaN or
-    infinity; and how many were clamped."""
+    """Return (H, W, 4) float16 from (H, W, 3 or 4) half or float, with 0 in the fourth channel; how many pixels hold
+    NaN or infinity; and how many were clamped."""
     rgb = color[..., :3].astype(F)
     finite = np.isfinite(rgb)
     over = finite & (np.abs(rgb) > COLOR_MAX)
@@ -23,9 +23,9 @@ def convert_color(color):
 
 
 def convert_geometry(depth, motion, size=None):
-    """Of images of `size`, by default that of depth (height, width): depth without denormal numbers and with sky beyond
-    1e37, motion without vectors as long as the diagonal, and how many depths are invalid, how many vectors not finite,
-    how many depths too far, and how many vectors too long."""
+    """Return, of images of `size`, by default that of depth (height, width): depth without denormal numbers and with
+    sky beyond 1e37, motion without vectors as long as the diagonal, and how many depths are invalid, how many vectors
+    not finite, how many depths too far, and how many vectors too long."""
     invalid, far = ~(depth >= np.finfo(F).tiny), np.isfinite(depth) & (depth > 1e37)
     finite = np.isfinite(motion).all(-1)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -37,15 +37,15 @@ def convert_geometry(depth, motion, size=None):
 
 
 def convert_described_color(color):
-    """`convert_color` of color of any type; integers stand for 0 to 1."""
+    """Return `convert_color` of color of any type; integers stand for 0 to 1."""
     unit = UNITS.get(color.dtype.type)
     return convert_color(color if unit is None else color.astype(F) * unit)
 
 
 def convert_described_geometry(depth, motion, given, to_previous=None, size=None):
-    """Depth and motion in pixels of stored ones, converted by the members `given` of the frame block (motion None:
-    there is none), and the counts as of `convert_geometry`. `to_previous` (6, 4): None without a frame before. `size`:
-    height and width of color, by default those of depth."""
+    """Return depth and motion in pixels of stored ones, converted by the members `given` of the frame block (motion
+    None: there is none), and the counts as of `convert_geometry`. `to_previous` (6, 4): None without a frame before.
+    `size`: height and width of color, by default those of depth."""
     factor, origin, addend, sky = F(given["given_depth"])
     stored = (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(F)
     with np.errstate(all="ignore"):
@@ -77,7 +77,7 @@ def convert_described_geometry(depth, motion, given, to_previous=None, size=None
 
 
 def motion_by_camera(z, given, to_previous):
-    """(H, W, 2): motion of static points at depth z, in pixels of color."""
+    """Return (H, W, 2): motion of static points at depth z, in pixels of color."""
     here = centers(*z.shape) * F(given["from_geometry"][:2]) + F(given["from_geometry"][2:])
     before = reproject(here, z, to_previous)
     camera = np.where(before[..., 2:] > 0, before[..., :2] - here, F(np.nan))

@@ -17,7 +17,7 @@ def mapped(px, mapping):
 
 
 def compressed_of(rgb, exposure):
-    """(…, 3) tone-mapped (Y, Co, Cg)."""
+    """Return (…, 3) tone-mapped (Y, Co, Cg)."""
     c = np.maximum(rgb, F(0)) * F(exposure)
     r, g, b = np.moveaxis(c, -1, 0)
     scale = F(1) / (F(1) + c.max(-1))
@@ -40,7 +40,7 @@ def _weights(t, slope):
 
 
 def cubic_at(px, image):
-    """`image` (H, W, C) at px (…, 2), with the least and the most of the inner taps."""
+    """Return `image` (H, W, C) at px (…, 2), with the least and the most of the inner taps."""
     height, width = image.shape[:2]
     corner = px - F(0.5)
     first = np.floor(corner)
@@ -63,7 +63,7 @@ def within(px, shape):
 
 
 def nearest_around(depth):
-    """Rows and columns of the nearest pixel of another surface in 3×3, else the pixel's own."""
+    """Return rows and columns of the nearest pixel of another surface in 3×3, else the pixel's own."""
     height, width = depth.shape
     y, x = np.mgrid[:height, :width]
     best_y, best_x = y.copy(), x.copy()
@@ -97,7 +97,7 @@ def share_seen(px, expected, depth_prev):
 
 
 def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_display, exposure, has_history):
-    """compressed (H, W, 4), dilated (H, W, 2), surprise (H, W, 4)."""
+    """Return compressed (H, W, 4), dilated (H, W, 2), surprise (H, W, 4)."""
     height, width = depth.shape
     near = nearest_around(depth)
     center, moved, z = centers(height, width)[near], motion[near], depth[near]
@@ -120,7 +120,7 @@ def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_
 
 
 def survey(compressed, surprise):
-    """mean (H, W, 4), deviation (H, W, 4)."""
+    """Return mean (H, W, 4), deviation (H, W, 4)."""
     height, width = compressed.shape[:2]
 
     def sums(image):
@@ -164,8 +164,8 @@ def _lock(before, right, seen):
 def accumulate(
     size, to_render, to_previous_display, exposure, has_history, compressed, dilated, mean, deviation, state
 ):
-    """history (H, W, 4), lock (H, W), share of the history that is rejected (H, W) float; `state`: history and lock
-    before."""
+    """Return history (H, W, 4), lock (H, W), share of the history that is rejected (H, W) float; `state`: history and
+    lock before."""
     width, height = size
     rows, columns = dilated.shape[:2]
     compressed, mean, deviation = (a.astype(F) for a in (compressed, mean, deviation))
@@ -218,7 +218,7 @@ def accumulate(
 
 
 def generate(depth, motion, disoccluded, gae, color, history, to_shown):
-    """(H, W, 3) of a generated frame."""
+    """Return a generated frame (H, W, 3)."""
     height, width = depth.shape
     near = nearest_around(depth)
     center = centers(height, width)[near]
@@ -228,13 +228,3 @@ def generate(depth, motion, disoccluded, gae, color, history, to_shown):
     own = load_color(color)
     changed = np.clip(past + (own - load_color(gae)), F(0), MOST)
     return np.where(seen[..., None], changed, own).astype(np.float16)
-
-
-def sharpen(color, strength):
-    """(H, W, 3) of what is shown, sharpened."""
-    c = np.pad(color[..., :3].astype(F), ((1, 1), (1, 1), (0, 0)), mode="edge")
-    own, around = c[1:-1, 1:-1], [c[:-2, 1:-1], c[1:-1, 2:], c[1:-1, :-2], c[2:, 1:-1]]
-    lumas = np.stack([F(0.25) * (t[..., 0] + t[..., 2]) + F(0.5) * t[..., 1] for t in (own, *around)])
-    less = F(strength) * lumas.min(0)
-    amount = less / np.maximum(F(5) * lumas.max(0) - F(4) * less, F(1e-6))
-    return np.clip(own + amount[..., None] * (F(4) * own - sum(around[1:], around[0])), F(0), MOST).astype(np.float16)

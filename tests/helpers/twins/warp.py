@@ -22,7 +22,7 @@ _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, down, left, up: bits 1, 2,
 
 
 def _shifted(image, dx, dy, fill):
-    """image[y + dy, x + dx], `fill` outside."""
+    """Return image[y + dy, x + dx], `fill` outside."""
     height, width = image.shape[:2]
     out = np.full_like(image, fill)
     ys, xs = slice(max(-dy, 0), height - max(dy, 0)), slice(max(-dx, 0), width - max(dx, 0))
@@ -50,7 +50,7 @@ def link_surfaces(depth, dynamic):
 
 
 def unmixed(depth, dynamic):
-    """(H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
+    """Return (H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
     keep = ~invalid(depth)
     around = range(-SURFACES.GROW, SURFACES.GROW + 1)
     for dy in around:
@@ -62,7 +62,7 @@ def unmixed(depth, dynamic):
 
 
 def flow(target_position, depth, links, zoom):
-    """Jacobian columns ddx, ddy (H, W, 3) and the determinant of its 2×2 part."""
+    """Return the Jacobian columns ddx, ddy (H, W, 3) and the determinant of its 2×2 part."""
     here = target_position
     sky = np.isinf(here[..., 2])
 
@@ -97,14 +97,14 @@ def flow(target_position, depth, links, zoom):
 
 
 def _source_offset(ddx, ddy, d):
-    """Times the determinant."""
+    """Return the offset in the source, times the determinant."""
     x, y = d[..., 0], d[..., 1]
     return np.stack([ddy[..., 1] * x - ddy[..., 0] * y, ddx[..., 0] * y - ddx[..., 1] * x], -1)
 
 
 def _deviation_from_linear(around):
-    """The largest deviation of a coordinate over a block and its margin from the linear function through the corners,
-    with that function's (center, slope along, slope down)."""
+    """Return the largest deviation of a coordinate over a block and its margin from the linear function through the
+    corners, with that function's (center, slope along, slope down)."""
     height, width = around.shape
     (a, b), (c, d) = around[0, [0, -1]], around[-1, [0, -1]]
     center = F(0.25) * ((a + d) + (b + c))
@@ -116,8 +116,8 @@ def _deviation_from_linear(around):
 
 
 def smooth_blocks(target_position, depth, links, zoom):
-    """(rows, columns) uint8: STRICT, LOOSE, RIGID or 0 of source blocks, and (rows, columns, 4): the boxes that those
-    with a value reach, in target pixels."""
+    """Return (rows, columns) uint8: STRICT, LOOSE, RIGID or 0 of source blocks, and (rows, columns, 4): the boxes that
+    those with a value reach, in target pixels."""
     height, width = depth.shape
     side_x, side_y, margin = BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT, BLOCKS.MARGIN
     rows, columns = -(-height // side_y), -(-width // side_x)
@@ -150,7 +150,7 @@ def smooth_blocks(target_position, depth, links, zoom):
 
 
 def block_classes(smooth, boxes, target_position, depth, links, zoom, target_size):
-    """(rows, columns) bool: target blocks that are warped backward."""
+    """Return (rows, columns) bool: target blocks that are warped backward."""
     width, height = target_size
     side = np.array((BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT))
     rows, columns = -(-height // side[1]), -(-width // side[0])
@@ -195,7 +195,7 @@ def block_classes(smooth, boxes, target_position, depth, links, zoom, target_siz
 
 
 def splat(target_position, depth, links, zoom, target_size, close_cracks):
-    """(H', W') uint64 keys: depth bits << 32 | source index; all ones where nothing lands."""
+    """Return (H', W') uint64 keys: depth bits << 32 | source index; all ones where nothing lands."""
     width, height = target_size
     keys = np.full(height * width, np.iinfo(np.uint64).max, np.uint64)
     here = target_position.reshape(-1, 3)
@@ -234,12 +234,12 @@ def load_color(color):
 
 
 def load_code(color):
-    """Codes of an image's colors."""
+    """Return codes of an image's colors."""
     return encode_color(load_color(color))
 
 
 def codes_of(color):
-    """The same in half storage."""
+    """Return codes of an image's colors in half storage."""
     return encode_color(load_color(color)).astype(np.float16)
 
 
@@ -258,8 +258,8 @@ def _cubic_weights(t):
 
 
 def resampled(taps, alike, u, v, own):
-    """Color (…, 3) at (u, v) from the first inner tap: of codes `taps`, by row and column of 4×4, those `alike`; `own`
-    where none is."""
+    """Return color (…, 3) at (u, v) from the first inner tap: of codes `taps`, by row and column of 4×4, those `alike`;
+    `own` where none is."""
     told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
     everywhere = np.all([alike[tap] for tap in told_by], axis=0)
     wx, wy = _cubic_weights(u), _cubic_weights(v)
@@ -286,7 +286,7 @@ def resampled(taps, alike, u, v, own):
 
 
 def resolve(keys, target_position, color, depth, dynamic, links, zoom):
-    """All outputs of the warp, as a dict of (H', W', …) arrays named like the stage's buffers."""
+    """Return all outputs of the warp, as a dict of (H', W', …) arrays named like the stage's buffers."""
     height, width = keys.shape
     source_height, source_width = depth.shape
     holes = keys == np.iinfo(np.uint64).max

@@ -455,6 +455,7 @@ def small():
     """Clips hardly larger than a crop, and a few crops to validate with."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(clips, "_SIZES", ((288, 264),) * len(clips._SIZES))
+        patch.setattr(clips, "_SAMPLES", 2)
         patch.setattr(training_module, "_VALIDATION_CROPS", 4)
         yield
 
@@ -691,6 +692,7 @@ def test_batches_are_shared_out_evenly(data, tmp_path):
         Training(tmp_path, Recipe(batch=3), list_crops(data, 3, CLIPS), processes)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_signals_wait_for_the_end_of_a_step(data, tmp_path):
     """Ctrl-C within a step: the checkpoint is of whole steps, and going on gives what an undisturbed run gives."""
@@ -708,6 +710,7 @@ def test_signals_wait_for_the_end_of_a_step(data, tmp_path):
     assert_same_weights(whole, part)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_loss_that_is_not_finite_keeps_the_checkpoint(data, tmp_path):
     recipe = Recipe(seed=3, steps=4, batch=1)

@@ -24,8 +24,8 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame
 from gffe_cl.engine.pipeline.pacing import Pacer
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import DeviceFrame
+from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from .. import names
 from ..buffers import Moment, Shot, device_layers, pixel_values, start_reading
@@ -56,7 +56,8 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
     Parameters
     ----------
     pipeline : Pipeline
-        Frames are looked at when it submits and extrapolates them, on the thread that does.
+        Frames are looked at when it submits and extrapolates them, on the thread that does. Times of kernels are shown
+        if its device was opened with `profiling=True`.
     name : str or None
         What the viewer finds this program by: letters, digits, ".", "_", "-". Default: the name of the script, with a
         number if that is taken.
@@ -206,7 +207,7 @@ class _Watcher:
         self._before: Camera | None = None
         self._frame: DeviceFrame | None = None
         self._passed: deque[Passed] = deque(maxlen=2)  # whose buffers are not overwritten yet
-        self._marks: dict[str, object] = {}  # the last event of each stage before this frame
+        self._mark: object = None  # the last command before this frame
         self._specs: dict[str, LayerSpec] = {}  # of all layers
         self._specs_of: tuple | None = None  # their inputs
         self._kept: frozenset[str] = frozenset()  # outputs that the pipeline keeps
@@ -278,7 +279,8 @@ class _Watcher:
             if ShadingCorrection.name in pipeline.stages:
                 with suppress(cl.Error):  # while the device is at work, they are not to be had
                     pipeline.stages[ShadingCorrection.name].take_network_milliseconds()  # of undisplayed frames
-        self._marks = {name: stage.events[-1] if stage.events else None for name, stage in pipeline.stages.items()}
+        events = pipeline.board.commands.events
+        self._mark = events[-1] if events else None
 
     def _use(self, viewer: _Viewer, pipeline: Pipeline, use: Use) -> None:
         try:
@@ -361,7 +363,7 @@ class _Watcher:
         wanted = look.layers & self._specs.keys()
         events, images = start_reading(pipeline, device_layers(pipeline, shot), wanted)
         pipeline.device.queue.flush()
-        launched = {name: self._since_mark(stage) for name, stage in pipeline.stages.items()}
+        launched = self._since_mark(pipeline)
         milliseconds = (time.perf_counter() - start) * 1e3
         viewer.pending = _Pending(shot.moment, events, images, launched, self._frame_ms, milliseconds)
 
@@ -401,13 +403,15 @@ class _Watcher:
         found = Inspection((ask.x, ask.y), 0, story.source, values.here, story, origin=values.origin)
         viewer.send(found.of(ask.layers))
 
-    def _since_mark(self, stage: Stage) -> list[tuple[str, cl.Event]]:
-        """Return the stage's launches for this frame; the program's own `take_timings` returns them, too."""
-        found = []
-        for launched in reversed(stage.events):
-            if launched is self._marks.get(stage.name):
+    def _since_mark(self, pipeline: Pipeline) -> dict[str, list[tuple[str, cl.Event]]]:
+        """Return the stages' launches for this frame; the program's own `take_timings` returns them, too."""
+        found: dict[str, list[tuple[str, cl.Event]]] = {name: [] for name in pipeline.stages}
+        for launched in reversed(pipeline.board.commands.events):
+            if launched is self._mark:
                 break
-            found.append(launched)
+            stage, kernel, event = launched
+            if stage in found:
+                found[stage].append((kernel, event))
         return found
 
 
@@ -428,9 +432,4 @@ class _Pending:
         return all(event.command_execution_status == cl.command_execution_status.COMPLETE for event in self.events)
 
     def kernels(self) -> dict[str, dict[str, float]]:
-        found: dict[str, dict[str, float]] = {}
-        for stage, launched in self.launched.items():
-            taken = found.setdefault(stage, {})
-            for name, event in launched:
-                taken[name] = taken.get(name, 0.0) + (event.profile.end - event.profile.start) * 1e-6
-        return found
+        return milliseconds_of(self.launched)

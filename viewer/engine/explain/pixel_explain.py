@@ -20,7 +20,6 @@ from gffe_cl.engine.stages.buffers import (
     BY_WARP,
     FILLED_BY,
 )
-from gffe_cl.engine.stages.sharpening import Sharpening
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 from .. import names
 from ..buffers import PixelValues, Shot, device_layers, moved, pixel_values, read_blocks, source_position
@@ -89,8 +88,6 @@ def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarr
     said = "Upscaling: seen through the history of the rendered frame."
     if values[names.DISOCCLUDED][0]:
         said = "Upscaling: no history here, its own color is shown."
-    if Sharpening.name in pipeline.stages:
-        said += " Sharpened."
     return replace(story, sentences=(*story.sentences, said))
 
 

@@ -23,13 +23,13 @@ from .source import FrameSource
 def open_viewer_device(wanted: str | None = None) -> Device:
     """Return the device that `open_device` opens; of a CPU, where it can be divided, all compute units but one, which
     is left to the interface."""
-    device = open_device(wanted)
+    device = open_device(wanted, profiling=True)
     cl_device = device.cl_device
     if device.info.kind != "cpu" or cl_device.max_compute_units < 2:
         return device
     counts = [cl.device_partition_property.BY_COUNTS, cl_device.max_compute_units - 1]
     with suppress(cl.Error):
-        return Device(cl_device.create_sub_devices(counts)[0], device.info)
+        return Device(cl_device.create_sub_devices(counts)[0], device.info, profiling=True)
     return device
 
 

@@ -83,7 +83,7 @@ def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall,
 
 
 def bench(at: Motion, wood: Material = WOOD, legs: Material = IRON) -> list[Group]:
-    """Return A slatted seat 1.6 m long along x, with a back."""
+    """Return a slatted seat 1.6 m long along x, with a back."""
     prims = [Box((0, 0.44, -0.19 + 0.13 * k), (1.6, 0.035, 0.1), wood) for k in range(4)]
     prims += [Box((0, 0.62 + 0.14 * k, -0.27 - 0.02 * k), (1.6, 0.1, 0.03), wood) for k in range(2)]
     for x in (-0.65, 0.65):
@@ -95,7 +95,7 @@ def bench(at: Motion, wood: Material = WOOD, legs: Material = IRON) -> list[Grou
 
 
 def potted_plant(x, z, rng: np.random.Generator, height=1.1) -> list[Group]:
-    """Return A pot on the ground and a crown that sways a little."""
+    """Return a pot on the ground and a crown that sways a little."""
     pot = Material(vary(rng, pick(rng, (0.5, 0.22, 0.12), (0.55, 0.55, 0.52), (0.1, 0.18, 0.25)), 0.2), roughness=0.4)
     leaf = leaf_material(rng)
     soil = Material((0.05, 0.035, 0.02), roughness=1.0)
@@ -164,7 +164,7 @@ def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> 
 
 
 def conifer(x, z, rng: np.random.Generator, height, bark, leaf) -> list[Group]:
-    """Return A spruce: a thin trunk and stacked cones."""
+    """Return a spruce: a thin trunk and stacked cones."""
     lean = Place(x, 0, z, yaw=float(rng.uniform(0, 360)), roll=float(rng.uniform(-2, 2)))
     prims = [Cone((0, -0.1, 0), (0, 0.9 * height, 0), 0.03 * height, 0.006 * height, bark)]
     tiers = 6
@@ -183,7 +183,7 @@ def conifer(x, z, rng: np.random.Generator, height, bark, leaf) -> list[Group]:
 
 
 def pendant(x, y, z, drop, color, swing: Motion, shade: Material) -> list[Group]:
-    """Return A lamp on a cord below (x, y, z); its bulb is at (0, −drop, 0) of the returned motion's space."""
+    """Return a lamp on a cord below (x, y, z); its bulb is at (0, −drop, 0) of the returned motion's space."""
     bulb = Material(tint(color, 0.5), emission=tint(color, 1.0))
     at = Place(x, y, z) @ swing
     return [

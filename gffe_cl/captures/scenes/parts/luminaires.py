@@ -16,7 +16,7 @@ def bulb_material(color, brightness=4.0) -> Material:
 
 
 def swinging_lamp(at: Motion, drop, color, strength, swing: Swing, shade: Material, size=0.015, angle=75) -> Luminaire:
-    """Return A shaded lamp on a cord of length `drop` below `at`, which swings."""
+    """Return a shaded lamp on a cord of length `drop` below `at`, which swings."""
     groups = pendant(0.0, 0.0, 0.0, drop, tint(color, 4), swing, shade)
     for group in groups:
         group.motion = at @ group.motion
@@ -25,7 +25,7 @@ def swinging_lamp(at: Motion, drop, color, strength, swing: Swing, shade: Materi
 
 
 def spotlight(at: Motion, color, strength, shade: Material, size=0.012, angle=45) -> Luminaire:
-    """Return A small can that shines along the −y of `at`."""
+    """Return a small can that shines along the −y of `at`."""
     groups = [
         Group([Cone((0, -0.02, 0), (0, 0.2, 0), 0.09, 0.05, shade)], at, casts_shadow=False, name="spotlight"),
         Group([Sphere((0, -0.025, 0), 0.05, bulb_material(color))], at, casts_shadow=False, name="bulb"),
@@ -36,7 +36,7 @@ def spotlight(at: Motion, color, strength, shade: Material, size=0.012, angle=45
 def turning_lantern(
     at: Motion, color, strength, rate, bars, radius, height, frame: Material, thick=0.018, lean=0.0
 ) -> Luminaire:
-    """Return A lamp in a cage of upright bars that turns about y and throws their shadows all around.
+    """Return a lamp in a cage of upright bars that turns about y and throws their shadows all around.
 
     `lean` turns the top ring against the bottom one, in degrees.
     """
@@ -58,7 +58,7 @@ def turning_lantern(
 
 
 def beacon(at: Motion, color, strength, rate, angle=24.0, dip=6.0, beams=2) -> Luminaire:
-    """Return A warning light: a dome with beams that turn about y, dipped by `dip` degrees."""
+    """Return a warning light: a dome with beams that turn about y, dipped by `dip` degrees."""
     turn = at @ Place(0, 0.14, 0) @ Spin("y", rate)
     lights = []
     for k in range(beams):
@@ -79,7 +79,7 @@ def beacon(at: Motion, color, strength, rate, angle=24.0, dip=6.0, beams=2) -> L
 
 
 def gazing_ball(at: Motion, color, strength, rate, beams=5, angle=10.0, lift=9.0) -> Luminaire:
-    """Return A turning ball of mirrors that throws patches of light around, raised by `lift` degrees."""
+    """Return a turning ball of mirrors that throws patches of light around, raised by `lift` degrees."""
     turn, lights = at @ Spin("y", rate), []
     for k in range(beams):
         a, up = 2 * np.pi * k / beams, np.radians(lift * (0.5 + k % 3))

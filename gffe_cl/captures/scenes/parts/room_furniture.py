@@ -89,7 +89,7 @@ def coffee_table(rng, wood) -> list[Group]:
 
 
 def bookcase(rng, wood, wall_x) -> list[Group]:
-    """Return A bookcase against the left wall."""
+    """Return a bookcase against the left wall."""
     books = Material(
         (0.4, 0.2, 0.1),
         (0.6, 0.55, 0.4),

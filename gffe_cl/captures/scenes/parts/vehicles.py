@@ -22,7 +22,7 @@ _PAINTS = ((0.35, 0.03, 0.03), (0.03, 0.06, 0.2), (0.4, 0.4, 0.42), (0.02, 0.02,
 
 
 def car(at: Motion, rng: np.random.Generator) -> list[Group]:
-    """Return A small car, 4 m long, its front towards +z; lamps glow, see `headlight`."""
+    """Return a small car, 4 m long, its front towards +z; lamps glow, see `headlight`."""
     paint = Material(vary(rng, pick(rng, *_PAINTS)), roughness=0.06, specular=0.06, mirror=1.0, contrast=0.02)
     pane = Material((0.02, 0.025, 0.03), roughness=0.02, specular=0.06, mirror=1.0, contrast=0.0)
     rubber = Material((0.02, 0.02, 0.02), roughness=0.9)

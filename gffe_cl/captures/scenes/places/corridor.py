@@ -195,7 +195,7 @@ def _right_side(rng, trim) -> list[Group]:
 
 
 def _outside(rng) -> list[Group]:
-    """Return A lawn with trees, and passers-by whose shadows fall through the windows."""
+    """Return a lawn with trees, and passers-by whose shadows fall through the windows."""
     lawn = Material((0.16, 0.24, 0.07), (0.07, 0.12, 0.03), "grass", scale=0.5, roughness=1.0, contrast=0.2)
     groups = [Group([Box((-33, -0.6, -15), (60, 0.2, 120), lawn)], name="lawn")]
     bark = bark_material(rng)

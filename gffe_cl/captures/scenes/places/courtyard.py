@@ -215,7 +215,7 @@ def _wind_wheels(rng, sun) -> list[Group]:
 
 
 def _birds(rng, sun) -> list[Group]:
-    """Return A flock that circles over the roofs, so that its shadows cross the court."""
+    """Return a flock that circles over the roofs, so that its shadows cross the court."""
     groups = []
     feather = Material(vary(rng, pick(rng, (0.5, 0.5, 0.5), (0.1, 0.1, 0.11), (0.4, 0.36, 0.3))), roughness=0.7)
     height, turn = rng.uniform(9.5, 11.5), pick(rng, -1, 1)

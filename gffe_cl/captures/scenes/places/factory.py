@@ -118,7 +118,7 @@ def _hall(rng, seed, fans) -> list[Group]:
 
 
 def _fan(at: Motion, rng) -> list[Group]:
-    """Return A ventilator in the opening of the wall: frame, hub, turning blades."""
+    """Return a ventilator in the opening of the wall: frame, hub, turning blades."""
     steel = Material((0.16, 0.17, 0.18), roughness=0.4, specular=0.1)
     turn = at @ Spin("x", rng.uniform(360, 520) * pick(rng, -1, 1))
     frame = [Box((0, 0, s * (FAN_RADIUS - 0.03)), (0.2, 2 * FAN_RADIUS, 0.1), IRON) for s in (-1, 1)]
@@ -133,7 +133,7 @@ def _fan(at: Motion, rng) -> list[Group]:
 
 
 def _conveyor(rng, paint) -> list[Group]:
-    """Return A belt from one machine to another, with boxes on it."""
+    """Return a belt from one machine to another, with boxes on it."""
     x, z0, z1 = -3.6, 1.8, -12.0
     belt = Material((0.05, 0.05, 0.05), (0.09, 0.09, 0.09), "stripes", scale=0.3, roughness=0.5)
     middle, length = (z0 + z1) / 2, z0 - z1
@@ -181,7 +181,7 @@ def _curtain(rng) -> list[Group]:
 
 
 def _office(rng) -> list[Group]:
-    """Return A glass booth on the right; someone walks in it."""
+    """Return a glass booth on the right; someone walks in it."""
     x, z0, z1, h = 4.9, 1.0, -6.0, 2.6
     tinted = Material(vary(rng, (0.8, 0.92, 0.9), 0.08), transparency=0.82, specular=0.05, mirror=0.08, roughness=0.01)
     groups = []
@@ -199,7 +199,7 @@ def _office(rng) -> list[Group]:
 
 
 def _gratings_and_pipes(rng, yellow) -> list[Group]:
-    """Return A gangway of bars along the right wall, below the crane; pipes and tanks."""
+    """Return a gangway of bars along the right wall, below the crane; pipes and tanks."""
     groups, bar = [], Material((0.2, 0.2, 0.21), roughness=0.5, specular=0.1)
     x0, x1, y = 5.6, 8.6, 3.3
     for z in np.arange(-9.0, 2.0, 2.2):
@@ -223,7 +223,7 @@ def _gratings_and_pipes(rng, yellow) -> list[Group]:
 
 
 def _crane(rng, yellow) -> tuple[list[Light], list[Group]]:
-    """Return A bridge that travels along the hall, its lamp swinging below the trolley."""
+    """Return a bridge that travels along the hall, its lamp swinging below the trolley."""
     travel = Place(0, HEIGHT - 1.35, -4.5) @ Slide((0, 0, rng.uniform(4.5, 5.5)), rng.uniform(4.4, 5.4), rng.random())
     bridge = [Box((0, 0, s * 0.5), (2 * HALF_WIDTH - 0.3, 0.4, 0.16), yellow) for s in (-1, 1)]
     trolley = travel @ Slide((2.0, 0, 0), rng.uniform(8, 11), rng.random()) @ Place(3.6, 0, 0)

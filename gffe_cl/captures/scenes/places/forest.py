@@ -183,7 +183,7 @@ def _trees(rng, keep_clear, autumn) -> list[Group]:
 
 
 def _edge_of_the_wood(rng, autumn) -> list[Group]:
-    """Return A closed backdrop of crowns and trunks behind everything."""
+    """Return a closed backdrop of crowns and trunks behind everything."""
     groups = []
     bark = bark_material(rng)
     for k in range(16):

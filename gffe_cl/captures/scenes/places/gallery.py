@@ -141,7 +141,7 @@ def _art(rng, white) -> list[Group]:
 
 
 def _hoop(radius, thick, material, count=18) -> list:
-    """Return A ring in the plane z = 0, of capsules."""
+    """Return a ring in the plane z = 0, of capsules."""
     corners = [(radius * np.cos(a), radius * np.sin(a), 0.0) for a in np.linspace(0, 2 * np.pi, count, endpoint=False)]
     return [Capsule(a, b, thick, material) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
 
@@ -208,7 +208,7 @@ def _people(rng) -> list[Group]:
 
 
 def _lights(rng) -> tuple[list[Light], list[Group]]:
-    """Return A lamp that travels on its rail, one that swings, a lantern and a ball of mirrors that turn."""
+    """Return a lamp that travels on its rail, one that swings, a lantern and a ball of mirrors that turn."""
     warm = np.array(vary(rng, (1.0, 0.86, 0.68), 0.1))
     cool = np.array(vary(rng, (0.8, 0.9, 1.0), 0.1))
     black = Material((0.05, 0.05, 0.055), roughness=0.35)

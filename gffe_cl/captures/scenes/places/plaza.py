@@ -178,7 +178,7 @@ def _fountain(rng) -> list[Group]:
 
 
 def _facade(rng, width, height, depth) -> Group:
-    """Return A town house in its own space: front in the plane z = 0, door in the middle."""
+    """Return a town house in its own space: front in the plane z = 0, door in the middle."""
     wall = Material(
         vary(
             rng,

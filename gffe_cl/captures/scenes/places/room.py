@@ -260,7 +260,7 @@ def _shell(rng, seed) -> list[Group]:
 
 
 def _toys(rng) -> list[Group]:
-    """Return A train on a loop, a rolling ball, a bouncing ball, a mobile, a ceiling fan."""
+    """Return a train on a loop, a rolling ball, a bouncing ball, a mobile, a ceiling fan."""
     groups = []
     loop = [(-1.25, -1.05), (0, -1.2), (1.25, -1.05), (1.35, 0.4), (0, 0.65), (-1.35, 0.4)]
     loop = loop if rng.random() < 0.5 else loop[::-1]
@@ -334,7 +334,7 @@ def _toys(rng) -> list[Group]:
 
 
 def _lights(rng, warm) -> tuple[list[Light], list[Group]]:
-    """Return A floor lamp and a pendant that swings over the table."""
+    """Return a floor lamp and a pendant that swings over the table."""
     x, z = -HALF_X + 0.5, 2.55
     shade = Material(tint(warm, 0.5), emission=tint(warm, 0.75), roughness=1.0)
     bulb = Material(tint(warm, 0.5), emission=tint(warm, 5))

@@ -21,6 +21,7 @@ BUILDERS = {
     "shadows": shading.shadows,
     "fan": shading.fan,
     "screen": shading.screen,
+    "marbles": shading.marbles,
     "quantized": cameras.quantized,
 }
 

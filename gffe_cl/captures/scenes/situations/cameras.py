@@ -24,7 +24,7 @@ def handheld(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def cab(seed: int, rng: np.random.Generator) -> Scene:
-    """Return A shaking cab that drives between trees. Its parts are fixed to the camera."""
+    """Return a shaking cab that drives between trees. Its parts are fixed to the camera."""
     groups, cameras, _ = _cab(seed, rng)
     return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), cameras)
 

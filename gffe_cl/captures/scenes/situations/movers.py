@@ -115,7 +115,7 @@ def balls(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def rotors(seed: int, rng: np.random.Generator) -> Scene:
-    """Return A pinwheel, a wheel with spokes, a rotor overhead, and a cart whose wheels roll."""
+    """Return a pinwheel, a wheel with spokes, a rotor overhead, and a cart whose wheels roll."""
     groups, post = yard(rng, seed), Material((0.3, 0.3, 0.32), roughness=0.5)
     sails = Place(-1.5, 2.0, -2.6) @ Spin("z", rng.uniform(140, 230) * pick(rng, -1, 1))
     groups.append(Group([Cylinder((-1.5, 0, -2.75), (-1.5, 2.05, -2.75), 0.06, post)], name="post"))

@@ -59,7 +59,7 @@ def yard(rng: np.random.Generator, seed: int) -> list[Group]:
 
 
 def sunlight(rng: np.random.Generator, strength: float = 1.5) -> tuple[list[Light], Air]:
-    """Return A sun from the upper left behind the camera, and its sky."""
+    """Return a sun from the upper left behind the camera, and its sky."""
     sun = Light("sun", (-0.55 + rng.uniform(-0.2, 0.2), 0.9, 0.75), tint((1.0, 0.92, 0.8), strength), size=0.01)
     air = Air(
         zenith=(0.1, 0.23, 0.52),
@@ -72,7 +72,7 @@ def sunlight(rng: np.random.Generator, strength: float = 1.5) -> tuple[list[Ligh
 
 
 def hall(rng: np.random.Generator, seed: int) -> list[Group]:
-    """Return A room with planks, papered walls, pictures, a bookcase, a bench, a vase on a stand; nothing reflects."""
+    """Return a room with planks, papered walls, pictures, a bookcase, a bench, a vase on a stand; nothing reflects."""
     oak = vary(rng, pick(rng, (0.42, 0.27, 0.14), (0.5, 0.38, 0.24), (0.3, 0.18, 0.1)))
     floor = Material(oak, tint(oak, 0.5), "planks", scale=0.14, contrast=0.5, roughness=0.7, seed=seed)
     color = vary(rng, pick(rng, (0.58, 0.53, 0.42), (0.42, 0.5, 0.5), (0.55, 0.42, 0.38), (0.46, 0.5, 0.38)))

@@ -6,15 +6,15 @@ import numpy as np
 
 from gffe_cl.captures.scenes.parts.furniture import IRON
 from gffe_cl.captures.scenes.parts.luminaires import spotlight, swinging_lamp
-from gffe_cl.captures.scenes.parts.motions import Motion, Place, Slide, Spin, Swing
+from gffe_cl.captures.scenes.parts.motions import Motion, Path, Place, Roll, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,
     Capsule,
     Cylinder,
-    Flicker,
     Group,
     Light,
+    LightFlicker,
     Material,
     Scene,
     Sphere,
@@ -65,7 +65,7 @@ def shadows(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def fan(seed: int, rng: np.random.Generator) -> Scene:
-    """Return A fan before a lamp: the shadows of its blades turn over walls and floor."""
+    """Return a fan before a lamp: the shadows of its blades turn over walls and floor."""
     groups = hall(rng, seed) + _things(rng)
     lights, air = lamplight(rng, 0.15)
     at = Place(rng.uniform(-0.3, 0.3), 2.5, -1.8, pitch=58)  # its −y looks at the foot of the back wall
@@ -75,7 +75,7 @@ def fan(seed: int, rng: np.random.Generator) -> Scene:
 
 
 def screen(seed: int, rng: np.random.Generator) -> Scene:
-    """Return A wall of screens whose pictures jump, and the light that they throw."""
+    """Return a wall of screens whose pictures jump, and the light that they throw."""
     groups = hall(rng, seed) + _things(rng)
     lights, air = lamplight(rng, 0.18)
     case = Material((0.03, 0.03, 0.035), roughness=0.5)
@@ -84,14 +84,30 @@ def screen(seed: int, rng: np.random.Generator) -> Scene:
     for i in range(columns):
         for j in range(rows):
             color = pick(rng, (1.0, 0.35, 0.2), (0.25, 0.6, 1.0), (0.9, 0.9, 0.8), (0.3, 0.9, 0.4), (0.8, 0.3, 0.9))
-            flicker = Flicker(rate, 0.05, seed=int(rng.integers(1 << 16)))
+            flicker = LightFlicker(rate, 0.05, seed=int(rng.integers(1 << 16)))
             glow = Material((0.02, 0.02, 0.02), emission=tint(color, 0.9), contrast=0.0, roughness=0.9, flicker=flicker)
             center = (0.2 + 0.47 * (i - 2.5), 1.75 + 0.4 * (j - 1.5), BACK + 0.46)
             groups.append(Group([Box(center, (0.44, 0.37, 0.02), glow)], casts_shadow=False, name="screen"))
     for k, x in enumerate((-0.8, 1.2)):
-        flicker = Flicker(rate, 0.15, seed=seed * 2 + k)
+        flicker = LightFlicker(rate, 0.15, seed=seed * 2 + k)
         lights.append(Light("lamp", (x, 1.8, BACK + 1.0), tint((0.7, 0.85, 1.0), 3.0), size=0.3, flicker=flicker))
     return scene("screen", "Screens that flicker", seed, groups, lights, air, still_camera(rng))
+
+
+def marbles(seed: int, rng: np.random.Generator) -> Scene:
+    """Return balls of glass and of steel that roll over polished stone, before things that they mirror."""
+    groups = hall(rng, seed) + _things(rng)
+    stone = Material(vary(rng, (0.3, 0.3, 0.32)), (0.18, 0.17, 0.17), "tiles", scale=0.7, mirror=0.6, roughness=0.05)
+    groups.append(Group([Box((0, 0.02, -1.6), (5.2, 0.04, 2.6), stone)], name="slab"))
+    glass = Material((0.8, 0.95, 0.88), transparency=0.9, specular=0.06, mirror=0.06, roughness=0.02)
+    steel = Material((0.55, 0.56, 0.58), specular=0.6, mirror=1.0, roughness=0.02)
+    loop = [(-1.8, -0.9), (0, -0.7), (1.8, -0.9), (1.9, -1.9), (0, -1.6), (-1.9, -1.9)]
+    speed, phase = rng.uniform(0.9, 1.4), rng.random()
+    for k, (radius, material) in enumerate(((0.34, glass), (0.26, steel), (0.2, glass))):
+        path = Path(loop, speed, phase + k / 3)
+        at = Place(0, 0.04 + radius, 0) @ path @ Roll(path, radius)
+        groups.append(Group([Sphere((0, 0, 0), radius, material)], at, name="marble"))
+    return scene("marbles", "Glass that rolls", seed, groups, *lamplight(rng), still_camera(rng))
 
 
 def _things(rng) -> list[Group]:

@@ -18,7 +18,6 @@ gffe_options gffe_default_options(int width, int height) {
     made.height = height;
     made.fps = 30;
     made.int64_atomics = -1;
-    made.shared_memory = -1;
     return made;
 }
 
@@ -33,7 +32,6 @@ static gffe_status check_options(gffe *g) {
     if (!status) status = gffe_need_whole(g, "options: render_height", options->render_height, 0, GFFE_MOST_PIXELS);
     if (!status) status = gffe_need_number(g, "options: fps", options->fps, least, most);
     if (!status) status = gffe_need_whole(g, "options: int64_atomics", options->int64_atomics, -1, 1);
-    if (!status) status = gffe_need_whole(g, "options: shared_memory", options->shared_memory, -1, 1);
     if (status) return status;
     if (!options->render_width != !options->render_height)
         return gffe_fail(g, GFFE_INVALID,
@@ -41,9 +39,6 @@ static gffe_status check_options(gffe *g) {
                          options->render_width, options->render_height);
     if (options->lanes != 0 && options->lanes != 1 && options->lanes != 8)
         return gffe_fail(g, GFFE_INVALID, "options: lanes must be 0, 1 or 8, got %d", options->lanes);
-    if (options->network && !GFFE_CORRECTS_SHADING)
-        return gffe_fail(g, GFFE_INVALID,
-                         "options: there is a network, but it was exported without (gffe export --scn)");
     return GFFE_OK;
 }
 
@@ -202,19 +197,14 @@ static int is_cut(const cl_int *counts, int jumped) {
 static gffe_status look_for_cut(gffe *g) {
     const int had_step = g->has_step;
     const double before = g->camera_step;
-    double here[3], there[3];
     gffe_status status;
     cl_int error;
-    int k;
     g->has_step = g->is_cut = 0;
     if (!GFFE_CUT_DETECTION || !g->has_previous) return GFFE_OK;
-    gffe_position(&g->step.cameras[GFFE_FRAME], here);
-    gffe_position(&g->step.cameras[GFFE_PREVIOUS], there);
-    for (k = 0; k < 3; ++k) here[k] = here[k] - there[k];
-    g->camera_step = gffe_length(here);
+    g->camera_step = gffe_distance(&g->step.cameras[GFFE_FRAME], &g->step.cameras[GFFE_PREVIOUS]);
     g->jumped = had_step && g->camera_step > GFFE_CUT_TELEPORT * before;
     g->has_step = 1;
-    status = gffe_run(g, GFFE_CUT, 0);
+    status = gffe_run(g, GFFE_CUT);
     if (status) return status;
     error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_FALSE, 0, sizeof g->cut_counts, g->cut_counts, 0,
                                 NULL, &g->counted);
@@ -224,25 +214,18 @@ static gffe_status look_for_cut(gffe *g) {
 }
 
 static void forget(gffe *g) {
-    g->step.time_count = g->path_count = g->has_previous = g->step.rests = 0;
+    g->step.time_count = g->has_previous = g->step.rests = 0;
     g->step.cameras[GFFE_PREVIOUS] = g->step.cameras[GFFE_FRAME];
     g->step.cameras[GFFE_PREVIOUS_DISPLAY] = g->step.cameras[GFFE_FRAME_DISPLAY];
 }
 
-/* Stores time and camera before the known ones since the last reset. */
+/* Stores the time before the known ones since the last reset. */
 static void remember(gffe *g, double time) {
     gffe_step *step = &g->step;
     int k;
     if (step->time_count < GFFE_MOST_TIMES) ++step->time_count;
     for (k = step->time_count - 1; k > 0; --k) step->times[k] = step->times[k - 1];
     step->times[0] = time;
-    if (g->path_count < GFFE_POSES) ++g->path_count;
-    for (k = g->path_count - 1; k > 0; --k) {
-        g->path[k] = g->path[k - 1];
-        g->path_times[k] = g->path_times[k - 1];
-    }
-    g->path_times[0] = time;
-    g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
 }
 
 /* Waits for the counts, decides whether the rendered frame is a cut, and works on it again as on a reset if it is. */
@@ -263,7 +246,7 @@ static gffe_status decide_cut(gffe *g) {
     g->has_step = 0;
     forget(g);
     remember(g, g->step.times[0]);
-    return gffe_run(g, GFFE_RENDERED_FIRST, 0);
+    return gffe_run(g, GFFE_RENDERED_FIRST);
 }
 
 /* Returns the camera without jitter: a principal point within a pixel of the middle belongs there
@@ -327,7 +310,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     if (!g->has_previous) forget(g);
     remember(g, time);
     gffe_swap(g, 0);
-    status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
+    status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST);
     return status ? status : gffe_mark(g, done);
 }
 
@@ -340,16 +323,6 @@ static gffe_status need_frame(gffe *g, const void *made) {
     return g->has_frame ? decide_cut(g) : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
 }
 
-gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
-    gffe_status status = need_frame(g, made);
-    const char *fault;
-    if (!status) status = gffe_need_number(g, "predict_camera: alpha", alpha, -GFFE_LARGEST, GFFE_LARGEST);
-    if (status) return status;
-    fault = gffe_predict_camera_at(g->step.times[0] + alpha * gffe_interval(g), g->path, g->path_times, g->path_count,
-                                   GFFE_CAMERA_ORDER, made);
-    return fault ? gffe_fail(g, GFFE_INVALID, "%s", fault) : GFFE_OK;
-}
-
 static cl_mem memory_of(const gffe *g, const char *name) {
     const int reference = gffe_reference(g, name);
     return reference < 0 ? NULL : g->memory[reference];
@@ -357,9 +330,8 @@ static cl_mem memory_of(const gffe *g, const char *name) {
 
 static void hand_out(const gffe *g, gffe_frame *made) {
     const cl_mem corrected = memory_of(g, "correction.color"), upscaled = memory_of(g, "upscaling.color");
-    const cl_mem sharpened = memory_of(g, "sharpening.color");
     made->gae = memory_of(g, "frame.color");
-    made->color = sharpened ? sharpened : upscaled ? upscaled : corrected ? corrected : made->gae;
+    made->color = upscaled ? upscaled : corrected ? corrected : made->gae;
     made->depth = memory_of(g, "frame.depth");
     made->motion = memory_of(g, "frame.motion");
     made->dynamic = memory_of(g, "frame.dynamic");
@@ -377,11 +349,9 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
 gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
                                    const cl_event *wait_for, cl_event *done) {
     gffe_step *step;
-    gffe_camera predicted;
     gffe_status status = need_frame(g, made);
     const char *fault;
     double alpha;
-    int occasion, corrected;
     if (done) *done = NULL;
     if (status) return status;
     status = gffe_need_number(g, "extrapolate: time", time, -GFFE_LARGEST, GFFE_LARGEST);
@@ -394,11 +364,6 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     if (!(alpha <= GFFE_MOST_ALPHA))
         return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is more than %g intervals after %g s", time,
                          GFFE_MOST_ALPHA, step->times[0]);
-    if (!camera) {
-        status = gffe_predict_camera(g, alpha, &predicted);
-        if (status) return status;
-        camera = &predicted;
-    }
     fault = gffe_camera_fault(camera);
     if (fault) return gffe_fail(g, GFFE_INVALID, "extrapolate: %s", fault);
     status = gffe_wait_for(g, count, wait_for);
@@ -407,13 +372,9 @@ gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double ti
     step->time = time;
     step->alpha = alpha;
     step->stays = gffe_stays(step);
-    occasion = g->has_previous ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
-    corrected = g->has_previous && g->options.network ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
-    status = gffe_run(g, occasion, 0);
-    if (!status) step->coded |= !step->stays;
-    if (!status) status = gffe_run(g, corrected, GFFE_OF_CORRECTION);
-    if (!status) status = gffe_run(g, occasion, GFFE_AFTER_CORRECTION);
+    status = gffe_run(g, g->has_previous ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST);
     if (status) return status;
+    step->coded |= !step->stays;
     hand_out(g, made);
     status = gffe_compose(g, GFFE_COMPOSE, made);
     return status ? status : gffe_mark(g, done);
@@ -432,7 +393,7 @@ static gffe_status resample(gffe *g, gffe_frame *made) {
     if (!memory_of(g, "presentation.motion")) status = gffe_allocate(g, GFFE_LATE); /* the last of them */
     if (status) return status;
     g->memory[GFFE_RENDERED_DEPTH] = g->memory[GFFE_SHOWN_DEPTH];
-    status = gffe_run(g, g->has_previous ? GFFE_PRESENT : GFFE_PRESENT_FIRST, 0);
+    status = gffe_run(g, g->has_previous ? GFFE_PRESENT : GFFE_PRESENT_FIRST);
     g->memory[GFFE_RENDERED_DEPTH] = depth;
     made->color = memory_of(g, "presentation.color");
     made->depth = memory_of(g, "presentation.depth");
@@ -444,11 +405,9 @@ gffe_status gffe_present(gffe *g, gffe_frame *made) { return gffe_present_after(
 
 gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done) {
     gffe_status status = need_frame(g, made);
-    int sharpened;
     if (done) *done = NULL;
     if (!status) status = gffe_wait_for(g, count, wait_for);
     if (status) return status;
-    sharpened = memory_of(g, "sharpening.rendered") != NULL;
     memset(made, 0, sizeof *made);
     made->camera = g->step.cameras[GFFE_FRAME_DISPLAY];
     made->time = g->step.times[0];
@@ -458,7 +417,7 @@ gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const c
     if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY)
         || (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
-    if (GFFE_UPSCALES) made->color = memory_of(g, sharpened ? "sharpening.rendered" : "upscaling.history");
+    if (GFFE_UPSCALES) made->color = memory_of(g, "upscaling.history");
     if (!status) status = gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
     return status ? status : gffe_mark(g, done);
 }

@@ -22,27 +22,29 @@
 #include <CL/cl.h>
 #endif
 
-#include "gffe_camera.h"
-
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 typedef struct gffe gffe;
 
+/* A pinhole camera. The axes of the view are x right, y down, z forward; the center of pixel (i, j) is
+   (i + 0.5, j + 0.5), the origin the image's top left corner. */
+typedef struct gffe_camera {
+    double world_to_view[4][4]; /* [row][column], for column vectors; a rotation and a translation, world units */
+    double fx, fy;              /* focal lengths, pixels, > 0 */
+    double cx, cy;              /* principal point, pixels; jitter is part of it */
+} gffe_camera;
+
+/* Returns the fault of a camera, in one line; NULL if it is valid. */
+const char *gffe_camera_fault(const gffe_camera *camera);
+
 typedef enum gffe_status {
     GFFE_OK = 0,
     GFFE_INVALID = 1,       /* an argument is invalid; nothing was changed */
     GFFE_OPENCL = 2,        /* a call of OpenCL failed: results are lost, destroy the gffe and create another */
-    GFFE_OUT_OF_MEMORY = 3, /* no memory is left on host or device: as after GFFE_OPENCL */
-    GFFE_NETWORK_FAILED = 4 /* the network's callback failed; the frame was not made */
+    GFFE_OUT_OF_MEMORY = 3  /* no memory is left on host or device: as after GFFE_OPENCL */
 } gffe_status;
-
-/* Runs the shading correction network: reads `frames` (8 planes of width x height floats) and `candidates` (16 planes
-   of half the width and height), writes `judgement` (20 planes like these), all on the device, on `queue` or after the
-   work enqueued there. Returns 0 for success. gffe_onnx.c has an implementation. */
-typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, cl_mem candidates, cl_mem judgement,
-                            size_t width, size_t height);
 
 typedef struct gffe_options {
     int width, height;               /* of the display, and so of extrapolated frames, pixels */
@@ -50,10 +52,8 @@ typedef struct gffe_options {
     double fps;                      /* rendered frames per second, 1e-6 to 1e6, until two of them are known */
     int lanes;                       /* pixels per work-item: 1, 8, or 0: as suits the device */
     int int64_atomics; /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
-    int shared_memory; /* whether the network's buffers lie in the host's memory: 0, 1, or -1: where the device
-                          shares it; the results are the same */
-    gffe_network network; /* NULL: shading is not corrected; only where the export includes it */
-    void *network_user; /* handed to `network` */
+    int float_sums;    /* whether the network sums in floats, for devices that are slow at integers; the results are
+                          the same */
 } gffe_options;
 
 /* A result on the device: buffers that hold it until the next one is made. `motion` points into the rendered frame.
@@ -176,16 +176,12 @@ double gffe_interval(gffe *g);
 /* Sets the factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
 gffe_status gffe_set_exposure(gffe *g, double exposure);
 
-/* Predicts the display camera `alpha` intervals after the last rendered frame. */
-gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made);
-
-/* Makes the frame at `time`, seconds, seen by `camera`, in display pixels (NULL: the predicted one). Returns at once,
-   unless the network's callback waits. */
+/* Makes the frame at `time`, seconds, seen by `camera`, in display pixels: the one that you will show the next frame
+   through, as well as you know it. Returns at once. */
 gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made);
 
 /* Does the same as gffe_extrapolate with events, as in gffe_submit_after. Wait for readers of the last frame made on
-   other queues; *done is complete when the buffers of *made hold the frame. A network's callback has been called by
-   then. */
+   other queues; *done is complete when the buffers of *made hold the frame. */
 gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
                                    const cl_event *wait_for, cl_event *done);
 

@@ -122,6 +122,8 @@ static gffe_status build(gffe *g, int number, int int64) {
     if (program->flags & GFFE_TAKES_RUN) used += (size_t)sprintf(choices + used, " -DRUN=%d", g->lanes > 1 ? 16 : 1);
     if (program->flags & GFFE_TAKES_EXACT_DIVISION && g->exact_division)
         used += (size_t)sprintf(choices + used, " -DEXACT_DIVISION=1");
+    if (program->flags & GFFE_TAKES_FLOAT_SUMS && g->options.float_sums)
+        used += (size_t)sprintf(choices + used, " -DFLOAT_SUMS=1");
     if (program->flags & GFFE_TAKES_INT64 && int64) sprintf(choices + used, " -DINT64_ATOMICS=1");
     g->programs[number] = clCreateProgramWithSource(g->context, (cl_uint)program->line_count,
                                                     (const char **)program->lines, NULL, &error);
@@ -169,18 +171,14 @@ gffe_status gffe_open_late(gffe *g) {
 gffe_status gffe_open(gffe *g) {
     gffe_status status = GFFE_OK;
     cl_device_type type = 0;
-    cl_bool unified = CL_FALSE;
     cl_uint alignment = 0; /* bits */
     cl_int error;
     int int64 = g->options.int64_atomics;
     error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
     if (error == CL_SUCCESS)
-        error = clGetDeviceInfo(g->device, CL_DEVICE_HOST_UNIFIED_MEMORY, sizeof unified, &unified, NULL);
-    if (error == CL_SUCCESS)
         error = clGetDeviceInfo(g->device, CL_DEVICE_MEM_BASE_ADDR_ALIGN, sizeof alignment, &alignment, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "querying the device");
     g->step.alignment = alignment / 8 > GFFE_LEAST_ALIGNMENT ? alignment / 8 : GFFE_LEAST_ALIGNMENT;
-    g->shares_memory = g->options.shared_memory < 0 ? unified != CL_FALSE : g->options.shared_memory;
     g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
     if (int64 < 0) int64 = has_int64_atomics(g);
     g->exact_division = divides_exactly(g);
@@ -209,7 +207,7 @@ static int step_of(const gffe *g, int step) {
 static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_block *block) {
     const gffe_kernel *kernel = &gffe_kernels[operation->kernel];
     const gffe_argument *argument = g->plan->arguments + operation->first;
-    size_t size[2], group[2] = {1, 1};
+    size_t size[3], group[3] = {1, 1, 1};
     cl_uint count = 0, k;
     cl_int error = clGetKernelInfo(g->kernels[operation->kernel], CL_KERNEL_NUM_ARGS, sizeof count, &count, NULL);
     for (k = 0; k < count && error == CL_SUCCESS; ++k, ++argument) {
@@ -228,10 +226,12 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
     if (error != CL_SUCCESS) return error;
     gffe_grid_size(&g->step, operation->grid, operation->level, size);
     group[0] = (size_t)(kernel->group ? kernel->group : g->lanes > 1 ? ROW_OF_LANES : ROW);
+    group[1] = (size_t)kernel->group_rows;
     size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
     size[1] = (size[1] + (size_t)step_of(g, kernel->step_y) - 1) / (size_t)step_of(g, kernel->step_y);
-    size[0] = (size[0] + group[0] - 1) / group[0] * group[0];
-    return clEnqueueNDRangeKernel(g->queue, g->kernels[operation->kernel], 2, NULL, size, group, 0, NULL, NULL);
+    for (k = 0; k < 2; ++k) size[k] = (size[k] + group[k] - 1) / group[k] * group[k];
+    size[2] = (size_t)operation->repeats;
+    return clEnqueueNDRangeKernel(g->queue, g->kernels[operation->kernel], 3, NULL, size, group, 0, NULL, NULL);
 }
 
 static cl_int fill(gffe *g, const gffe_operation *operation) {
@@ -249,19 +249,7 @@ static cl_int copy(gffe *g, const gffe_operation *operation) {
                                NULL, NULL);
 }
 
-static gffe_status run_network(gffe *g) {
-    const cl_mem frames = g->memory[gffe_reference(g, "network_input.frames")];
-    const cl_mem candidates = g->memory[gffe_reference(g, "shading_flow.candidates")];
-    const cl_mem judgement = g->memory[gffe_reference(g, "correction.judgement")];
-    size_t size[2];
-    int failed;
-    gffe_grid_size(&g->step, GFFE_NETWORK, 0, size);
-    failed = g->options.network(g->options.network_user, g->queue, frames, candidates, judgement, size[0], size[1]);
-    if (failed) return gffe_fail(g, GFFE_NETWORK_FAILED, "the network's callback returned %d (expected 0)", failed);
-    return GFFE_OK;
-}
-
-gffe_status gffe_run(gffe *g, int occasion, int part) {
+gffe_status gffe_run(gffe *g, int occasion) {
     const gffe_operations *operations = &g->plan->operations[occasion];
     const int is_new = occasion == GFFE_EXTRAPOLATED || occasion == GFFE_EXTRAPOLATED_FIRST;
     gffe_frame_block block;
@@ -269,16 +257,9 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
     gffe_fill_frame_block(&g->step, is_new || occasion == GFFE_COMPOSE, &block);
     for (k = 0; k < operations->count; ++k) {
         const gffe_operation *operation = &operations->list[k];
-        cl_int error = CL_SUCCESS;
-        if (operation->part != part) continue;
-        if (operation->kind == GFFE_RUN_NETWORK) {
-            const gffe_status status = run_network(g);
-            if (status) return status;
-        } else {
-            error = operation->kind == GFFE_LAUNCH ? launch(g, operation, &block)
-                    : operation->kind == GFFE_FILL ? fill(g, operation)
-                                                   : copy(g, operation);
-        }
+        const cl_int error = operation->kind == GFFE_LAUNCH ? launch(g, operation, &block)
+                             : operation->kind == GFFE_FILL ? fill(g, operation)
+                                                            : copy(g, operation);
         if (error != CL_SUCCESS)
             return gffe_opencl_failed(g, error,
                                       operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name

@@ -316,13 +316,11 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = given[k];
     if (!given[MOTION]) g->memory[GFFE_ENGINE_COLOR + 2 * MOTION] = g->memory[GFFE_RENDERED_MOTION];
     step->converts = 1;
-    if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR, 0);
+    if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR);
     if (!status && g->converts[1])
-        status =
-            gffe_run(g,
-                     step->format.motion_dilated ? (is_small(step) ? GFFE_CONVERT_SMALL_DILATED : GFFE_CONVERT_DILATED)
-                                                 : (is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY),
-                     0);
+        status = gffe_run(g, step->format.motion_dilated
+                                 ? (is_small(step) ? GFFE_CONVERT_SMALL_DILATED : GFFE_CONVERT_DILATED)
+                                 : (is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY));
     step->converts = 0;
     for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
     return status;

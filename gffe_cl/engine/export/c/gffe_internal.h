@@ -23,7 +23,6 @@ enum {
     GFFE_CELLS,
     GFFE_RUNS,
     GFFE_NETWORK,
-    GFFE_MIP,
     GFFE_LEVEL,
     GFFE_LEVELS
 };
@@ -37,7 +36,7 @@ enum {
     GFFE_FRAME_BLOCK     /* sizes, cameras, times and options */
 };
 
-enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY, GFFE_RUN_NETWORK };
+enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY };
 
 /* Occasions, each with a list of operations; those of a frame without one before come first. */
 enum {
@@ -65,15 +64,14 @@ enum {
     GFFE_TAKES_RUN = 2,
     GFFE_TAKES_EXACT_DIVISION = 4,
     GFFE_TAKES_INT64 = 8,
+    GFFE_TAKES_FLOAT_SUMS = 16,
     GFFE_OF_FORMATS = 256
 };
-/* Flags of buffers: the one of the frame before is kept, too; the host works in it where it shares memory with the
-   device; made with the first windowed frame; the caller's; memory that contains others side by side; memory that is
-   free while frames are extrapolated; the copy of the frame before is free then; made with the first overlays. What
-   the first format needs, GFFE_OF_FORMATS, is a flag of programs, too. */
+/* Flags of buffers: the one of the frame before is kept, too; made with the first windowed frame; the caller's; memory
+   that contains others side by side; memory that is free while frames are extrapolated; the copy of the frame before is
+   free then; made with the first overlays. What the first format needs, GFFE_OF_FORMATS, is a flag of programs, too. */
 enum {
     GFFE_KEPT = 1,
-    GFFE_MAPPED = 2,
     GFFE_LATE = 4,
     GFFE_GIVEN = 8,
     GFFE_MEMORY = 16,
@@ -93,7 +91,6 @@ enum {
     GFFE_FIRST_OVERLAY = 16,
     GFFE_ENGINE_COLOR = 24
 };
-enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
 
 typedef struct gffe_program {
     const char *name;
@@ -106,11 +103,13 @@ typedef struct gffe_kernel {
     const char *name;
     int step_x, step_y; /* pixels per work-item */
     int group;          /* work-items, in a row; 0: as suits the device */
+    int group_rows;     /* rows of them in a work-group */
 } gffe_kernel;
 
 typedef struct gffe_buffer {
     const char *name;
     int grid, level, bytes, planes; /* bytes of a texel */
+    int border, byte;               /* pixels stored around each plane; what all bytes are at first */
     int whole;                      /* the buffer of all levels, or the memory, in which it lies; -1 */
     int flags;
     int first, last; /* where it holds nothing but within an extrapolation: the stages that use it; else -1 */
@@ -128,8 +127,9 @@ typedef struct gffe_argument {
 } gffe_argument;
 
 typedef struct gffe_operation {
-    int kind, part, kernel;
+    int kind, kernel;
     int grid, level; /* of its work-items, before a kernel's step, or of the texels that are filled */
+    int repeats;     /* how often the grid is repeated, in a third dimension */
     int first;    /* of its arguments */
     int buffer;   /* reference: twice a buffer's number, plus 1 for its copy of the frame before */
     int other;    /* the reference that is copied, or the byte that fills */
@@ -190,7 +190,7 @@ struct gffe {
     cl_context context;
     cl_command_queue queue;
     cl_device_id device;
-    int lanes, exact_division, shares_memory;
+    int lanes, exact_division;
     cl_program *programs;
     cl_kernel *kernels;
     cl_mem *memory; /* by reference */
@@ -205,9 +205,6 @@ struct gffe {
     int turn;
     int counts;     /* of a cut: the buffer's reference, or -1 */
     gffe_step step;
-    gffe_camera path[GFFE_POSES]; /* display cameras since the last reset, newest first */
-    double path_times[GFFE_POSES];
-    int path_count;
     int is_ready; /* created well */
     int has_frame, has_previous, is_cut;
     int has_step, jumped; /* whether `camera_step` counts, and is far longer than the one before */
@@ -216,6 +213,23 @@ struct gffe {
     cl_int cut_counts[GFFE_CUT_SAMPLES_Y][GFFE_COUNTED];
     char message[4096];
 };
+
+/* gffe_camera.c */
+/* Returns the distance between two cameras, world units. */
+double gffe_distance(const gffe_camera *a, const gffe_camera *b);
+/* Computes the reprojection for kernels: source view space -> target view space, three rows; both projections, and the
+   source's inverse. */
+void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]);
+/* Returns whether both cameras show everything at the same pixels, to the bit. */
+int gffe_see_alike(const gffe_camera *a, const gffe_camera *b);
+/* Computes the target pixels per source pixel of points equally far from both cameras. */
+void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]);
+/* Computes scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
+void gffe_mapping(const gffe_camera *a, const gffe_camera *b, float made[4]);
+/* Returns the same camera for an image whose sides are `scale_x`, `scale_y` times as many pixels. */
+gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_y);
+/* Returns whether both have one pose, as a render camera and a display camera must. */
+int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display);
 
 /* gffe_values.c */
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
@@ -265,7 +279,7 @@ gffe_status gffe_open_late(gffe *g); /* what formats need */
 gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events);
 /* Makes an event, unless `done` is NULL, that is complete when all work enqueued so far is. */
 gffe_status gffe_mark(gffe *g, cl_event *done);
-gffe_status gffe_run(gffe *g, int occasion, int part);
+gffe_status gffe_run(gffe *g, int occasion);
 
 #ifdef __cplusplus
 }

@@ -98,13 +98,12 @@ static void place_transients(gffe *g) {
     }
 }
 
-/* Creates a buffer with memory of its own, filled with zeros. */
-static cl_int create(gffe *g, int flags, size_t nbytes, cl_mem *made) {
-    const cl_mem_flags mapped = flags & GFFE_MAPPED && g->shares_memory ? CL_MEM_ALLOC_HOST_PTR : 0;
-    const cl_uchar zero = 0;
+/* Creates a buffer with memory of its own, all of whose bytes are `byte`. */
+static cl_int create(gffe *g, int byte, size_t nbytes, cl_mem *made) {
+    const cl_uchar filled = (cl_uchar)byte;
     cl_int error;
-    *made = clCreateBuffer(g->context, CL_MEM_READ_WRITE | mapped, nbytes, NULL, &error);
-    return *made ? clEnqueueFillBuffer(g->queue, *made, &zero, 1, 0, nbytes, 0, NULL, NULL) : error;
+    *made = clCreateBuffer(g->context, CL_MEM_READ_WRITE, nbytes, NULL, &error);
+    return *made ? clEnqueueFillBuffer(g->queue, *made, &filled, 1, 0, nbytes, 0, NULL, NULL) : error;
 }
 
 /* Creates a part of a buffer. A reference is kept in `parts`: NVIDIA's driver (580.159) crashes unless parts that
@@ -144,7 +143,7 @@ gffe_status gffe_allocate(gffe *g, int late) {
             for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
                 cl_mem *made = &g->memory[2 * number + k];
                 const cl_int error =
-                    parts ? create_part(g, place, place->root ^ k, made) : create(g, buffer->flags, place->bytes, made);
+                    parts ? create_part(g, place, place->root ^ k, made) : create(g, buffer->byte, place->bytes, made);
                 if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
             }
         }

@@ -51,7 +51,7 @@ gffe_status gffe_take_overlays(gffe *g) {
     if (status || !g->memory[own]) return status;
     gffe_swap(g, GFFE_OF_OVERLAYS);
     if (!g->step.has[0]) return GFFE_OK;
-    status = gffe_run(g, GFFE_LEAVE_OUT, 0);
+    status = gffe_run(g, GFFE_LEAVE_OUT);
     hold(&g->memory[GFFE_RENDERED_DEPTH], g->memory[own]);
     return status;
 }
@@ -60,7 +60,7 @@ gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made) {
     gffe_status status;
     if (!gffe_has_overlays(g)) return GFFE_OK;
     g->memory[GFFE_SHOWN_COLOR] = made->color;
-    status = gffe_run(g, occasion, 0);
+    status = gffe_run(g, occasion);
     g->memory[GFFE_SHOWN_COLOR] = NULL;
     made->color = g->memory[gffe_reference(g, "composition.color")];
     return status;

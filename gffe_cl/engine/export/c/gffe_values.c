@@ -39,7 +39,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
         return;
     }
-    if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
+    if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
     if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
     if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
@@ -60,19 +60,11 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }
 
-/* Returns how many halvings leave one texel of the target; at least one. */
-static int halvings(const gffe_step *step) {
-    const int longer = step->target[0] > step->target[1] ? step->target[0] : step->target[1];
-    int n = 1;
-    while (longer > 1 << n) ++n;
-    return n;
-}
-
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
+    const size_t border = (size_t)buffer->border;
     size_t size[2];
     gffe_grid_size(step, buffer->grid, buffer->level, size);
-    if (buffer->grid == GFFE_MIP && buffer->level > halvings(step)) return 0;
-    return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
+    return (size[0] + 2 * border) * (size[1] + 2 * border) * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
 /* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8
@@ -90,15 +82,6 @@ static void polynomial(const gffe_step *step, int most, float *weights) {
             }
             weights[8 * (order - 1) + i - 1] = (float)weight;
         }
-}
-
-static float camera_step(const gffe_step *step) {
-    double here[3], before[3];
-    int k;
-    gffe_position(&step->cameras[GFFE_FRAME], here);
-    gffe_position(&step->cameras[GFFE_PREVIOUS], before);
-    for (k = 0; k < 3; ++k) here[k] = here[k] - before[k];
-    return (float)gffe_length(here);
 }
 
 static void color_law(double exposure, float *made) {
@@ -146,7 +129,7 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     gffe_mapping(source, display, block->to_display.s);
     gffe_mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY], block->to_previous_display.s);
     for (k = 0; k < 2; ++k) block->pixel_size.s[k] = 1 / block->to_render.s[k];
-    block->camera_step = camera_step(step);
+    block->camera_step = (float)gffe_distance(source, previous);
     block->has_previous = step->time_count > 1;
     block->number = step->number;
     block->rests = block->motion ? step->rests : 0;

@@ -7,8 +7,7 @@
        gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS
        frame NAME TIME RESET CAMERA CAMERA    a rendered frame: NAME.color (half x 4), NAME.depth, NAME.motion (float);
                                               its render camera and its display camera
-       make NAME TIME CAMERA                  a frame to extrapolate, seen by a known camera
-       predict NAME TIME                      the same, seen by the predicted camera
+       make NAME TIME CAMERA                  a frame to extrapolate, and the camera that sees it
 
    A CAMERA is 16 numbers: three rows of world_to_view, then fx fy cx cy. OUT gets NAME.color, NAME.depth, NAME.motion,
    NAME.filled_by, and NAME.ppm to look at. */
@@ -197,7 +196,7 @@ static int submit(example *e, const char *name, char *text) {
     return 1;
 }
 
-static int make(example *e, const char *name, char *text, int known) {
+static int make(example *e, const char *name, char *text) {
     static const char *const parts[] = {"filled_by", "motion", "depth", "color"}; /* the picture is made of the last */
     static const size_t bytes[] = {1, 8, 4, 8};
     gffe_camera camera;
@@ -206,9 +205,9 @@ static int make(example *e, const char *name, char *text, int known) {
     cl_mem memory[4];
     int k;
     text = next_number(text, &time);
-    if (text && known) text = next_camera(text, &camera);
+    if (text) text = next_camera(text, &camera);
     if (!text) return failed(name, "the line is no 'make NAME TIME CAMERA'");
-    if (gffe_extrapolate(e->g, known ? &camera : NULL, time, &made)) return failed(name, gffe_message(e->g));
+    if (gffe_extrapolate(e->g, &camera, time, &made)) return failed(name, gffe_message(e->g));
     memory[0] = made.filled_by;
     memory[1] = made.motion;
     memory[2] = made.depth;
@@ -227,8 +226,7 @@ static int run_line(example *e, char *line) {
     int used = 0;
     if (sscanf(line, "%250s %250s%n", what, name, &used) != 2) return *line == '\n' || failed("frames.txt", line);
     if (!strcmp(what, "frame")) return submit(e, name, line + used);
-    if (!strcmp(what, "make")) return make(e, name, line + used, 1);
-    if (!strcmp(what, "predict")) return make(e, name, line + used, 0);
+    if (!strcmp(what, "make")) return make(e, name, line + used);
     return failed("frames.txt", line);
 }
 

@@ -198,7 +198,7 @@ class PandaRenderer:
         node.removeNode()
 
     def picture(self, camera: gffe.Camera, previous: gffe.Camera | None) -> Picture:
-        """Render what is placed."""
+        """Return what is seen at `time` (seconds), with motion since `previous`."""
         view, old_view = opengl_view(camera), opengl_view(previous or camera)
         axes = np.eye(4)  # Panda's camera looks along y, with z up
         axes[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]

@@ -1,7 +1,7 @@
 """Make the unseen sequences, which no constant was chosen on, and measure gffe-cl on them.
 
-    python docs/tools/make_unseen.py OUT                     all of them, 5 to 10 minutes; NAME …: only these
-    python docs/tools/make_unseen.py --measure OUT --json docs/measured/unseen.json --label after; NAME …: only these
+    python docs/unseen/make_unseen.py OUT                     all of them, 5 to 10 minutes; NAME …: only these
+    python docs/unseen/make_unseen.py --measure OUT --json docs/measured/unseen.json --label after; NAME …: only these
     python docs/tools/make_results.py                        the table in docs/results.md
 
 The `panda_` sequences need Panda3D (the extra `examples`). All need OpenGL 3.3; a software renderer will do.
@@ -17,8 +17,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pages import REPOSITORY
-from unseen.recording import record
+REPOSITORY = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(REPOSITORY / "docs"))
+from unseen.recording import record  # noqa: E402
 
 # Name → module and class of its generator.
 SEQUENCES = {

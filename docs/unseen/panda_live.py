@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
-from pages import DOCS
 
 from unseen.recording import Picture
 
-sys.path.insert(0, str(DOCS / "examples"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 from panda3d_live import Game
 
 

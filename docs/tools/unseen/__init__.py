@@ -1,1 +1,0 @@
-"""Unseen sequences: generators that share nothing with the built-in scenes. `docs/tools/make_unseen.py` runs them."""

@@ -1,0 +1,59 @@
+"""Results of stages in the buffers of the extrapolated frame, kept on request before another stage overwrites them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import pyopencl as cl
+
+from gffe_cl.engine.stages.base import Board, Stage
+from gffe_cl.engine.stages.buffers import BufferSpec, Owner
+
+
+class Output(Owner):
+    """Copy of a stage's result in the buffers of the extrapolated frame."""
+
+    def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
+        super().__init__(stage.device, stage.sizes)
+        self.name, self.buffers = stage.name, tuple(specs)
+
+    def choose(self, names: set[str]) -> None:
+        """Keep the buffers `names` from now on, and no others."""
+        specs = [spec for spec in self.buffers if spec.name in names and spec.name not in self.buffer]
+        self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
+
+    def keep(self, of: Mapping[str, cl.Buffer]) -> None:
+        """Enqueue copies of the chosen buffers."""
+        for name, buffer in self.buffer.items():
+            cl.enqueue_copy(self.device.queue, buffer, of[name])
+
+
+class Outputs:
+    """Outputs of the `stages` on `board`: `kept` are those that are kept, by stage."""
+
+    def __init__(self, board: Board, stages: Mapping[str, Stage]):
+        self._board, self._stages = board, stages
+        self.kept: dict[str, Output] = {}
+
+    def available(self) -> Iterator[tuple[str, BufferSpec]]:
+        """Yield what `Pipeline.outputs` does."""
+        writers = [(stage.name, name) for stage in self._stages.values() for name in stage.outputs()]
+        several = {name for name, count in Counter(name for _, name in writers).items() if count > 1}
+        for stage, name in writers:
+            if name in several:
+                spec = self._board.frame.spec(name)
+                yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
+
+    def choose(self, wanted: set[str] | None) -> None:
+        """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""
+        for stage in self._stages.values():
+            stage.look_at(wanted)
+        found: dict[str, list[BufferSpec]] = {}
+        for stage, spec in self.available():
+            found.setdefault(stage, []).append(spec)
+        for stage, specs in found.items():
+            chosen = {spec.name for spec in specs if wanted is None or f"{stage}.{spec.name}" in wanted}
+            if chosen or stage in self.kept:
+                self.kept.setdefault(stage, Output(self._stages[stage], specs)).choose(chosen)
