@@ -632,7 +632,7 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
     setup, text = Setup(), (folder / "holes.cl").read_text()
     other = Setup(Options(hole_filling="downsample"))
     line = text.count("\n") + 1
-    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info, profiling=True), Clip()) as engine:
         good, builds = ask(engine, 13, setup, ("final",)).images["final"], engine.builds
         (folder / "holes.cl").write_text(text + "__kernel void broken() { nonsense; }\n")
         wait_for(lambda: engine.build_error)
@@ -651,7 +651,7 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
         assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all()
     warp = (folder / "warp.cl").read_text()
     (folder / "warp.cl").write_text("nonsense\n")  # from the start
-    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info, profiling=True), Clip()) as engine:
         assert "warp.cl" in ask(engine, 13, setup, ("final",)).error and "warp.cl" in engine.build_error
         (folder / "warp.cl").write_text(warp)
         wait_for(lambda: engine.builds)
@@ -665,7 +665,7 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
     shutil.copytree(kernel_folder(), folder)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))
     path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
-    with running(lambda: Device(device.cl_device, device.info), FadingClip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info, profiling=True), FadingClip()) as engine:
         ask(engine, 13, Setup(), ("final",))
         path.write_text(text + "nonsense\n")
         reload_kernels(engine)
