@@ -55,7 +55,7 @@ ROOMS_OF_VIEWER = (
     ("viewer.automation",),
 )
 # Parts that name the type of the whole they belong to, for annotations only: imports that count for no circle.
-NAMES_ITS_WHOLE = {"viewer.state.loop": "viewer.state.model", "viewer.shell.commands": "viewer.shell.app"}
+NAMES_ITS_WHOLE = {"viewer.shell.commands": "viewer.shell.app"}
 
 
 def parts():

@@ -49,5 +49,5 @@ class Session:
     @contextmanager
     def engine_waiting(self):
         """Meanwhile the engine takes nothing up."""
-        with self.model.engine._news:
+        with self.model.store.news:
             yield

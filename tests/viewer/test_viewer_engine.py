@@ -2,10 +2,8 @@
 
 import functools
 import shutil
-import sys
 import threading
 import time
-import types
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,12 +31,13 @@ from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.timing import bench as bench_module
-from gffe_cl.lab.metrics import METRICS, Metric, focus_mask, measurable, psnr, ssim, to_display
+from gffe_cl.lab.metrics import focus_mask
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
+from gffe_cl.viewer.engine.messages import Failure, Frame, Setup
 from gffe_cl.viewer.engine.sources.live import SceneSource
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.sources.source import FrameSource
+from gffe_cl.viewer.engine.store import Key, Want
 
 W, H, COUNT, FPS = 96, 64, 14, 30.0
 ALL = Options(shading_inputs=True)
@@ -148,22 +147,25 @@ def wait_for(happens):
     return answer
 
 
-_serials = iter(range(1, 1 << 30))
+def want(engine, slot, setup, layers=(), **more):
+    return Want(Key(engine.recipe(setup), slot), frozenset(layers), keep=False, **more)
 
 
-def ask(engine, slot, setup, layers=(), metrics=False):
-    """The answer to a request, a Result or an EngineError; `layers` "all" for every one."""
-    serial = next(_serials)
+def ask(engine, slot, setup, layers=()):
+    """What the engine makes of a slot, anew: a Frame or a Failure; `layers` "all" for every one."""
     if layers == "all":
         layers = ask(engine, slot, setup).specs
-    engine.submit(Request(slot, setup, frozenset(layers), serial, metrics))
+    wanted = want(engine, slot, setup, layers)
+    engine.store.want([])
+    engine.store.want([wanted])
+    return wait_for(lambda: engine.store.get(wanted))
 
-    def answered():
-        answer = engine.poll()
-        number = getattr(answer, "serial", None) or (isinstance(answer, Result) and answer.request.serial)
-        return answer if number == serial else None
 
-    return wait_for(answered)
+def inspect(engine, x, y, slot, setup):
+    """The values at a pixel of a slot."""
+    wanted = want(engine, slot, setup, pixel=(int(x), int(y)))
+    engine.store.want([wanted])
+    return wait_for(lambda: engine.store.get(wanted))
 
 
 def slots(setup, *pairs):
@@ -212,7 +214,7 @@ def test_every_layer_equals_a_plain_run(device):
     with running(device, Clip()) as engine:
         for at, slot in zip(played, slots(setup, *played), strict=True):
             result = ask(engine, slot, setup, expected[at])
-            assert (result.moment.k, result.moment.alpha, result.request.slot) == (at[0], at[1] / 3, slot)
+            assert (result.moment.k, result.moment.alpha, result.slot) == (at[0], at[1] / 3, slot)
             generated = {name for name, spec in result.specs.items() if spec.of_generated}
             there = expected[at].keys() - (set() if at[1] else generated)  # their buffers hold the slot before
             assert result.images.keys() == there
@@ -279,8 +281,7 @@ def test_rendered_slots_and_the_frames_own_layers(device):
         stepped_here = [ask(engine, slot, setup, "all").images.keys() for slot in (7, 8)]
         assert generated - {"focus_truth"} <= stepped_here[0], "all of them at a generated slot"
         assert not generated & stepped_here[1], "and at a rendered one not those that are left of the one before"
-        engine.inspect(3, 4)
-        assert not generated & wait_for(engine.poll_inspection).values.keys()
+        assert not generated & inspect(engine, 3, 4, 8, setup).values.keys()
         result = ask(engine, 9, setup, ("truth",))
         np.testing.assert_array_equal(result.images["truth"][..., :3], Clip().truth(4, 0.5).astype(np.float16))
         again = ask(engine, 9, setup, ("truth", "final"))
@@ -306,18 +307,15 @@ def test_invalid_pixels_of_the_input_are_named(device):
         result = ask(engine, 8, setup)
         assert np.argwhere(result.invalid.rendered).tolist() == [[10, 20], [12, 30]]
         assert (result.invalid.shown == result.invalid.rendered).all()
-        engine.inspect(20, 10)
-        seen = wait_for(engine.poll_inspection)
+        seen = inspect(engine, 20, 10, 8, setup)
         assert "color is NaN" in seen.fault and seen.fault in seen.story.sentences[0]
         assert not any("as it is" in sentence for sentence in seen.story.sentences)
         result = ask(engine, 9, setup, ("frame.motion",))
         y, x = np.argwhere(result.invalid.shown)[0]
         lead = np.floor(result.images["frame.motion"][y, x] + (x + 0.5, y + 0.5)).astype(int).tolist()
         assert lead == [20, 10]
-        engine.inspect(int(x), int(y))
-        assert "color is NaN" in wait_for(engine.poll_inspection).story.sentences[0]
-        engine.inspect(2, 2)
-        seen = wait_for(engine.poll_inspection)
+        assert "color is NaN" in inspect(engine, x, y, 9, setup).story.sentences[0]
+        seen = inspect(engine, 2, 2, 9, setup)
         assert seen.fault == "" and not any("Invalid" in sentence for sentence in seen.story.sentences)
 
 
@@ -456,8 +454,8 @@ def test_the_true_focus_mask(device, monkeypatch):
             expected = focus_mask(color, truth, images["frame.dynamic"] > 0, 0.5)
             assert images["focus_truth"].dtype == np.uint8 and (images["focus_truth"] == expected).all()
         assert 0.1 < expected.mean() < 0.6
-        engine.inspect(*map(int, np.argwhere(expected)[0][::-1]))
-        assert wait_for(engine.poll_inspection).values["focus_truth"] == 1
+        y, x = np.argwhere(expected)[0]
+        assert inspect(engine, x, y, 9, Setup()).values["focus_truth"] == 1
         assert "focus_truth" not in ask(engine, 12, Setup(), "all").images
 
 
@@ -465,31 +463,54 @@ def test_a_network_that_fails_is_an_error_and_the_engine_goes_on(device, tmp_pat
     (tmp_path / "junk.onnx").write_bytes(b"junk")
     with running(device, Clip()) as engine:
         error = ask(engine, 13, Setup(Options(scn_model=str(tmp_path / "junk.onnx"))))
-        assert isinstance(error, EngineError) and error.during == "network" and "junk.onnx" in error.message
-        assert "\n" not in error.message
-        assert isinstance(ask(engine, 13, Setup()), Result)
+        assert isinstance(error, Failure) and error.during == "network" and "junk.onnx" in error.error
+        assert "\n" not in error.error
+        assert isinstance(ask(engine, 13, Setup()), Frame)
         error = ask(engine, 13, Setup(Options(shading_correction=True)))
-        assert error.during == "network" and "no trained weights" in error.message
+        assert error.during == "network" and "no trained weights" in error.error
 
 
 # ---- requests and answers ----------------------------------------------------------------------------------
 
 
-def test_the_newest_request_wins(device):
+def test_the_most_urgent_want_is_made_first_whatever_was_asked_before(device):
     with running(device, source := Clip()) as engine:
+        store, later = engine.store, [want(engine, slot, Setup()) for slot in (8, 12)]
         ask(engine, 0, Setup())
         source.gate.clear()
-        engine.submit(Request(2, Setup(), frozenset(), 1001))
-        wait_for(lambda: source.asked[-1:] == [1])
-        assert engine.busy
-        for serial, slot in ((1002, 9), (1003, 11), (1004, 4)):
-            engine.submit(Request(slot, Setup(), frozenset(), serial))
+        store.want(later)
+        wait_for(lambda: 1 in source.asked)
+        urgent = want(engine, 5, Setup())
+        store.want([urgent, *later])
         source.gate.set()
-        answers = []
-        wait_for(lambda: ((answer := engine.poll()) and answers.append(answer.request.serial)) or 1004 in answers)
-        assert answers in ([1001, 1004], [1004])  # two results may meet in the box
-        wait_for(lambda: not engine.busy)
-        assert engine.poll() is None and max(source.asked) == 2
+        made = wait_for(lambda: store.get(urgent))
+        assert made.slot == 5 and source.asked[:3] == [0, 1, 2], "slot 8 was given up at once"
+        wait_for(lambda: all(store.get(one) for one in later))
+        assert store.next() is None and store.get(urgent) is made, "nothing is made twice"
+
+
+def test_a_want_that_is_gone_is_given_up(device):
+    with running(device, source := Clip()) as engine:
+        gone = want(engine, 16, Setup())
+        source.gate.clear()
+        engine.store.want([gone])
+        wait_for(lambda: source.asked)
+        engine.store.want([])
+        source.gate.set()
+        assert isinstance(ask(engine, 2, Setup()), Frame)
+        assert source.asked in ([0, 1], [0, 0, 1]) and engine.store.get(gone) is None
+
+
+def test_a_slot_on_screen_is_left_alone_by_what_is_wanted_later(device):
+    """Others are made with another pipeline, so that its pixels can be asked for."""
+    with running(device, source := Clip()) as engine:
+        shown, pixel = want(engine, 3, Setup(), ("final",)), want(engine, 3, Setup(), pixel=(3, 4))
+        ahead = [want(engine, slot, Setup(), ("final",)) for slot in range(4, 9)]
+        engine.store.want([shown, *ahead])
+        wait_for(lambda: all(engine.store.get(one) for one in ahead))
+        asked = list(source.asked)
+        engine.store.want([shown, pixel])
+        assert wait_for(lambda: engine.store.get(pixel)).slot == 3 and source.asked == asked
 
 
 SOURCE_GRIDS = ("source", "source_blocks", "cells", "level0", "level1", "level2")
@@ -515,8 +536,7 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
         holes, moving = (np.argwhere(images[name] > 0) for name in ("frame.filled_by", "frame.dynamic"))
         for y, x in [(0, 0), (H - 1, W - 1), *holes[:3], *moving[::40], *rng.integers((H, W), size=(6, 2))]:
             x, y = int(x), int(y)
-            engine.inspect(x, y)
-            seen = wait_for(engine.poll_inspection)
+            seen = inspect(engine, x, y, 13, setup)
             source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
             assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
             sx, sy = np.floor(seen.source).astype(int)
@@ -532,69 +552,20 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
                         np.testing.assert_array_equal(values[name], np.reshape(expected, values[name].shape), name)
                 assert name in seen.values
         ask(engine, 13, setup, ("truth",))
-        engine.inspect(3, 4, frozenset({"final", "truth"}))
-        seen = wait_for(engine.poll_inspection)
-        assert set(seen.values) == {"final", "truth"}
+        seen = inspect(engine, 3, 4, 13, setup)
         np.testing.assert_array_equal(seen.values["truth"], images["truth"][4, 3])
-        ask(engine, 12, setup)
-        engine.inspect(5, 6)
-        seen = wait_for(engine.poll_inspection)
+        seen = inspect(engine, 5, 6, 12, setup)
         assert seen.source == (5.5, 6.5) and seen.slot == 12 and not seen.origin
         np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
 
 
-def test_metrics_come_later_and_are_remembered(device):
-    with running(device, Clip()) as engine:
-        result = ask(engine, 13, Setup(), ("final", "truth"), metrics=True)
-        told = [wait_for(engine.poll_metrics)]
-        while len(told[-1].values) < len(measurable()):
-            told.append(wait_for(engine.poll_metrics))
-        shown, true = (to_display(result.images[name][..., :3], 1.0) for name in ("final", "truth"))
-        assert list(told[0].values) == ["psnr"] and (told[-1].slot, told[-1].setup) == (13, Setup())
-        assert told[-1].values["psnr"] == pytest.approx(psnr(shown, true), abs=1e-3)
-        assert told[-1].values["ssim"] == pytest.approx(ssim(shown, true), abs=1e-4)
-        again = ask(engine, 13, Setup(), metrics=True)
-        assert again.metrics == told[-1].values and not again.images
-        assert not ask(engine, 12, Setup(), metrics=True).metrics
-        assert not ask(engine, 13, Setup(n=3), metrics=True).metrics  # another time
-
-
-def test_a_metric_is_described_once(device, monkeypatch):
-    worst = Metric("worst", "Worst", lambda shown, truth: np.abs(shown - truth).max(-1))
-    monkeypatch.setitem(METRICS, "worst", worst)
-    with running(device, Clip()) as engine:
-        ask(engine, 13, Setup(), metrics=True)
-        wait_for(lambda: "worst" in (wait_for(engine.poll_metrics)).values)
-        assert 0 < ask(engine, 13, Setup(), metrics=True).metrics["worst"] < 1
-
-
-def test_flip_is_measured_where_it_is_installed(device, monkeypatch):
-    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert "pip install '.[lab]'" in METRICS["flip"].missing()
-    package = types.ModuleType("flip_evaluator")
-    package.evaluate = lambda reference, test, kind, applyMagma: (np.abs(reference - test), None, {})
-    monkeypatch.setitem(sys.modules, "flip_evaluator", package)
-    assert METRICS["flip"].missing() is None
-    with running(device, Clip()) as engine:
-        ask(engine, 13, Setup(), metrics=True)
-        told = [wait_for(engine.poll_metrics) for _ in range(3)]
-        assert ["flip" in m.values for m in told] == [False, False, True] and 0 < told[2].values["flip"] < 0.1
-        package.evaluate = None
-        engine.submit(Request(15, Setup(), frozenset(), 15, metrics=True))
-        error = wait_for(lambda: isinstance(answer := engine.poll(), EngineError) and answer)
-        assert error.during == "metrics" and "TypeError" in error.message
-        ask(engine, 17, Setup(), metrics=True)
-        wait_for(lambda: (m := engine.poll_metrics()) and m.slot == 17)
-
-
 def test_an_unreadable_frame_is_an_error_and_the_engine_goes_on(device):
     with running(device, source := Clip(faults={3})) as engine:
-        assert isinstance(ask(engine, 4, Setup()), Result)
+        assert isinstance(ask(engine, 4, Setup()), Frame)
         error = ask(engine, 6, Setup())
-        assert isinstance(error, EngineError) and error.message == "frame_3.exr: truncated"
-        engine.inspect(1, 1)
+        assert isinstance(error, Failure) and error.error == "frame_3.exr: truncated"
+        assert inspect(engine, 1, 1, 6, Setup()) == Failure("frame_3.exr: truncated", "inspection")
         result = ask(engine, 9, Setup(), ("final",))
-        assert engine.poll_inspection() is None  # there was no slot
         assert result.moment.k == 4 and "frame 3 is left out: frame_3.exr: truncated" in result.warnings[0]
         assert result.moment.previous_camera is None  # as after a reset
         source.faults.clear()
@@ -605,8 +576,8 @@ def test_an_unreadable_frame_is_an_error_and_the_engine_goes_on(device):
             (0, Setup(n=9), "-n"),
         ):
             error = ask(engine, slot, setup)
-            assert isinstance(error, EngineError) and message in error.message
-        assert isinstance(ask(engine, 27, Setup()), Result)
+            assert isinstance(error, Failure) and message in error.error
+        assert isinstance(ask(engine, 27, Setup()), Frame)
 
 
 def test_what_cannot_be_opened_is_an_error(device):
@@ -614,24 +585,22 @@ def test_what_cannot_be_opened_is_an_error(device):
         raise ValueError("out of luck")
 
     with running(lambda: fails(None)) as engine:
-        assert wait_for(engine.poll) == EngineError("ValueError: out of luck", 0, "device")
-        error = ask(engine, 0, Setup())
-        assert error.message == "ValueError: out of luck"
+        assert wait_for(engine.poll) == Failure("ValueError: out of luck", "device")
+        engine.open_source(lambda _: Clip())
+        assert wait_for(engine.poll) == Failure("ValueError: out of luck", "source")
     with running(device) as engine:
-        assert "nothing is open" in ask(engine, 0, Setup()).message
-        engine.inspect(1, 1)
-        engine.open_source(lambda _: Clip(), 1)
+        engine.open_source(lambda _: Clip())
         first = wait_for(lambda: engine.source)
-        engine.open_source(fails, 77)
-        assert wait_for(engine.poll) == EngineError("ValueError: out of luck", 77, "source")
-        assert engine.source is first and isinstance(ask(engine, 3, Setup()), Result)
+        engine.open_source(fails)
+        assert wait_for(engine.poll) == Failure("ValueError: out of luck", "source")
+        assert engine.source is first and isinstance(ask(engine, 3, Setup()), Frame)
         assert engine.device_name == device.info.name
 
 
 def test_close_while_work_runs(device):
     source = Clip(delay=0.2)
     with running(device, source) as engine:
-        engine.submit(Request(27, Setup(), frozenset(), 1))
+        engine.store.want([want(engine, 27, Setup())])
         wait_for(lambda: len(source.asked) > 1)
         start = time.monotonic()
         engine.close()
@@ -650,6 +619,11 @@ def test_bandwidth(device, monkeypatch):
 # ---- kernels ----------------------------------------------------------------------------------------------
 
 
+def reload_kernels(engine):
+    engine.reload_kernels()
+    wait_for(lambda: not engine.busy)
+
+
 def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeypatch):
     """A broken kernel: the last good ones go on, whatever is switched; repaired, the new text is in use."""
     folder = tmp_path / "kernels"
@@ -658,30 +632,30 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
     setup, text = Setup(), (folder / "holes.cl").read_text()
     other = Setup(Options(hole_filling="downsample"))
     line = text.count("\n") + 1
-    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info, profiling=True), Clip()) as engine:
         good, builds = ask(engine, 13, setup, ("final",)).images["final"], engine.builds
         (folder / "holes.cl").write_text(text + "__kernel void broken() { nonsense; }\n")
         wait_for(lambda: engine.build_error)
         assert f"holes.cl:{line}" in engine.build_error and "nonsense" in engine.build_error
-        assert isinstance(ask(engine, 14, setup), Result) and isinstance(ask(engine, 13, other), Result)
+        assert isinstance(ask(engine, 14, setup), Frame) and isinstance(ask(engine, 13, other), Frame)
         assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all()
-        while engine.poll():
-            pass
         assert engine.builds == builds
         (folder / "holes.cl").write_text(text.replace("store_color(mean.xyz,", "store_color(9.0f + mean.xyz,"))
-        result = wait_for(engine.poll)  # of its own accord
-        assert engine.build_error is None and result.request.slot == 13 and engine.builds == builds + 1
+        wait_for(lambda: engine.builds == builds + 1)
+        result = ask(engine, 13, setup, ("final",))
+        assert engine.build_error is None
         changed = result.images["final"] != good
         assert changed.any() and not changed.all()
         (folder / "holes.cl").write_text(text)
-        engine.reload_kernels()
-        assert (wait_for(engine.poll).images["final"] == good).all()
+        reload_kernels(engine)
+        assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all()
     warp = (folder / "warp.cl").read_text()
     (folder / "warp.cl").write_text("nonsense\n")  # from the start
-    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
-        assert "warp.cl" in ask(engine, 13, setup, ("final",)).message and "warp.cl" in engine.build_error
+    with running(lambda: Device(device.cl_device, device.info, profiling=True), Clip()) as engine:
+        assert "warp.cl" in ask(engine, 13, setup, ("final",)).error and "warp.cl" in engine.build_error
         (folder / "warp.cl").write_text(warp)
-        assert (wait_for(engine.poll).images["final"] == good).all() and engine.build_error is None
+        wait_for(lambda: engine.builds)
+        assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all() and engine.build_error is None
 
 
 @pytest.mark.long
@@ -691,14 +665,13 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
     shutil.copytree(kernel_folder(), folder)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))
     path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
-    with running(lambda: Device(device.cl_device, device.info), FadingClip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info, profiling=True), FadingClip()) as engine:
         ask(engine, 13, Setup(), ("final",))
         path.write_text(text + "nonsense\n")
-        engine.reload_kernels()
-        assert wait_for(engine.poll).images["final"].any() and engine.build_error is None
+        reload_kernels(engine)
+        assert engine.build_error is None
         path.write_text(text)
-        engine.reload_kernels()
-        wait_for(engine.poll)
+        reload_kernels(engine)
         monkeypatch.setattr(inference, "default_model", lambda: network)
         network, setup = Path(movers_model(tmp_path / "m.onnx")), Setup(Options(shading_correction=True))
         good = ask(engine, 13, setup, ("final", "gae")).images
@@ -708,12 +681,13 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
         assert f"correction.cl:{text.count(chr(10)) + 1}" in engine.build_error
         assert ask(engine, 13, setup, ("final",)).images["final"].tobytes() == good["final"].tobytes()
         path.write_text(text.replace("{c.r * rest", "{0.5f + c.r * rest"))
-        changed = wait_for(lambda: (answer := engine.poll()) and engine.build_error is None and answer).images
+        wait_for(lambda: engine.build_error is None)
+        changed = ask(engine, 13, setup, ("final", "gae")).images
         different = (changed["final"] != good["final"]).any(-1)
         assert different.any() and not different.all()
         path.write_text(text)
-        engine.reload_kernels()
-        assert wait_for(engine.poll).images["final"].tobytes() == good["final"].tobytes()
+        reload_kernels(engine)
+        assert ask(engine, 13, setup, ("final", "gae")).images["final"].tobytes() == good["final"].tobytes()
 
 
 # ---- sources ----------------------------------------------------------------------------------------------
@@ -760,11 +734,10 @@ def test_a_recorded_sequence_is_shown_as_a_run_extrapolates_it(device, tmp_path,
     with running(device, lambda d: RecordedSource(sequence, d, cache_bytes=1)) as engine:
         assert engine.source.windowed == bool(render_size)
         for at in (*wanted, (2, 1), (5, 1)):
-            result = ask(engine, *slots(setup, at), setup, expected[at] if at[1] else ("final",), metrics=True)
+            result = ask(engine, *slots(setup, at), setup, expected[at] if at[1] else ("final",))
             assert_same(result.images, expected[at], None if at[1] else ["final"])
-        assert wait_for(engine.poll_metrics).values["psnr"] > 20
         error = ask(engine, 3, replace(setup, window="adaptive"))
-        assert "adaptive" in error.message and isinstance(ask(engine, 3, setup), Result)
+        assert "adaptive" in error.error and isinstance(ask(engine, 3, setup), Frame)
 
 
 def test_a_damaged_file_is_reported_when_its_turn_comes(device, tmp_path):
@@ -773,15 +746,15 @@ def test_a_damaged_file_is_reported_when_its_turn_comes(device, tmp_path):
         path = tmp_path / "s" / "frame_2.exr"
         whole = path.read_bytes()
         path.write_bytes(whole[: len(whole) // 2])
-        assert isinstance(ask(engine, 3, Setup()), Result)
+        assert isinstance(ask(engine, 3, Setup()), Frame)
         error = ask(engine, 5, Setup())
-        assert isinstance(error, EngineError) and "frame_2.exr" in error.message
+        assert isinstance(error, Failure) and "frame_2.exr" in error.error
         assert "frame_2.exr" in ask(engine, 7, Setup()).warnings[-1]
         (tmp_path / "s" / "truth_4.exr").write_bytes(b"nothing")
         result = ask(engine, 9, Setup(), ("final", "truth"))
         assert "final" in result.images and "truth" not in result.images and "truth_4.exr" in result.warnings[-1]
         path.write_bytes(whole)
-        assert isinstance(ask(engine, 5, Setup()), Result)
+        assert isinstance(ask(engine, 5, Setup()), Frame)
 
 
 def test_frames_are_read_ahead_and_once(device, tmp_path):
@@ -864,24 +837,21 @@ def test_flown_poses_are_replayed(device):
         path = [replace_position(source.camera(0, 0.0), 0.04 * s) for s in range(8)]
         flown, own = {}, ask(engine, 5, setup, ("final",)).images["final"]
         for slot in range(8):
-            source.fly(slot // 2, slot % 2 / 2, path[slot])
+            source.fly(slot // 2, slot % 2 / 2, path[slot], 1 + slot)
             result = ask(engine, slot, setup, ("final", "truth"))
             assert result.moment.camera == path[slot]
             flown[slot] = result.images
         assert (flown[5]["final"] != own).any()
-        ask(engine, 7, setup, metrics=True)
-        wait_for(engine.poll_metrics)
-        assert ask(engine, 7, setup, metrics=True).metrics
-        source.fly(3, 0.5, path[6])
-        assert not ask(engine, 7, setup, metrics=True).metrics  # of another picture
-        source.fly(3, 0.5, path[7])
+        source.fly(3, 0.5, path[6], 9)
+        assert (ask(engine, 7, setup, ("final",)).images["final"] != flown[7]["final"]).any()
+        source.fly(3, 0.5, path[7], 10)
         for slot in (5, 2, 0, 1, 7):
             again = ask(engine, slot, setup, ("final", "truth")).images
             assert all((again[name] == flown[slot][name]).all() for name in again)
-        source.fly(3, 0.0, path[0])  # too late for slot 7 ...
+        source.fly(3, 0.0, path[0], 11)  # too late for slot 7 ...
         assert (ask(engine, 7, setup, ("final",)).images["final"] == flown[7]["final"]).all()
         assert source.camera(3, 0.0) == path[6]
-        source.fly(3, 0.0, path[0])  # ... but not for the frame itself
+        source.fly(3, 0.0, path[0], 12)  # ... but not for the frame itself
         assert ask(engine, 6, setup).moment.camera == path[0]
         assert (ask(engine, 7, setup, ("final",)).images["final"] != flown[7]["final"]).any()
         source.forget_flight()
@@ -892,14 +862,14 @@ def test_a_flight_goes_evenly_over_what_was_skipped(device):
     source = scene_source(device)
     path = [replace_position(source.camera(0, 0.0), 0.1 * k) for k in range(12)]
     for k in range(3):
-        source.fly(k, 0.0, path[0])
-    source.fly(0, 0.0, path[0])
-    source.fly(2, 0.0, path[2])  # again, in larger steps
+        source.fly(k, 0.0, path[0], 1)
+    source.fly(0, 0.0, path[0], 1)
+    source.fly(2, 0.0, path[2], 1)  # again, in larger steps
     assert source.camera(1, 0.0).position == pytest.approx(path[1].position)
     source.rendered(1)
-    source.fly(2, 0.0, path[8])
+    source.fly(2, 0.0, path[8], 1)
     assert source.camera(1, 0.0).position == pytest.approx(path[1].position)  # as it was rendered
-    source.fly(11, 0.0, path[11])  # too far to be of that flight
+    source.fly(11, 0.0, path[11], 1)  # too far to be of that flight
     assert source.camera(5, 0.0) == source.scene.camera(source.time(5), *SMALL)
     assert source.camera(12, 0.0) == source.scene.camera(source.time(12), *SMALL)
 
@@ -929,8 +899,7 @@ def stories(engine, setup, slot, mask_of, most=12):
     assert len(found), "no such pixel"
     told = []
     for y, x in found[:: max(1, len(found) // most)]:
-        engine.inspect(int(x), int(y))
-        told.append(wait_for(engine.poll_inspection).story)
+        told.append(inspect(engine, x, y, slot, setup).story)
     return told
 
 
@@ -1132,10 +1101,9 @@ def test_stories_of_corrected_pixels(device, tmp_path):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
         images = ask(engine, 13, Setup(options), "all").images
         y, x = map(int, np.argwhere(images["correction.focus_mask"] == 1)[0])
-        engine.inspect(x, y)
         colors = (f"({', '.join(f'{c:.4g}' for c in images[n][y, x, :3].astype(float))})" for n in ("gae", "final"))
         expected = f"Shading correction changed it (focus mask 1.00): from {' to '.join(colors)}."
-        assert wait_for(engine.poll_inspection).story.sentences[-1] == expected
+        assert inspect(engine, x, y, 13, Setup(options)).story.sentences[-1] == expected
         others = stories(engine, Setup(options), 13, lambda i: ~is_mover(i))
         assert all(s.corrected is False and "Shading" not in s.sentences[-1] for s in others)
         whole = stories(engine, Setup(replace(options, focus_mask=False)), 13, lambda i: i["rendered.depth"] > 0)

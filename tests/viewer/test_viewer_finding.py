@@ -1,6 +1,7 @@
 """Finding what is wrong: figures of slots, regions of errors, the survey, the way of a fragment, rectangles."""
 
 import time
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,16 +13,26 @@ from gffe_cl.captures.scenes import load_scene
 from gffe_cl.captures.scenes.render import render_sequence
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.lab.metrics import psnr, squared_error, to_display
+from gffe_cl.lab.metrics import Metric, psnr, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as TABLE
 from gffe_cl.lab.table.labels import find_labels
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
+from gffe_cl.viewer.engine.figures import (
+    NEEDED,
+    REGIONS,
+    Figures,
+    Measurements,
+    Measurer,
+    Part,
+    parts_of,
+    region_labels,
+)
 from gffe_cl.viewer.engine.invalid import seen_at, seen_through
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec
-from gffe_cl.viewer.engine.messages import Recipe, Request, Setup
-from gffe_cl.viewer.engine.slot_metrics import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
+from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
+from gffe_cl.viewer.engine.store import Store, Want
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
 from gffe_cl.viewer.picture.disocclusions import Disocclusions
 from gffe_cl.viewer.picture.displays import Display
@@ -32,13 +43,13 @@ from gffe_cl.viewer.picture.selection import statistics
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.picture.worst_pixels import worst_pixels
 from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.survey import Survey
+from gffe_cl.viewer.state.survey import Side, Survey
 
 HEIGHT, WIDTH = 20, 32
 CAMERA = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2, HEIGHT / 2)
 
 
-def made(slot=1, n=1, error=0.1, seed=0, **changes):
+def made(slot=1, n=1, error=0.1, seed=0, alpha=0.5, key=None):
     """A generated slot as the engine gives it: depth steps in the middle, a mover left, holes at the right rim."""
     rng = np.random.default_rng(seed)
     truth = np.zeros((HEIGHT, WIDTH, 4), np.float16)
@@ -56,15 +67,11 @@ def made(slot=1, n=1, error=0.1, seed=0, **changes):
     }  # fmt: skip
     # the rendered frame saw three columns less at the right
     rendered = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2 - 3 + 6, HEIGHT / 2)
-    moment = SimpleNamespace(alpha=0.5, camera=CAMERA, render_camera=rendered)
-    request = Request(slot, Setup(n=n), frozenset(images), 0)
-    result = SimpleNamespace(
-        request=request, moment=moment, images=images, milliseconds={"warp": 1.5, "holes": 0.25},
-        render_size=(WIDTH, HEIGHT),
+    moment = SimpleNamespace(alpha=alpha, camera=CAMERA, render_camera=rendered)
+    return Frame(
+        key or Key(Recipe(0, 0, Setup(n=n), ""), slot), frozenset(images), moment, images, {},
+        {"warp": {"splat": 1.5}, "holes": {"fill": 0.25}}, 0.0, 0.0, render_size=(WIDTH, HEIGHT),
     )  # fmt: skip
-    for name, value in changes.items():
-        setattr(result, name, value)
-    return result
 
 
 def shown(result):
@@ -124,7 +131,7 @@ def test_regions_are_those_of_the_table(tmp_path):
     from gffe_cl.viewer.engine.engine import Engine
     from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 
-    device = open_device()
+    device = open_device(profiling=True)
     render_sequence(load_scene("corridor"), tmp_path, device, 96, 54, 5, 30.0, ground_truth=True, samples=1)
     joined = {"static disocclusion": "disoccluded", "dynamic disocclusion": "disoccluded"}
     one = [list(REGIONS).index(joined.get(name, name)) for name in TABLE]
@@ -138,8 +145,9 @@ def test_regions_are_those_of_the_table(tmp_path):
     try:
         wait_for(lambda: engine.source)
         for slot, labels in zip(slots, expected, strict=True):
-            engine.submit(Request(slot, Setup(Options(shading_correction=False)), NEEDED, slot))
-            found = region_labels(wait_for(engine.poll), engine.source.exposure)
+            want = Want(Key(engine.recipe(Setup(Options(shading_correction=False))), slot), NEEDED)
+            engine.store.want([want])
+            found = region_labels(wait_for(lambda want=want: engine.store.get(want)), engine.source.exposure)
             np.testing.assert_array_equal(found, labels)
     finally:
         engine.close()
@@ -180,51 +188,53 @@ def test_flicker_needs_the_slot_before():
     assert "flicker" not in Measurer().measure(second, 1.0).values
 
 
-class Stub:
-    """An engine that makes every slot of a survey when `poll_survey` is asked; `error` grows with the slot."""
+class Surveying:
+    """A survey of `a` and `b`, and an engine that makes one slot at each look; its error grows with the slot."""
 
     def __init__(self):
-        self.asked, self.made = [], 0
+        self.store, self.measured = Store(0), Measurements()
+        self.survey = Survey(self.store, self.measured, Playback(count=8))
+        self.a, self.b = side(), side(motion=False)
+        self.made = []
 
-    def survey(self, requests, source=None):
-        self.asked = list(requests)
+    def look(self, a, b, may_run=True):
+        """One frame of the interface."""
+        self.measured.update()
+        self.store.want(self.survey.update(a, b, 1.0, may_run))
 
-    def recipe(self, setup):
-        return recipe_of(setup)
-
-    def poll_survey(self):
-        if not self.asked:
-            return None
-        request = self.asked.pop(0)
-        self.made += 1
-        worse = 0.02 * (1 + (7 * request.slot) % 16) * (2 if request.setup.options.motion else 1)
-        result = made(slot=request.slot, error=worse, request=request)
-        return request, recipe_of(request.setup), None if request.slot == 5 else result
+    def make(self):
+        want = self.store.next()
+        if want is not None:
+            self.made.append(want.key)
+            slot, options = want.key.slot, want.key.recipe.setup.options
+            worse = 0.02 * (1 + (7 * slot) % 16) * (2 if options.motion else 1)
+            self.store.put(want, Failure("truncated") if slot == 5 else made(slot, error=worse, key=want.key))
 
 
-def recipe_of(setup):
-    return Recipe(1, 0, setup, "")
+def side(**options):
+    setup = Setup(replace(Setup().options, **options))
+    return Side(setup, Recipe(0, 0, setup, ""))
 
 
 def surveyed():
-    engine, playback = Stub(), Playback(count=8)
-    survey = Survey(engine, playback)
-    other = Setup(replace(Setup().options, motion=False))
-    sides = Setup(), other
-    survey.update(*sides, 1.0, True)
-    assert engine.made == 0 and survey.worst() is None, "nothing is measured before it is asked for"
+    surveying = Surveying()
+    survey, sides = surveying.survey, (surveying.a, surveying.b)
+    surveying.look(*sides)
+    surveying.make()
+    assert not surveying.made and survey.worst() is None, "nothing is measured before it is asked for"
     survey.on = True
     end = time.perf_counter() + 20
     while survey.busy and time.perf_counter() < end:
-        survey.update(*sides, 1.0, True)
+        surveying.look(*sides)
+        surveying.make()
         time.sleep(0.002)
     assert survey.progress == (16, 16)
-    return engine, survey
+    return surveying, survey
 
 
 def test_the_survey_finds_the_worst_frames():
-    engine, survey = surveyed()
-    assert engine.made == 16, "every slot once"
+    surveying, survey = surveyed()
+    assert len(surveying.made) == len(set(surveying.made)) == 16, "every slot once"
     xs, ys = survey.curve(survey.a)
     assert xs.tolist() == [1, 3, 7, 9, 11, 13, 15], "slot 5 could not be made"
     order = xs[np.argsort(ys)].astype(int).tolist()
@@ -239,7 +249,6 @@ def test_the_survey_finds_the_worst_frames():
     assert survey.next() == int(xs[ys.argmax()]), "more flicker is worse; another quantity starts anew"
     means, count = survey.means("psnr")
     assert count == 7 and means["A"] == pytest.approx(np.mean(list(a.values())))
-    survey.close()
 
 
 def test_invalid_pixels_are_seen_where_the_motion_leads():
@@ -282,7 +291,6 @@ def test_means_of_both_are_over_the_slots_that_both_have():
     assert parts["A"]["dynamic"].pixels == pytest.approx(np.mean(shares))
     known.clear()
     assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
-    survey.close()
 
 
 def test_worst_pixels_are_apart_and_in_order():
@@ -313,32 +321,54 @@ def test_the_survey_sums_up_its_regions():
     assert sum(part.error for part in parts.values()) == pytest.approx(1)
     mean = np.mean([10 ** (-of.values["psnr"] / 10) for of in figures])
     assert sum(part.squared for part in parts.values()) == pytest.approx(mean, rel=1e-4)
-    survey.close()
 
 
 def test_equal_settings_are_counted_once():
     _, survey = surveyed()
-    survey.update(survey.a.setup, survey.a.setup, 1.0, True)
+    survey.update(survey.a, survey.a, 1.0, True)
     assert survey.progress == (8, 8)
-    survey.close()
 
 
 def test_what_is_measured_stays_known_and_waits_for_others():
-    engine, survey = surveyed()
-    before = engine.made
-    sides = survey.a.setup, survey.b.setup
-    third = Setup(replace(Setup().options, levels=0))
-    survey.update(third, None, 1.0, False)
-    assert not engine.asked, "not while there is something else to do"
-    survey.update(third, None, 1.0, True)
-    assert {request.setup for request in engine.asked} == {third}
-    assert [request.slot for request in engine.asked] == [1, 3, 5]
-    engine.asked = []
-    survey.update(*sides, 1.0, True)
-    assert engine.made == before and survey.progress == (16, 16)
-    survey.forget()
+    surveying, survey = surveyed()
+    third = side(levels=0)
+    assert survey.update(third, None, 1.0, False) == [], "not while there is something else to do"
+    assert [want.key for want in survey.update(third, None, 1.0, True)] == [Key(third.recipe, k) for k in (1, 3, 5)]
+    assert survey.update(surveying.a, surveying.b, 1.0, True) == [] and survey.progress == (16, 16)
+    surveying.measured.forget()
     assert survey.progress == (0, 16)
-    survey.close()
+
+
+def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
+    """What the survey has measured is not measured again; a metric that fails is told and costs no other."""
+    counted = Counter()
+    metrics = {
+        name: Metric(
+            name, name, lambda shown, true, name=name: counted.update([name]) or shown[..., 0], slow=name == "slow"
+        )
+        for name in ("psnr", "flip", "slow")
+    }
+    metrics["broken"] = Metric("broken", "Broken", lambda shown, true: 1 / 0)
+    monkeypatch.setattr("gffe_cl.viewer.engine.figures.METRICS", metrics)
+    monkeypatch.setattr("gffe_cl.viewer.engine.figures.measurable", lambda: list(metrics.values()))
+    monkeypatch.setattr("gffe_cl.viewer.engine.figures.Part.of", lambda *shares: Part(*shares, 0.0))
+    measured, frame = Measurements(), made(slot=3)
+
+    def known():
+        measured.update()
+        return measured.of(frame.key.recipe).get(3, Figures())
+
+    measured.survey(frame, 1.0)
+    wait_for(lambda: known().surveyed)
+    for _ in range(2):
+        measured.measure(frame, 1.0)
+    wait_for(lambda: "slow" in known().values)
+    assert counted == {"psnr": 1, "flip": 1, "slow": 1} and known().parts
+    assert measured.faults == ["ZeroDivisionError: division by zero"]
+    measured.measure(made(slot=2, alpha=0.0), 1.0)
+    measured.measure(made(slot=4), 1.0)
+    wait_for(lambda: measured.update() or "slow" in measured.of(frame.key.recipe).get(4, Figures()).values)
+    assert 2 not in measured.of(frame.key.recipe) and counted["psnr"] == 2
 
 
 def passed(k, motion, depth=4.0, begins=False):

@@ -5,7 +5,6 @@ import os
 import shutil
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -26,7 +25,7 @@ from gffe_cl.engine.options import Option
 from gffe_cl.lab.fault_injection import broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
-from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
+from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.seeker import Seeker
 from gffe_cl.viewer.panels import status
 from gffe_cl.viewer.panels.doctor import offers_repair
@@ -99,7 +98,9 @@ def inspected(session, x, y):
     """The values at a pixel."""
     pointing = session.model.pointing
     pointing.hover((x + 0.5, y + 0.5))
-    session.until(lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y))
+    session.until(
+        lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y) and session.model.shows_values
+    )
     return pointing.inspection
 
 
@@ -109,31 +110,31 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
     model.playback.seek(3)
     session.settle()
     assert model.current and model.frame_text == "generated: frame 1 + 1/2"
-    seen = inspected(session, 3, 4)
-    assert model.shows(seen) and not model.shows(replace(seen, slot=2))
+    inspected(session, 3, 4)
+    assert model.shows_values
     with session.engine_waiting():
         model.playback.seek(1)
         session.model.update(time.perf_counter(), session.canvas)
         assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
-    session.settle()
-    assert model.current and not model.shows(seen)
+    session.until(lambda: model.slot == 1)
+    assert model.current and not model.shows_values, "they are still those of slot 3"
+    session.until(lambda: model.shows_values)
     model.playback.n = 3
     assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
     session.settle()
-    seen = inspected(session, 3, 4)
+    inspected(session, 3, 4)
     model.set("hole_filling", "none")
-    session.frame()
-    session.settle()
-    assert model.current and not model.shows(replace(seen, slot=model.slot))
+    session.until(lambda: model.contents.result.setup == model.setup)
+    assert model.current and not model.shows_values
 
 
 def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
     """Its cached slots are not those of the opened one."""
     model = session.model
-    session.until(lambda: model.filling.cached)
+    session.until(lambda: model.ahead.cached)
     with session.engine_waiting():
         model.opened(model.source)
-        assert model.filling.cached == frozenset()
+        assert model.ahead.cached == frozenset()
 
 
 def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
@@ -148,7 +149,7 @@ def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
 def test_while_a_program_is_attached_to_that_is_told(session):
     model = session.model
     model.program = SimpleNamespace(name="game", close=lambda: None)
-    model.notice, model.engine.open_source = "", lambda make, serial: None
+    model.notice, model.engine.open_source = "", lambda make: None
     model.follow()
     assert "game" in model.notice
 
@@ -224,7 +225,7 @@ def test_cuts_found_in_computing_ahead_are_marked(session, monkeypatch):
     assert model.slot == 0 and not model.contents.resets
     model.set("levels", 2)  # so that everything is computed anew
     session.settle()
-    session.until(lambda: 5 in model.filling.cached)
+    session.until(lambda: 5 in model.ahead.cached)
     session.frame()
     assert model.slot == 0 and model.contents.resets == {2: "a cut was found here"}
 
@@ -265,17 +266,6 @@ def test_reload_opens_what_is_shown(session, tmp_path):
     assert model.source.name == "second"
 
 
-def test_requests_for_another_sequence_are_ignored(session, tmp_path):
-    model, source = session.model, session.model.source
-    model.open(str(tiny_sequence.write(tmp_path / "second", frames=1)))
-    session.until(lambda: model.engine.source is not source)
-    session.settle()
-    model.engine.submit(Request(5, Setup(), frozenset(), 10**6), source)  # there is no slot 5 any more
-    assert not model.engine.busy
-    model.engine.submit(Request(5, Setup(), frozenset(), 10**6), model.source)
-    session.until(lambda: model.failure)
-
-
 def test_holding_b_has_b_read_back(session):
     model = session.model
     model.comparison.toggle("split")
@@ -292,7 +282,7 @@ def test_holding_b_has_b_read_back(session):
 
 def test_metrics_of_other_kernels_are_forgotten(session):
     model = session.model
-    model.metrics[1] = Metrics(1, model.setup, 30.0)
+    model.metrics[1] = Figures({"psnr": 30.0})
     session.frame()
     assert 1 in model.metrics
     model.engine._kernels.identity += " and another one"
@@ -510,7 +500,7 @@ def test_a_file_of_a_capture_opens_its_folder(session, tmp_path):
 def test_a_device_that_is_lost_for_a_while(session, monkeypatch):
     """What it was asked for is told; what is in the cache can be looked at; it is used again when it is back."""
     model, shoot = session.model, Seeker.shoot
-    session.until(lambda: len(model.filling.cached) == model.playback.slots)
+    session.until(lambda: len(model.ahead.cached) == model.playback.slots)
 
     def lost(self, k, alpha):
         raise cl.RuntimeError("clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES")

@@ -10,7 +10,6 @@ from viewer_session import Canvas, Session
 
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
-from gffe_cl.viewer.engine.messages import Request
 
 
 class WideCanvas(Canvas):
@@ -47,7 +46,7 @@ def test_b_is_what_was_kept_and_a_goes_on(session):
     session.settle()
     alone = kept_and_changed(session)
     np.testing.assert_array_equal(session.canvas.layers["B:final"], alone)
-    assert model.view.b == "B:final" and not model.contents.second.request.setup.options.motion
+    assert model.view.b == "B:final" and not model.contents.second.setup.options.motion
     model.set("levels", 0)
     session.settle()
     np.testing.assert_array_equal(session.canvas.layers["B:final"], alone)
@@ -65,7 +64,7 @@ def test_a_and_b_are_of_one_slot_while_it_plays(session, monkeypatch):
     take = model.contents.take
 
     def taken(result, second=None):
-        slots.append((result.request.slot, second and second.request.slot))
+        slots.append((result.slot, second and second.slot))
         take(result, second)
 
     monkeypatch.setattr(model.contents, "take", taken)
@@ -79,24 +78,25 @@ def test_a_is_shown_alone_where_b_cannot_be_made(session, monkeypatch):
     model = session.model
     make = Engine._made
 
-    def fails(engine, request: Request):
-        if request.role == "b":
+    def fails(engine, want):
+        if not want.key.recipe.setup.options.motion:
             raise RuntimeError("no memory for B")
-        return make(engine, request)
+        return make(engine, want)
 
-    monkeypatch.setattr(Engine, "_made", fails)
-    model.engine.cache.most = 0  # or B would be found there
     kept_and_changed(session)
-    assert "no memory for B" in model.second.fault and model.contents.second is None
+    monkeypatch.setattr(Engine, "_made", fails)
+    model.playback.seek(5)
+    session.settle()
+    assert "no memory for B" in model.showing.fault_of_b and model.contents.second is None
     assert any("B:" in message.text and message.error for message in model.messages)
-    assert model.contents.result.request.setup.options.motion
+    assert model.contents.result.setup.options.motion
     for _ in range(3):
         model.playback.step()
         session.settle()
     monkeypatch.undo()
     model.playback.step(-1)
     session.settle()
-    assert model.contents.second is not None and not model.second.fault
+    assert model.contents.second is not None and not model.showing.fault_of_b
 
 
 def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
@@ -118,7 +118,7 @@ def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
     assert model.engine.build_error is None, model.engine.build_error
     session.settle()
     np.testing.assert_array_equal(model.contents.image("B:final"), before)
-    a, b = (made.recipe.kernels[:6] for made in (model.contents.result, model.contents.second))
+    a, b = (made.key.recipe.kernels[:6] for made in (model.contents.result, model.contents.second))
     assert a != b and model.builds == (f"kernels {a}   ", f"kernels {b}   ")
     assert (model.contents.image("final") != before).any()
 

@@ -1,10 +1,10 @@
 """Runs the viewer under Dear ImGui's test engine; started by test_viewer_gui.py under xvfb-run.
 
-    viewer_gui_case.py make|first|second FOLDER ARTIFACTS [CASE …]
+    viewer_gui_case.py make|first|second|smoke FOLDER ARTIFACTS [CASE …]
 
 "make" writes the sequences "small" (ground truth, a rendering window from its second frame on) and "large" into FOLDER.
-"first" runs all cases, or those named, and "second" finds what it has left; the outcome goes to FOLDER/first.json and
-FOLDER/second.json, pictures to ARTIFACTS.
+"first" runs all cases, or those named, and "second" finds what it has left; "smoke" runs the short one of
+test_viewer_window.py alone. The outcome goes to FOLDER/first.json and so on, pictures to ARTIFACTS.
 """
 
 import sys
@@ -46,7 +46,9 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     cases = {name: case for name, case in cases.items() if name in only or not only}
     report = folder / f"{phase}.json"
     with leaving(model):
-        if phase == "first":
+        if phase == "smoke":
+            driver.run(App(model), {"smoke": looking.smoke}, report, artifacts, None, (1280, 720))
+        elif phase == "first":
             driver.run(App(model), cases, report, artifacts, doing.leave_while_working, (1280, 720))
         else:
             driver.run(App(model), {"restart": doing.found_again}, report, artifacts, doing.leave_while_saving)

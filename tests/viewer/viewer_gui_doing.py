@@ -157,7 +157,7 @@ class OwnTime:
         def run(*arguments, **named):
             if first:
                 self.frames.append(0.0)
-                self.busy += self._app.model.engine.busy
+                self.busy += self._app.model.busy
             start, drawn = time.thread_time(), self._drawing
             try:
                 return function(*arguments, **named)
@@ -176,8 +176,8 @@ def keys_while_computing(gui: Gui):
     """The interface answers while slots are computed that take far longer than a frame of it."""
     model, values = gui.model, gui.values
     gui.open(gui.sequences / "large")
-    cache = model.engine.cache
-    cache.clear()
+    cache = model.store
+    cache.forget(lambda key: True)
     cache.most, most = 0, cache.most
     model.playback.seek(0)
     gui.settle()
@@ -372,7 +372,7 @@ def leave_while_working(gui: Gui) -> None:
     gui.wait(lambda: model.source.name == "forest", "the scene")
     model.playback.seek(60)
     gui.frames(3)
-    assert model.engine.busy
+    assert model.busy
 
 
 def leave_while_saving(gui: Gui) -> None:

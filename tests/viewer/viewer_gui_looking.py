@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 from gffe_cl.engine.stages.buffers import lies_on_source, texel_of
+from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.buffers import moved
 from gffe_cl.viewer.panels import status
 
@@ -247,3 +248,52 @@ def story(gui: Gui):
     values["forgotten"] = (
         model.pointing.picked is None and model.pointing.story is None and not gui.exists("//Inspector/###forget_story")
     )
+
+
+def smoke(gui: Gui):
+    """One look at everything that a person touches first."""
+    model, values = gui.model, gui.values
+    model.playback.seek(0)
+    gui.settle()
+    image = to_display(model.contents.image("final")[..., :3].astype(np.float32), model.source.exposure)
+    pixels = [(2, 3), (9, 6), (6, 1)]
+    values["expected"] = [255 * image[y, x] for x, y in pixels]
+    left, top = gui.area()[:2]
+    places = [gui.at(x + 0.5, y + 0.5) for x, y in pixels]
+    picture = gui.picture()
+    values["shown"] = [picture[int(y - top), int(x - left)] for x, y in places]
+    values["slots after keys"] = []
+    for key in (KEY.right_arrow, KEY.right_arrow, KEY.left_arrow):
+        gui.key(key)
+        gui.settle()
+        values["slots after keys"].append(model.contents.result.slot)
+    values["pointed at"] = []
+    for x, y in ((3, 4), (9, 7)):
+        before = model.pointing.inspection
+        gui.point(*gui.at(x + 0.5, y + 0.5))
+        gui.wait(lambda before=before: (seen := model.pointing.inspection) and seen is not before, "values", 20)
+        values["pointed at"].append(model.pointing.inspection.pixel)
+    at, zoom = gui.at(9.5, 7.5), model.view.zoom
+    gui.ctx.mouse_wheel_y(1)
+    gui.frames(2)
+    values["zoomed at the pointer"] = model.view.zoom > zoom and bool(np.allclose(gui.at(9.5, 7.5), at, atol=1))
+    gui.shot("smoke, numbers")
+    gui.key(KEY.f)
+    gui.key(KEY.w)
+    left, top, width, height = gui.area()
+    gui.drag((left + width / 2, top + height / 2), (left + width / 4, top + height / 2))
+    values["wipe"] = model.view.split
+    gui.key(KEY.w)
+    left, top, width, height = gui.area("//Timeline/###scrub")
+    values["scrubbed to"] = []
+    for share in (0.05, 0.95):
+        gui.drag((left + width / 2, top + height / 2), (left + share * width, top + height / 2))
+        gui.settle()
+        values["scrubbed to"].append(model.slot)
+    gui.point(*gui.at(3.5, 4.5))
+    gui.ctx.mouse_click(0)
+    gui.settle()
+    values["told"] = model.pointing.story.pixel
+    gui.click("//Modules/motion estimation")
+    gui.settle()
+    values["switched"] = model.contents.result.setup.options.motion

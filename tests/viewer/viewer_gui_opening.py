@@ -36,7 +36,7 @@ def kernels(gui: Gui):
     darker = text.replace(end, f"    for (int k = 0; k < LANES; ++k) {darken}{end}")
     path.write_text(darker)
     gui.key(KEY.f5)
-    gui.wait(lambda: not model.engine.busy, "the rebuilt kernels")
+    gui.wait(lambda: not model.busy, "the rebuilt kernels")
     gui.settle()
     dark = gui.picture()
     values["darker by"] = float(dark.mean() / before.mean())
@@ -57,7 +57,7 @@ def kernels(gui: Gui):
     values["error is shown"] = gui.exists("//Kernels/copy###copy_build_error")
     path.write_text(text)
     gui.click("//Kernels/###reload_kernels")
-    gui.wait(lambda: not model.engine.build_error and not model.engine.busy, "the repaired kernels")
+    gui.wait(lambda: not model.engine.build_error and not model.busy, "the repaired kernels")
     gui.settle()
     values["recovered"] = bool((gui.picture() == before).all()) and not gui.exists("//**/###kernel_error")
     gui.ctx.window_focus("//Inspector")
@@ -88,7 +88,7 @@ def dropping(gui: Gui):
         gui.shot(f"dropping, {name}")
     gui.key(KEY.left_arrow)
     gui.settle()
-    values["goes on"] = model.contents.result.request.slot
+    values["goes on"] = model.contents.result.slot
     values["target"] = Path(model._target).name
     gui.app.drop([str(folder / "large")])
     gui.wait(lambda: model.source.name == "large", "the other sequence")

@@ -66,7 +66,7 @@ def playback(gui: Gui):
     for name, (key, modifiers) in steps.items():
         gui.key(key, modifiers)
         gui.settle()
-        values["slots after keys"][name] = (model.playback.slot, model.contents.result.request.slot)
+        values["slots after keys"][name] = (model.playback.slot, model.contents.result.slot)
     gui.click("//Timeline/###step")
     values["slot after the step button"] = model.playback.slot
 
@@ -91,7 +91,7 @@ def scrubbing(gui: Gui):
     gui.frames(3)
     values |= {"slots": seen, "last": playback.slots - 1, "playing afterwards": playback.playing}
     gui.settle()
-    values["shown afterwards"] = gui.model.contents.result.request.slot
+    values["shown afterwards"] = gui.model.contents.result.slot
 
 
 @case
@@ -118,24 +118,24 @@ def cached_playback(gui: Gui):
     model, values = gui.model, gui.values
     model.show_layer("frame.motion")
     gui.settle()
-    gui.wait(lambda: len(model.filling.cached) == model.playback.slots, "the cache")
+    gui.wait(lambda: len(model.ahead.cached) == model.playback.slots, "the cache")
     gui.frames(2)
     left, top, width, height = map(int, gui.area("//Timeline/###scrub"))
     below = gui.window()[top + height + 1, left + 1 : left + width - 1].astype(int)
     values["share marked as cached"] = float((np.abs(below - np.multiply(CACHED[:3], 255)).max(-1) < 3).mean())
     computed, make = [], SlotMaker.make
-    SlotMaker.make = lambda self, request, **how: computed.append(request.slot) or make(self, request, **how)
+    SlotMaker.make = lambda self, key, layers, **how: computed.append(key.slot) or make(self, key, layers, **how)
     try:
         gui.key(KEY.space)
         gui.wait(lambda: model.playback.shown >= 24, "one and a half laps")
-        values["plays while nothing is computed"] = model.playback.playing and not model.engine.busy
+        values["plays while nothing is computed"] = model.playback.playing and not model.busy
         gui.shot("cached_playback, playing")
         gui.key(KEY.space)
         gui.settle()
     finally:
         SlotMaker.make = make
     values["computed"] = computed
-    values["shown"] = model.contents.result.request.slot == model.playback.slot
+    values["shown"] = model.contents.result.slot == model.playback.slot
 
 
 @case

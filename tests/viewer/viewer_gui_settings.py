@@ -59,7 +59,7 @@ def settings_a_and_b(gui: Gui):
     for _ in range(3):
         gui.key(KEY.right_arrow)
         gui.settle()
-        slots.append([model.contents.result.request.slot, model.contents.second.request.slot])
+        slots.append([model.contents.result.slot, model.contents.second.slot])
     values["slots"] = slots
     gui.click("//Compare/measure")
     gui.key(KEY.k, ALT)
@@ -84,6 +84,7 @@ def finding_frames(gui: Gui):
     model.set("motion", False)
     gui.settle()
     gui.app.docks.show("Plot")
+    model.measured.forget()  # what earlier cases have shown
     gui.frames(3)
     values["empty"] = [gui.exists("//Plot/###survey")]
     gui.shot("empty plot")

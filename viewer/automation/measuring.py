@@ -108,12 +108,12 @@ class _Stopwatch:
 
     def _play_again(self, app: App, now: float) -> None:
         model, playback = app.model, app.model.playback
-        if not model.engine.cache.most:
+        if not model.store.most:
             app.close()
             return
         playback.pause()
         playback.set_out(model.slot)
-        if model.engine.busy:
+        if model.busy:
             return
         playback.mode, playback.speed, playback.loop = "real time", 1.0, True
         playback.seek(0)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
+from .background import Background
 
 if TYPE_CHECKING:
     from gffe_cl.captures.doctor import Finding
@@ -32,7 +32,7 @@ class Doctor:
         self.done, self.problem = False, ""
         self.findings: list[Finding] = []
         self.marks: dict[int, str] = {}
-        threading.Thread(target=self._run, args=(sequence,), name="gffe-viewer-doctor", daemon=True).start()
+        Background("doctor").run(self._run, sequence)
 
     def _run(self, sequence: Sequence) -> None:
         from gffe_cl.captures.doctor import examine

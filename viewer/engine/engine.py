@@ -1,16 +1,18 @@
-"""The engine thread: owns the device, the source of frames and the pipeline, and computes slots for the interface.
+"""The engine thread: owns the device, the source of frames and the pipelines, and makes what the store is asked for.
 
 Slot s shows rendered frame k = s // (n + 1) if j = s % (n + 1) is 0, else the frame extrapolated from it at
-α = j / (n + 1). The interface posts requests and polls for answers; neither ever waits.
+α = j / (n + 1). The interface never waits for this thread, nor this thread for the interface.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import pyopencl as cl
 
@@ -18,34 +20,41 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.timing.bench import Copier
-from .cache import FrameCache, FrameKey
-from .mailbox import Exchange
-from .messages import Closing, EngineError, Interrupted, Metrics, Recipe, Request, Result, Setup
-from .metric_worker import Scorer
-from .reloading import Kernels
+from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
+from .reloading import WATCH_SECONDS, Kernels
 from .slot_renderer import SlotMaker, weights_of
 from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
+from .sources.source import FrameSource
+from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
+_ACTIVITIES = {
+    "source": "opening",
+    "kernels": "building kernels",
+    "bandwidth": "measuring bandwidth",
+    "traffic": "counting bytes that must move",
+}
 
 
-class Engine(Exchange):
+class Engine:
     """The viewer's computing thread.
 
     Parameters
     ----------
     open_the_device : callable
         Opens the device, on the thread.
-    notify : callable
-        Called on the engine's threads whenever there is something to poll.
-    cache : FrameCache or None
-        Where computed slots are kept; None: nowhere.
+    store : Store or None
+        Where slots are wanted and put; None: a new one that keeps nothing.
 
     Attributes
     ----------
+    source : FrameSource or None
+        What was opened last.
     device_name : str
         Empty until it is open.
+    activity : str
+        What is being done besides making slots; empty if nothing, or something short.
     builds : int
         How often other kernels were taken into use.
     build_error : str or None
@@ -54,31 +63,34 @@ class Engine(Exchange):
         All that the compiler said of that, in its lines.
     cuts : dict
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
+    bandwidth : float or None
+        GB/s of copying, once measured.
     traffic : dict
         Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
 
-    def __init__(
-        self,
-        open_the_device: Callable[[], Device] = open_viewer_device,
-        notify: Callable[[], None] = lambda: None,
-        cache: FrameCache | None = None,
-    ):
-        super().__init__()
-        self.cache = FrameCache(0) if cache is None else cache
-        self._open_the_device, self._notify = open_the_device, notify
+    def __init__(self, open_the_device: Callable[[], Device] = open_viewer_device, store: Store | None = None):
+        self.store = Store(0) if store is None else store
+        self._open_the_device = open_the_device
+        self.source: FrameSource | None = None
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error, self.build_log = 0, None, ""
+        self.bandwidth: float | None = None
         self.traffic: dict[str, dict[str, float]] = {}
         self.cuts: dict[Recipe, frozenset[int]] = {}
+        self._news = self.store.news
+        self._orders: dict[str, Callable[[], None]] = {}
+        self._failures: deque[Failure] = deque(maxlen=16)
+        self._closing = False
         self._thread = threading.Thread(target=self._run, name="gffe-viewer-engine", daemon=True)
         self._device: Device | None = None
         self._problem = ""  # of opening the device
         self._kernels: Kernels | None = None
-        self._makers: dict[str, SlotMaker | RemoteSlots] = {}  # by role
+        self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
+        self._remote: RemoteSlots | None = None  # instead of them, of an attached program
         self._opened = 0  # sources
-        self._scorer = Scorer(notify, lambda error: self._fail(error, "metrics", None))
-        self._last: Request | None = None  # of role "a", computed last
+
+    # ---- for the interface ---------------------------------------------------------------------------------
 
     def start(self) -> None:
         self._thread.start()
@@ -88,12 +100,17 @@ class Engine(Exchange):
         """Whether the thread runs; when it has ended, the device is idle."""
         return self._thread.is_alive()
 
+    @property
+    def busy(self) -> bool:
+        """Whether anything but a slot is under way or waits."""
+        with self._news:
+            return bool(self.activity or self._orders)
+
     def close(self) -> None:
         """End the thread. Waits two seconds at most, even if a kernel takes longer."""
         with self._news:
             self._closing = True
-            self._news.notify()
-        self._scorer.close()
+            self._news.notify_all()
         if self._thread.is_alive():
             self._thread.join(_CLOSE_SECONDS)
 
@@ -103,27 +120,54 @@ class Engine(Exchange):
         kernels = setup.kernels or (self._kernels.identity if self._kernels is not None else "")
         return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, weights_of(setup.options))
 
-    def poll_metrics(self) -> Metrics | None:
-        """Return the next new metrics. Those of a slot arrive one by one, together with the earlier ones."""
-        return self._scorer.take()
+    def open_source(self, make: Callable[[Device], FrameSource]) -> None:
+        """Open a source with `make` on the thread. Then it is `source`, and nothing of the one before is made any more.
+        If it fails, the old source stays."""
+        self._post("source", partial(self._do_source, make))
+
+    def reload_kernels(self) -> None:
+        """Rebuild the kernels if their text changed."""
+        self._post("kernels", self._do_kernels)
+
+    def measure_bandwidth(self) -> None:
+        """Measure `bandwidth`, once; takes a second, and 512 MiB on the device."""
+        if self.bandwidth is None:
+            self._post("bandwidth", self._do_bandwidth)
+
+    def count_traffic(self, want: Want) -> None:
+        """Count `traffic` for a slot; reads some layers back."""
+        self._post("traffic", partial(self._do_traffic, want))
+
+    def poll(self) -> Failure | None:
+        """Return the oldest failure of anything but slots, once."""
+        with self._news:
+            return self._failures.popleft() if self._failures else None
+
+    def _post(self, kind: str, do: Callable[[], None]) -> None:
+        with self._news:
+            self._orders[kind] = do
+            self._news.notify_all()
 
     # ---- on the thread -----------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        kind, content = "device", None
+        kind, do = "device", self._do_device
         while kind:
             try:
-                getattr(self, f"_do_{kind}")(content)
+                do()
             except Closing:
                 break
             except Interrupted:
-                pass  # another source is to be opened
+                pass  # something else comes first
             except Exception as error:
-                self._fail(error, kind, content)
+                failure = _failure(error, kind)
+                if kind == "device":
+                    self._problem, self.device_name = failure.error, "no device"
+                with self._news:
+                    self._failures.append(failure)
             self.activity = ""
-            watch_at = self._kernels.look_again_at if self._kernels else math.inf
-            kind, content = self._next(kind, watch_at)
-        self._makers, self._last = {}, None
+            kind, do = self._next()
+        self._makers = []
         if self.source:
             self.source.close()
         if self._kernels:
@@ -131,182 +175,142 @@ class Engine(Exchange):
         if self._device:
             self._device.queue.finish()
 
-    def _fail(self, error: Exception, kind: str, content: Any) -> None:
-        message = str(error) if isinstance(error, GffeError) else f"{type(error).__name__}: {error}"
-        if isinstance(error, cl.Error):
-            message = f"the device failed ({error}): cached frames stay; if it does not recover, restart the viewer"
-        serial = content.serial if isinstance(content, Request) else content[1] if kind == "source" else 0
-        if kind == "device":
-            self._problem, self.device_name = message, "no device"
-        during = "network" if isinstance(error, NetworkError) else kind
-        self._errors.append(EngineError(message, serial, during))
-        self._notify()
+    def _next(self) -> tuple[str, Callable[[], None]]:
+        """Return what is to be done next, and its kind, which is empty to end: look for changed files from time to
+        time, orders, then the most urgent want."""
+        watch_at = self._kernels.look_again_at if self._kernels else math.inf
+        with self._news:
+            while not self._closing:
+                if time.monotonic() >= watch_at:
+                    return "watch", self._do_watch
+                for kind in self._orders:
+                    self.activity = _ACTIVITIES[kind]
+                    return kind, self._orders.pop(kind)
+                if (want := self.store.next()) is not None:
+                    return "slot", partial(self._do_want, want)
+                self._news.wait(WATCH_SECONDS)
+        return "", self._do_watch
 
-    def _do_device(self, _) -> None:
+    def _do_device(self) -> None:
         self._device = self._open_the_device()
         self.device_name = self._device.info.name
         self.activity = "building kernels"
         self._kernels = Kernels(self._device)
-        self._do_kernels(None)
+        self._do_kernels()
 
     def _need_device(self) -> Device:
         if self._device is None:
             raise GffeError(self._problem)
         return self._device
 
-    def _do_source(self, content) -> None:
-        source = content[0](self._need_device())
+    def _do_source(self, make: Callable[[Device], FrameSource]) -> None:
+        source = make(self._need_device())
         if self.source:
             self.source.close()
-        self._makers, self._last = {}, None
-        self._scorer.clear()
-        self.cache.clear()
-        self.cuts = {}
-        self._opened += 1
-        self._give_up(source)
-        self._notify()
+        self._makers, self._remote, self.cuts = [], None, {}
+        if isinstance(source, AttachedSource):
+            self._remote = RemoteSlots(source, self._check_while_waiting)
+        with self._news:
+            self._opened += 1
+            self.source = source
+            self.store.open(self._opened)
 
-    def _do_watch(self, _) -> None:
+    def _do_watch(self) -> None:
         if self._kernels is not None and self._kernels.have_changed():
-            self._do_kernels(None)
+            self._do_kernels()
         if self.source is None:
             return
         before = self.source.count
         if self.source.grow():
-            for role in self._makers.keys() - {"a"}:  # their sources are not the one that has grown
-                del self._makers[role]
-            self.cache.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
-            self._notify()
+            del self._makers[1:]  # their sources are not the one that has grown
+            self.store.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
 
-    def _do_kernels(self, _) -> None:
+    def _do_kernels(self) -> None:
         self._need_device()
         self.activity = "building kernels"
         assert self._kernels is not None
-        changed = self._kernels.reload()
+        self.builds += self._kernels.reload()
         self.build_log, self.build_error = self._kernels.log, self._kernels.error
-        self.builds += changed
-        if changed and self._makers:
-            for maker in self._makers.values():
-                maker.drop()
-            self._hopeless = set()
-            self._scorer.clear()
-            with self._news:
-                if self._last:
-                    self._posted.setdefault("slot", self._last)
-        self._notify()
 
-    def _do_bandwidth(self, _) -> None:
+    def _do_bandwidth(self) -> None:
         if self.bandwidth is None:
             self.bandwidth = Copier(self._need_device()).bandwidth()
-            self._notify()
 
-    def _do_traffic(self, request: Request) -> None:
-        if self.source is not None:
-            self.traffic = self._holding(request).must_move()
-            self._notify()
+    def _do_traffic(self, want: Want) -> None:
+        if self.source is not None and want.key.recipe.source == self._opened:
+            self.traffic = self._holding(want).must_move()
 
-    def _holding(self, request: Request) -> SlotMaker | RemoteSlots:
-        """Return the maker of role "a" whose buffers hold all layers of that slot, which it makes first if need be."""
-        maker = self._maker("a")
-        if not maker.holds(request):
-            maker.make(request, to_inspect=True)
-            self._last = request
+    def _do_want(self, want: Want) -> None:
+        """Make what is wanted. A failure of it is what is shown in its place."""
+        source = self.source
+        assert source is not None  # or nothing would be wanted of it
+        if want.pose is not None and source.flight != want.key.recipe.flight:
+            k, j = divmod(want.key.slot, want.key.recipe.setup.n + 1)
+            with self._news:  # or the camera would be flown on after it was put back
+                if self.store.next() != want:
+                    raise Interrupted
+                source.fly(k, j / (want.key.recipe.setup.n + 1), want.pose, want.key.recipe.flight)
+        try:
+            made = self._inspected(want) if want.pixel else self._made(want)
+        except (Closing, Interrupted):
+            raise
+        except Exception as error:
+            made = _failure(error, "inspection" if want.pixel else "slot")
+        self.store.put(want, made)
+        source.look_closer()
+
+    def _made(self, want: Want) -> Frame:
+        frame = (self._remote or self._maker(want)).make(want.key, want.layers)
+        known = self.cuts.get(want.key.recipe, frozenset())
+        if not frame.cuts <= known:
+            self.cuts[want.key.recipe] = known | frame.cuts
+        return frame
+
+    def _inspected(self, want: Want):
+        assert want.pixel is not None
+        inspection = self._holding(want).inspect(*want.pixel)
+        return Failure("outside of the display", "inspection") if inspection is None else inspection
+
+    def _holding(self, want: Want) -> SlotMaker | RemoteSlots:
+        """Return a maker whose buffers hold all layers of that slot, which it makes first if need be."""
+        maker = next((maker for maker in self._makers if maker.holds(want.key)), self._remote)
+        if maker is None:
+            maker = self._maker(want)
+            maker.make(want.key, want.layers, to_inspect=True)
         return maker
 
-    def _do_inspection(self, content) -> None:
-        x, y, layers, request = content
-        if self._last is None and request is None:
-            return
-        maker = self._maker("a") if request is None else self._holding(request)
-        inspection = maker.inspect(x, y, layers)
-        if inspection is not None and maker.last is not None:
-            with self._news:
-                self._inspection = replace(inspection, recipe=self.recipe(maker.last.setup))
-            self._notify()
-
-    def _do_slot(self, request: Request) -> None:
-        self._need_device()
-        if self.source is None:
-            raise GffeError("nothing is open: expected a sequence or a built-in scene")
-        if request.role == "a":
-            self._last = request
-        result = self._made(request)
-        with self._news:
-            self._results[request.role] = result
-        self._notify()
-        self.source.look_closer()
-
-    _do_slot_b = _do_slot
-
-    def _do_ahead(self, request: Request) -> None:
-        """Make a slot in advance. A new request interrupts it; then it is made later."""
-        key = FrameKey(self.recipe(request.setup), request.slot)
-        if self.cache.get(key, request.layers, request.metrics):
-            return
-        try:
-            self._made(request)
-        except Interrupted:
-            with self._news:
-                self._plan.appendleft(request)
-        except GffeError:
-            self._hopeless.add(request)  # the display of that slot shows the reason
-        self._notify()
-
-    def _do_survey(self, request: Request) -> None:
-        recipe, result = self.recipe(request.setup), None
-        try:
-            result = self._noted(recipe, self._maker("ahead").make(request))
-        except Interrupted:
-            with self._news:
-                self._surveys.appendleft(request)
-                self._surveying = None
-            return
-        except GffeError:
-            pass  # reported by no result
-        with self._news:
-            self._surveying = None
-            self._surveyed.append((request, recipe, result))
-        self._notify()
-
-    def _made(self, request: Request) -> Result:
-        """Return the computed slot. It is stored in the cache if the request wants that and its dependencies did not
-        change meanwhile."""
-        before = self.recipe(request.setup)
-        result = self._noted(before, self._maker(request.role).make(request))
-        if self.cache.most and request.keep and before == self.recipe(request.setup):
-            self.cache.put(FrameKey(before, request.slot), result)
-        return result
-
-    def _noted(self, recipe: Recipe, result: Result) -> Result:
-        """Note the cuts that were found on the way to a slot, and return the slot with its recipe."""
-        known = self.cuts.get(recipe, frozenset())
-        if not result.cuts <= known:
-            self.cuts[recipe] = known | result.cuts
-        return replace(result, recipe=recipe)
-
-    def _maker(self, role: str) -> SlotMaker | RemoteSlots:
-        assert self.source is not None
-        if role not in self._makers and isinstance(self.source, AttachedSource):
-            self._makers[role] = RemoteSlots(self.source, self._check_while_waiting)
-        elif role not in self._makers:
+    def _maker(self, want: Want) -> SlotMaker:
+        """Return the maker that is nearest to a slot, of those that hold no slot that is more urgent."""
+        source = self.source
+        assert source is not None
+        above = self.store.above(want) - {want.key}
+        free = [maker for maker in self._makers if maker.key not in above]
+        if not free:
             assert self._device is not None and self._kernels is not None
-            source = self.source if role == "a" else self.source.sibling()
-            check = self._check_beside if role == "ahead" else self._check
-            self._makers[role] = SlotMaker(self._device, source, self._kernels, self._scorer, check)
-        return self._makers[role]
+            own = source.sibling() if self._makers else source
+            free = [SlotMaker(self._device, own, self._kernels, self._check)]
+            self._makers += free
+        maker = min(free, key=lambda maker: (maker.steps_to(want.key), maker.used_at))
+        maker.check = partial(self._check, want)
+        return maker
 
-    def _check(self) -> None:
+    def _check(self, want: Want | None = None) -> None:
+        """Raise Closing, or Interrupted if something else than this want comes first now."""
         if self._closing:
             raise Closing
+        if want is not None and (self._orders or self.store.next() != want):
+            raise Interrupted
 
     def _check_while_waiting(self) -> None:
         """Raise Interrupted if another source is to be opened, Closing if the engine closes: an attached program may be
         stopped for long."""
         self._check()
-        if "source" in self._posted:
+        if "source" in self._orders:
             raise Interrupted
 
-    def _check_beside(self) -> None:
-        self._check()
-        if self._posted or (self._plan and not self._beside):
-            raise Interrupted
+
+def _failure(error: Exception, during: str) -> Failure:
+    message = str(error) if isinstance(error, GffeError) else f"{type(error).__name__}: {error}"
+    if isinstance(error, cl.Error):
+        message = f"the device failed ({error}): cached frames stay; if it does not recover, restart the viewer"
+    return Failure(message, "network" if isinstance(error, NetworkError) else during)

@@ -36,40 +36,29 @@ class Recipe:
     kernels: str
     weights: str = ""
 
+    def continues(self, other: Recipe) -> bool:
+        """Return whether a pipeline of one of them can go on with the other's slots."""
+        return replace(self, flight=other.flight) == other
+
 
 @dataclass(frozen=True)
-class Request:
-    """Request for a slot. `layers`: names of the layers to read back; `metrics`: measure it against the truth;
-    `role`: the pipeline that makes it, so that each can continue: "a" and "b" are displayed, "ahead" fills the
-    cache; `keep`: store it in the cache."""
+class Key:
+    """Name of a slot's pictures: everything that they depend on."""
 
+    recipe: Recipe
     slot: int
-    setup: Setup
-    layers: frozenset[str]
-    serial: int
-    metrics: bool = False
-    role: str = "a"
-    keep: bool = True
 
 
 @dataclass(frozen=True)
-class Metrics:
-    """Metrics of the extrapolated frame at `slot` against ground truth: `values` by name of the metric, as far as they
-    are measured."""
-
-    slot: int
-    setup: Setup
-    values: dict[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Result:
+class Frame:
     """A computed slot.
 
     Attributes
     ----------
-    request, moment
-        What was asked for, and what it shows.
+    key, moment
+        What it was made from, and what it shows.
+    layers : frozenset of str
+        The layers that were asked for.
     images : dict
         The layers asked for that exist: (planes?, H, W, channels?), the receiver's own; colors (H, W, 4) float16.
         A rendered slot has none of the layers of generated frames, and its "truth" is the rendered frame's display
@@ -79,25 +68,22 @@ class Result:
     kernels : dict
         Milliseconds by stage and kernel for this slot, without warm-up.
     wall_ms, readback_ms : float
-        From taking the request to its images, warm-up included; the reading back in it.
+        From taking the slot up to its images, warm-up included; the reading back in it.
     warnings : tuple of str
     bad_pixels : BadPixels
         Of rendered frame k.
     invalid : Invalid or None
         Where those of them are that the pipeline cannot use; None if there are none, or if that is not known.
-    metrics : dict
-        Of "final" by name, those that are known already; for the others see `Engine.poll_metrics`.
     cuts : frozenset of int
         Rendered frames that were found to be cuts so far.
     render_size : (width, height)
         Of rendered frame k.
     buffers : tuple of str
         Properties of the engine's buffers that differ from our conventions.
-    recipe : Recipe or None
-        Everything that it was made from.
     """
 
-    request: Request
+    key: Key
+    layers: frozenset[str]
     moment: Moment
     images: dict[str, np.ndarray]
     specs: dict[str, LayerSpec]
@@ -107,11 +93,22 @@ class Result:
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
     invalid: Invalid | None = None
-    metrics: dict[str, float] = field(default_factory=dict)
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
     buffers: tuple[str, ...] = ()
-    recipe: Recipe | None = None
+
+    @property
+    def slot(self) -> int:
+        return self.key.slot
+
+    @property
+    def setup(self) -> Setup:
+        return self.key.recipe.setup
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its pictures, and of what comes with them."""
+        return sum(image.nbytes for image in self.images.values()) + 4096
 
     @property
     def milliseconds(self) -> dict[str, float]:
@@ -120,23 +117,22 @@ class Result:
 
 
 @dataclass(frozen=True)
-class EngineError:
-    """Failure of the request `serial`; `during`: "device", "source", "kernels", "slot", "inspection",
-    "bandwidth", "metrics"; "network": of shading correction, while a slot was made."""
+class Failure:
+    """Reason why there is nothing, in one line. `during`: "slot", "network" (of shading correction, while a slot was
+    made), "inspection", and of the engine's other work "device", "source", "kernels", "bandwidth", "traffic"."""
 
-    message: str
-    serial: int
+    error: str
     during: str = "slot"
 
 
 @dataclass(frozen=True)
 class Inspection:
-    """Values of the slot last computed at display pixel `pixel`.
+    """Values of a computed slot at display pixel `pixel`.
 
     `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
     rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on that image;
     of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source` is
-    invalid; empty if it is not. `recipe`: of the slot.
+    invalid; empty if it is not.
     """
 
     pixel: tuple[int, int]
@@ -146,7 +142,6 @@ class Inspection:
     story: Story
     fault: str = ""
     origin: dict[str, np.ndarray] = field(default_factory=dict)
-    recipe: Recipe | None = None
 
     def of(self, layers: frozenset[str] | None) -> Inspection:
         """Return the same with the values of `layers` alone; None: of all."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +26,7 @@ from . import names
 from .buffers import Moment, Shot
 from .explain.motion_trail import Passed
 from .invalid import invalid_pixels
-from .messages import Setup
+from .messages import Recipe
 from .sources.source import FrameSource
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
@@ -39,7 +40,7 @@ class Seeker:
         self.device, self.source, self._check = device, source, check
         self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
         self._options: Options | None = None
-        self._kernels = ""  # that were asked for, see Setup
+        self._versions = ("", "")  # of kernels and weights
         self._ring: list[DeviceFrame] = []  # buffers for host frames: the pipeline uses two in place
         self.drop()
 
@@ -65,18 +66,24 @@ class Seeker:
         assert self.pipeline is not None  # `go_to` made it
         return self.pipeline
 
-    def prepare(self, setup: Setup) -> None:
-        others = (setup.options, setup.kernels) != (self._options, self._kernels)
+    def prepare(self, recipe: Recipe) -> None:
+        setup, versions = recipe.setup, (recipe.kernels, recipe.weights)
+        others = (setup.options, versions) != (self._options, self._versions)
         if self.source.configure(setup.window, setup.n, setup.options.upscale) or others:
             self.drop()
             self.cuts = set()
-        self._options, self._kernels = setup.options, setup.kernels
+        self._options, self._versions = setup.options, versions
+
+    def steps_to(self, k: int) -> float:
+        """Return the rendered frames to submit until frame `k` is the last one; infinity if all begins anew."""
+        at = self._at
+        return k - at if at is not None and at <= k <= at + WARM_UP else math.inf
 
     def go_to(self, k: int, alpha: float) -> list[str]:
         """Submit the missing frames up to rendered frame `k`, with a new pipeline unless that is a little ahead.
         Unreadable frames other than `k` are left out; returns messages about them."""
         source, at = self.source, self._at
-        if at is not None and at <= k <= at + WARM_UP and not source.outdated(k, alpha):
+        if at is not None and math.isfinite(self.steps_to(k)) and not source.outdated(k, alpha):
             frames = range(max(at + 1, source.reset_before(k)), k + 1)
         else:
             frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)

@@ -1,7 +1,9 @@
-"""Computation of slots: the pipeline of one role, its last result, and queries about it."""
+"""Computation of slots: a pipeline, its last slot, and queries about it."""
 
 from __future__ import annotations
 
+import itertools
+import math
 import time
 from collections.abc import Callable
 
@@ -19,8 +21,7 @@ from .description import changed_motion, in_words
 from .explain.pixel_explain import pixel_story
 from .invalid import Invalid, fault_at, seen_at, seen_through
 from .layers import layers_of
-from .messages import Inspection, Interrupted, Metrics, Request, Result
-from .metric_worker import Scorer
+from .messages import Frame, Inspection, Interrupted, Key
 from .reloading import Kernels
 from .seeker import Seeker
 from .sources.source import FrameSource
@@ -29,58 +30,59 @@ from .sources.source import FrameSource
 class SlotMaker:
     """Makes slots of `source`, one after the other. It is the only user of `source`.
 
-    `check` is called between rendered frames, and may raise to give up what is being made.
-
     Attributes
     ----------
-    last : Request or None
-        What was made last.
+    check : callable
+        Called between rendered frames; may raise to give up what is being made.
+    key : Key or None
+        The slot that was made last.
+    used_at : int
+        The number of slots made so far by all makers when this one was used last.
     """
 
-    def __init__(
-        self, device: Device, source: FrameSource, kernels: Kernels, scorer: Scorer, check: Callable[[], None]
-    ):
-        self.source, self._kernels, self._scorer = source, kernels, scorer
-        self._seeker = Seeker(device, source, check)
-        self.last: Request | None = None
-        self._flight = 0
+    _used = itertools.count(1)
 
-    def drop(self) -> None:
-        """Forget the pipeline; the next slot makes a new one."""
-        self._seeker.drop()
+    def __init__(self, device: Device, source: FrameSource, kernels: Kernels, check: Callable[[], None]):
+        self.source, self._kernels, self.check = source, kernels, check
+        self._seeker = Seeker(device, source, lambda: self.check())
+        self.key: Key | None = None
+        self.used_at = 0
 
-    def holds(self, request: Request) -> bool:
+    def holds(self, key: Key) -> bool:
         """Return whether the pipeline's buffers are those of this slot."""
-        last = self.last
-        if self._seeker.shot is None or last is None:
-            return False
-        return (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
+        return self._seeker.shot is not None and self.key == key
 
-    def make(self, request: Request, to_inspect: bool = False) -> Result:
-        """Return the computed slot. `to_inspect`: the pipeline's buffers are to hold all layers, whichever the request
-        is for. Raises GffeError; the pipeline is forgotten then."""
+    def steps_to(self, key: Key) -> float:
+        """Return the rendered frames to submit until a slot can be made; infinity if the pipeline starts anew."""
+        if self.key is None or not self.key.recipe.continues(key.recipe):
+            return math.inf
+        return self._seeker.steps_to(key.slot // (key.recipe.setup.n + 1))
+
+    def make(self, key: Key, layers: frozenset[str], to_inspect: bool = False) -> Frame:
+        """Return the computed slot. `to_inspect`: the pipeline's buffers are to hold all layers, whichever are asked
+        for. Raises GffeError; the pipeline is forgotten then."""
         start = time.perf_counter()
-        alphas = (0.0, *alphas_for(request.setup.n))
-        k, j = divmod(request.slot, len(alphas))
+        alphas = (0.0, *alphas_for(key.recipe.setup.n))
+        k, j = divmod(key.slot, len(alphas))
         if not 0 <= k < self.source.count:
-            raise GffeError(f"slot {request.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
-        self.last, self._flight = request, self.source.flight
+            raise GffeError(f"slot {key.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
+        self.key, self.used_at = key, next(self._used)
         try:
-            with self._kernels.used(request.setup.kernels):
-                return self._made(request, k, alphas[j], start, to_inspect)
+            with self._kernels.used(key.recipe.kernels):
+                return self._made(key, layers, k, alphas[j], start, to_inspect)
         except Interrupted:
             raise  # goes on from there next time
         except Exception:
             self._seeker.drop()
             raise
 
-    def _made(self, request: Request, k: int, alpha: float, start: float, to_inspect: bool) -> Result:
+    def _made(self, key: Key, layers: frozenset[str], k: int, alpha: float, start: float, to_inspect: bool) -> Frame:
         seeker, source = self._seeker, self.source
-        seeker.prepare(request.setup)
+        seeker.prepare(key.recipe)
         notes = seeker.go_to(k, alpha)
         pipeline = seeker.pipeline
         assert pipeline is not None  # `go_to` made it
-        pipeline.keep(None if to_inspect else request.layers)
+        pipeline.keep(None if to_inspect else layers)
         shot = seeker.shoot(k, alpha)
         specs = layers_of(pipeline)
         if not source.has_truth:
@@ -91,28 +93,24 @@ class SlotMaker:
         else:
             buffers = in_words(source.format, size, stored.depth.shape[::-1], stored.geometry_jitter)
         kernels = pipeline.take_kernel_timings()
-        measure = request.metrics and alpha > 0 and source.has_truth
-        wanted = (request.layers | ({names.FINAL} if measure else set())) & specs.keys()
-        truth = None
-        if alpha and source.has_truth and (measure or wanted & {names.TRUTH, names.FOCUS_TRUTH}):
+        wanted, truth = layers & specs.keys(), None
+        if alpha and source.has_truth and wanted & {names.TRUTH, names.FOCUS_TRUTH}:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3
-        known = Metrics(request.slot, request.setup)
         if stored is not None and names.UNDONE in wanted:
             assert seeker.converted is not None  # as it was stored
             images[names.UNDONE] = changed_motion(stored, seeker.converted, source.format)
         if truth is not None and names.TRUTH in wanted:
             images[names.TRUTH] = _rgba(truth)
-        if truth is not None and measure:
-            known = self._scorer.score(known, shot.moment, images[names.FINAL], truth, source.exposure)
-        return Result(
-            request,
+        return Frame(
+            key,
+            layers,
             shot.moment,
-            images={name: image for name, image in images.items() if name in request.layers},
+            images=images,
             specs=specs,
             kernels=kernels,
             wall_ms=(time.perf_counter() - start) * 1e3,
@@ -120,7 +118,6 @@ class SlotMaker:
             warnings=(*source.warnings(), *notes),
             bad_pixels=seeker.bad_pixels,
             invalid=self._invalid(shot),
-            metrics=known.values,
             cuts=frozenset(seeker.cuts),
             render_size=size,
             buffers=buffers,
@@ -154,19 +151,19 @@ class SlotMaker:
             return {}
         return traffic.bytes_per_pixel(pipeline, self._seeker.launched, traffic.counters(pipeline))
 
-    def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
+    def inspect(self, x: int, y: int) -> Inspection | None:
         """Return the values of the last slot at display pixel (x, y); None outside, and without a slot."""
         seeker = self._seeker
         if not (seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
             return None
         pipeline, shot = seeker.pipeline, seeker.shot
-        assert pipeline is not None and self.last is not None  # as there is a shot
+        assert pipeline is not None and self.key is not None  # as there is a shot
         values = pixel_values(pipeline, shot, x, y)
         fault = fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
             values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
-        return Inspection((x, y), self.last.slot, story.source, values.here, story, fault, values.origin).of(layers)
+        return Inspection((x, y), self.key.slot, story.source, values.here, story, fault, values.origin)
 
 
 def weights_of(options: Options) -> str:

@@ -92,8 +92,8 @@ def _settings(app: Interface) -> None:
     if entered:
         model.kept.rename(kept, text)
     widgets.beside("name of B")
-    if model.second.fault or kept.suspicion:
-        imgui.text_wrapped(model.second.fault or kept.suspicion)
+    if model.showing.fault_of_b or kept.suspicion:
+        imgui.text_wrapped(model.showing.fault_of_b or kept.suspicion)
 
 
 def _beside(b: dict[str, float], a: dict[str, float]) -> str:
@@ -129,7 +129,7 @@ def _quality(model: Model) -> None:
         f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
     score = model.metrics.get(model.slot)
-    second = model.metrics_of_second().get(model.slot) if model.second.kept else None
+    second = model.metrics_of_second().get(model.slot) if model.contents.second is not None else None
     if score is not None:
         known = [metric for metric in METRICS.values() if metric.name in score.values]
         a = "   ".join(metric.sentence(score.values[metric.name]) for metric in known)

@@ -41,7 +41,7 @@ def draw(app: Interface) -> None:
     if model.walk.can_go_back:
         widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
     if model.pointing.story is not None:
-        imgui.begin_disabled(model.pointing.story_due or not model.current)
+        imgui.begin_disabled(model.story_is_due or not model.current)
         _story(model, model.pointing.story)
         imgui.end_disabled()
     if model.selection.rectangle is not None:
@@ -52,7 +52,7 @@ def draw(app: Interface) -> None:
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
         return
-    stale = not (model.current and model.shows(inspection))
+    stale = not (model.current and model.shows_values)
     if stale:
         imgui.text_disabled("computing … these values are of another frame or setting")
     imgui.begin_disabled(stale)

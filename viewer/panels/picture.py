@@ -110,7 +110,7 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
     texture = app.drawn(view, size)
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
     marks = imgui.get_window_draw_list()
-    text = f"rendered frame 0   {model.engine.activity or 'opening'} …"
+    text = f"rendered frame 0   {model.engine.activity or 'computing'} …"
     widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
@@ -306,7 +306,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         label(f"B  {_layer_text(model, view.b)}", 10, 8)
     elif view.compare != "off" and view.b:
         first = model.contents.result
-        settings = f"{told(first.request.setup)}   " if model.comparison.by_settings and first is not None else ""
+        settings = f"{told(first.setup)}   " if model.comparison.by_settings and first is not None else ""
         builds = model.builds
         texts = (
             f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}"
@@ -321,10 +321,8 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
-    if not (model.comparison.ready and model.current) or (
-        model.engine.busy and not (model.playback.playing or model.follows)
-    ):
-        state = "computing …" if model.failure is None or model.engine.busy else f"not this frame: {model.failure}"
+    if not (model.comparison.ready and model.current) or (model.busy and not (model.playback.playing or model.follows)):
+        state = "computing …" if model.failure is None or model.busy else f"not this frame: {model.failure}"
     if state:
         state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
@@ -367,9 +365,9 @@ def _layer_text(model: Model, name: str) -> str:
     text = layer_text(spec, model.looks.of(name))
     if names.is_second(name) and model.kept.b is not None:
         text = f"{model.kept.b.name}   {text}"
-        if model.second.fault:
-            return f"{model.kept.b.name}: {model.second.fault}"
+        if model.showing.fault_of_b:
+            return f"{model.kept.b.name}: {model.showing.fault_of_b}"
     result = model.contents.second if names.is_second(name) else model.contents.result
-    if result and names.plain(name) in result.request.layers and model.contents.image(name) is None:
+    if result and names.plain(name) in result.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     return text

@@ -8,7 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from ..engine.slot_metrics import QUANTITIES
+from ..engine.figures import QUANTITIES
 from ..state.model import Model
 from . import widgets
 from .interface import Interface

@@ -6,7 +6,7 @@ import math
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from ..engine.slot_metrics import REGIONS, Part
+from ..engine.figures import REGIONS, Part
 from ..state.captions import region_colors
 from . import widgets
 from .interface import Interface

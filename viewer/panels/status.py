@@ -79,14 +79,14 @@ def parts(model: Model) -> list[str]:
 
 def _build(model: Model) -> str:
     """Return which of several builds of the kernels made the picture; empty while there was one only."""
-    recipe = model.contents.result.recipe if model.contents.result is not None else None
+    recipe = model.contents.result.key.recipe if model.contents.result is not None else None
     return f" with kernels {recipe.kernels[:BUILD_LETTERS]}" if recipe is not None and model.engine.builds > 1 else ""
 
 
 def _under_pointer(model: Model) -> list[str]:
     """Return the value of the displayed layer under the pointer, in words; an empty list without one."""
     inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
-    if inspection is None or not model.shows(inspection) or spec is None or spec.name not in inspection.values:
+    if inspection is None or not model.shows_values or spec is None or spec.name not in inspection.values:
         return []
     x, y = inspection.pixel
     side = "A  " if model.view.compare != "off" else ""

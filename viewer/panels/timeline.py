@@ -159,7 +159,7 @@ def _bar(model: Model) -> None:
 def _cached(model: Model, draw, origin, step: float, height: float) -> None:
     """Draw the cached slots that the picture can use: a line below the slots."""
     ink, bottom = imgui.get_color_u32(CACHED), origin.y + height
-    for start, end in runs(model.filling.cached):
+    for start, end in runs(model.ahead.cached):
         corner = ImVec2(origin.x + end * step, bottom + _CACHED_HEIGHT * widgets.mark_unit())
         draw.add_rect_filled(ImVec2(origin.x + start * step, bottom), corner, ink)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..engine import names
 from ..engine.layers import LayerSpec
-from ..engine.messages import Result
+from ..engine.messages import Frame
 from ..engine.sources.source import FrameSource
 from .displays import FrameInfo, area_of
 
@@ -19,9 +19,9 @@ class Contents:
     Attributes
     ----------
     source : FrameSource or None
-    result : Result or None
+    result : Frame or None
         Of the slot computed last; None until there is one of this source.
-    second : Result or None
+    second : Frame or None
         Of the same slot by other settings, where these are compared; its layers are named by `names.of_second`.
     layers : list of LayerSpec
         All that can be shown.
@@ -33,8 +33,8 @@ class Contents:
 
     def __init__(self):
         self.source: Any = None  # a FrameSource, once something is open
-        self.result: Result | None = None
-        self.second: Result | None = None
+        self.result: Frame | None = None
+        self.second: Frame | None = None
         self.layers: list[LayerSpec] = []
         self.cuts: frozenset[int] = frozenset()
         self.changes = 0
@@ -43,9 +43,16 @@ class Contents:
         self.source, self.result, self.second = source, None, None
         self.changes += 1
 
-    def take(self, result: Result, second: Result | None = None) -> None:
+    def take(self, result: Frame, second: Frame | None = None) -> None:
         self.result, self.second, self.layers = result, second, list(result.specs.values())
         self.changes += 1
+
+    @property
+    def images(self) -> dict[str, np.ndarray]:
+        """All images, those of the second frame under the names of `names.of_second`."""
+        found = {} if self.result is None else dict(self.result.images)
+        second = {} if self.second is None else self.second.images
+        return found | {names.of_second(name): image for name, image in second.items()}
 
     @property
     def size(self) -> tuple[int, int]:
@@ -61,8 +68,8 @@ class Contents:
     @property
     def asked(self) -> frozenset[str]:
         """Layers that the present images were asked for."""
-        asked = self.result.request.layers if self.result is not None else frozenset()
-        return asked | {names.of_second(name) for name in (self.second.request.layers if self.second else ())}
+        asked = self.result.layers if self.result is not None else frozenset()
+        return asked | {names.of_second(name) for name in (self.second.layers if self.second else ())}
 
     def spec(self, name: str | None) -> LayerSpec | None:
         if names.is_second(name):
@@ -93,7 +100,7 @@ class Contents:
     def showable(self) -> list[LayerSpec]:
         return [spec for spec in self.layers if self.why_not(spec.name) is None]
 
-    def frame_info(self, result: Result | None = None) -> FrameInfo:
+    def frame_info(self, result: Frame | None = None) -> FrameInfo:
         """Return the frame of reference of the result's layers, for display; by default of A's."""
         result = result or self.result
         assert result is not None

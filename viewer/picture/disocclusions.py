@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..engine import names
+from ..engine.figures import out_of_screen
 from ..engine.layers import LayerSpec
-from ..engine.messages import Result, Setup
-from ..engine.slot_metrics import out_of_screen
+from ..engine.messages import Frame, Setup
 from .current_frame import Contents
 from .view import View
 
@@ -93,14 +93,14 @@ class Disocclusions:
         elif canvas is not None:
             canvas.forget([NAME])
 
-    def _labels(self, result: Result) -> np.ndarray | None:
+    def _labels(self, result: Frame) -> np.ndarray | None:
         """Return (H, W) uint8: indices into `KINDS`, and NONE; None for rendered frames."""
         if not (result.moment.alpha and result.images.keys() >= _NEEDED):
             return None
         holes = result.images[names.DISOCCLUDED] != 0
         outside = out_of_screen(result, holes)
-        if result.request.setup != self._setup:
-            self._setup = result.request.setup
+        if result.setup != self._setup:
+            self._setup = result.setup
             self._shares.clear()
         self.share = Share(*(np.count_nonzero(mask) / holes.size for mask in (holes, outside)))
         self._shares.append(self.share)

@@ -1,4 +1,4 @@
-"""Maps of NVIDIA's FLIP error between two color layers, computed in the background."""
+"""Map of NVIDIA's FLIP error between two color layers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 
 from gffe_cl.lab.metrics import flip_error, to_display
 from ..engine.layers import LayerSpec
-from .latest import Latest
 
 NAME = "flip error"
 SPEC = LayerSpec(
@@ -14,23 +13,6 @@ SPEC = LayerSpec(
 )
 
 
-class FlipMaps:
-    """The map of the latest pair asked for; one is computed at a time, on a thread."""
-
-    def __init__(self):
-        self._latest = Latest("flip")
-        self.take, self.close = self._latest.take, self._latest.close
-
-    @property
-    def ready(self) -> bool:
-        """Whether the map made last is that of the pair asked for last."""
-        return self._latest.ready
-
-    def want(self, key, a: np.ndarray, b: np.ndarray, exposure: float) -> None:
-        """Request the map between colors `a` and `b` (H, W, 4), linear; `key` identifies the pair. `take` returns
-        it, (H, W) float32 in 0 … 1."""
-        self._latest.want(key, _flip, a, b, exposure)
-
-
-def _flip(a: np.ndarray, b: np.ndarray, exposure: float) -> np.ndarray:
+def flip_map(a: np.ndarray, b: np.ndarray, exposure: float) -> np.ndarray:
+    """Return the map between linear colors `a` and `b` (H, W, 4): (H, W) float32 in 0 … 1."""
     return flip_error(*(to_display(color[..., :3], exposure) for color in (a, b)))

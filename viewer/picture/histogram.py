@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..engine import names
+from ..engine.background import Derived
 from ..engine.layers import LayerSpec
 from .current_frame import Contents
 from .display_settings import Looks
 from .displays import Display, FrameInfo, shown_as, shown_values
-from .latest import Latest
 from .view import View
 
 BINS = 128
@@ -39,7 +39,7 @@ class Histogram:
 
     def __init__(self, view: View, contents: Contents, looks: Looks):
         self._view, self._contents, self._looks = view, contents, looks
-        self._latest = Latest("histogram")
+        self._derived = Derived("histogram")
         self.counts: Counts | None = None
         self.log = False
 
@@ -47,7 +47,6 @@ class Histogram:
         """Take the counts, and request the next. Call once per frame of the interface in which they are shown."""
         contents, name = self._contents, self._view.a
         spec, image = contents.spec(name), contents.image(name)
-        self.counts = self._latest.take() or self.counts
         if spec is None or image is None:
             self.counts = None
             return
@@ -55,7 +54,7 @@ class Histogram:
         key = contents.changes, name, display.channel, display.plane
         depth = contents.image(names.RENDERED_DEPTH)
         exposure = contents.source.exposure if spec.view == "color" else 1.0
-        self._latest.want(key, counted, spec, image, display, contents.frame_info(), depth, exposure)
+        self.counts = self._derived.get(key, counted, spec, image, display, contents.frame_info(), depth, exposure)
 
     def handles(self) -> dict[str, float]:
         """Return the limits that can be dragged, by name, on the histogram's axis."""
@@ -83,7 +82,7 @@ class Histogram:
             self._looks.change(name, high=max(value, display.low))
 
     def close(self) -> None:
-        self._latest.close()
+        self._derived.close()
 
 
 def counted(

@@ -7,11 +7,11 @@ from collections import deque
 
 import numpy as np
 
+from ..engine.background import Derived
 from ..engine.layers import LayerSpec
-from ..engine.messages import Result
+from ..engine.messages import Frame
 from .current_frame import Contents
 from .displays import FrameInfo
-from .latest import Latest
 from .view import View
 
 MASKS = RENDERED, SHOWN = "invalid rendered", "invalid shown"  # on the canvas
@@ -32,7 +32,7 @@ class InvalidPixels:
 
     def __init__(self, view: View, contents: Contents):
         self._view, self._contents = view, contents
-        self._latest = Latest("invalid")
+        self._derived = Derived("invalid")
         self._seen = -1
         self.places = np.empty((0, 2), int)
 
@@ -43,16 +43,15 @@ class InvalidPixels:
         if contents.changes != self._seen:
             self._seen, self.places = contents.changes, np.empty((0, 2), int)
             self._upload(canvas, result)
-        made = self._latest.take()
-        if made is not None and self._latest.ready:
-            self.places = made
         if result is not None and not playing:
             spec, image = contents.spec(self._view.a), contents.image(self._view.a)
             if spec is not None and image is not None:
                 key = contents.changes, self._view.a
-                self._latest.want(key, _places, spec, image, contents.frame_info(), result)
+                made = self._derived.get(key, _places, spec, image, contents.frame_info(), result)
+                if self._derived.ready:
+                    self.places = made
 
-    def _upload(self, canvas, result: Result | None) -> None:
+    def _upload(self, canvas, result: Frame | None) -> None:
         if canvas is None:
             return
         canvas.forget([RENDERED, SHOWN])
@@ -64,7 +63,7 @@ class InvalidPixels:
     def count(self) -> int:
         """Invalid pixels of the layer A; while they are not known, those that the input's lead to."""
         result = self._contents.result
-        if self._latest.ready or result is None or result.invalid is None:
+        if self._derived.ready or result is None or result.invalid is None:
             return len(self.places)
         return int(np.count_nonzero(result.invalid.shown))
 
@@ -83,7 +82,7 @@ class InvalidPixels:
         return int(found[0]), int(found[1])
 
     def close(self) -> None:
-        self._latest.close()
+        self._derived.close()
 
 
 def bad_values(spec: LayerSpec, image: np.ndarray) -> np.ndarray:
@@ -102,7 +101,7 @@ def bad_values(spec: LayerSpec, image: np.ndarray) -> np.ndarray:
     return bad
 
 
-def _places(spec: LayerSpec, image: np.ndarray, frame: FrameInfo, result: Result) -> np.ndarray:
+def _places(spec: LayerSpec, image: np.ndarray, frame: FrameInfo, result: Frame) -> np.ndarray:
     """Return the invalid places of a layer of `result`, as `InvalidPixels.places`."""
     width, height = frame.display_size
     found = np.zeros((height, width), bool)

@@ -8,11 +8,11 @@ import numpy as np
 
 from gffe_cl.lab.metrics import squared_error, to_display
 from ..engine import names
+from ..engine.background import Derived
+from ..engine.figures import NEEDED, REGIONS, Part, parts_of, region_labels
 from ..engine.layers import LayerSpec
-from ..engine.messages import Result
-from ..engine.slot_metrics import NEEDED, REGIONS, Part, parts_of, region_labels
+from ..engine.messages import Frame
 from .current_frame import Contents
-from .latest import Latest
 from .view import View
 
 NAME = "regions"
@@ -31,8 +31,8 @@ class RegionMap:
     b: dict[str, Part] | None = None
 
 
-def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionMap:
-    """Return the map of regions of a generated slot of A with the layers `slot_metrics.NEEDED`. `b`: B's final colors
+def region_map(result: Frame, b: np.ndarray | None, exposure: float) -> RegionMap:
+    """Return the map of regions of a generated slot of A with the layers `figures.NEEDED`. `b`: B's final colors
     (H, W, 4) of the same slot, if B is there."""
     labels = region_labels(result, exposure)
     true = to_display(result.images[names.TRUTH][..., :3], exposure)
@@ -59,7 +59,7 @@ class Regions:
 
     def __init__(self, view: View, contents: Contents):
         self._view, self._contents = view, contents
-        self._maps = Latest("regions")
+        self._maps = Derived("regions")
         self.map: RegionMap | None = None
         self.changes = 0
 
@@ -110,24 +110,25 @@ class Regions:
         if not self.on:
             return None
         result, contents = self._contents.result, self._contents
-        try:
-            made = self._maps.take()
-        except Exception as error:
-            self.switch(False)
-            return f"regions: {error}"
-        if made is not None:
-            self.map, self.changes = made, self.changes + 1
-            if canvas is not None:
-                canvas.upload(NAME, made.labels, SPEC)
         have = result is not None and NEEDED & result.specs.keys() <= result.images.keys()
         if not have or self.why_not() is not None:
             if self.map is not None and result is not None and self.why_not():
+                self._maps.forget()
                 self.map, self.changes = None, self.changes + 1
                 if canvas is not None:
                     canvas.forget([NAME])
             return None
         second = contents.image(names.of_second(names.FINAL))
-        self._maps.want((contents.changes, second is None), region_map, result, second, contents.source.exposure)
+        key = contents.changes, second is None
+        try:
+            made = self._maps.get(key, region_map, result, second, contents.source.exposure)
+        except Exception as error:
+            self.switch(False)
+            return f"regions: {error}"
+        if made is not None and made is not self.map:
+            self.map, self.changes = made, self.changes + 1
+            if canvas is not None:
+                canvas.upload(NAME, made.labels, SPEC)
         return None
 
     def close(self) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 from gffe_cl.engine.stages.buffers import FILLED_BY
 from gffe_cl.lab.metrics import METRICS, squared_error, to_display
 from ..engine import names
-from ..engine.messages import Result
+from ..engine.background import Derived
+from ..engine.messages import Frame
 from .current_frame import Contents
-from .latest import Latest
 
 NEEDED = frozenset({names.FINAL, names.TRUTH, names.FILLED_BY, names.MOTION})
 BINS = 16
@@ -49,7 +49,7 @@ class Statistics:
     motion: tuple[float, float] | None
 
 
-def statistics(result: Result, rectangle: Rectangle, exposure: float) -> Statistics:
+def statistics(result: Frame, rectangle: Rectangle, exposure: float) -> Statistics:
     """Return the statistics of the pixels in `rectangle`, of a slot with the layers `NEEDED`, as far as there are."""
     left, top, right, bottom = rectangle
     images = {name: image[top:bottom, left:right] for name, image in result.images.items() if name in NEEDED}
@@ -100,7 +100,7 @@ class Selection:
 
     def __init__(self, contents: Contents):
         self._contents = contents
-        self._latest = Latest("rectangle")
+        self._derived = Derived("rectangle")
         self.rectangle: Rectangle | None = None
         self.statistics: Statistics | None = None
 
@@ -124,23 +124,23 @@ class Selection:
     @property
     def ready(self) -> bool:
         """Whether the statistics are those of the present images."""
-        return self.rectangle is None or self._latest.ready
+        return self.rectangle is None or self._derived.ready
 
     def update(self) -> str | None:
         """Take the result, and request the next. Call once per frame of the interface. Returns an error message, if
         any."""
+        result = self._contents.result
+        if self.rectangle is None or result is None or not self._contents.asked >= NEEDED:
+            return None
+        key = self._contents.changes, self.rectangle
         try:
-            made = self._latest.take()
+            made = self._derived.get(key, statistics, result, self.rectangle, self._contents.source.exposure)
         except Exception as error:
             self.forget()
             return f"rectangle: {error}"
-        if made is not None and self.rectangle is not None:
+        if self._derived.ready:
             self.statistics = made
-        result = self._contents.result
-        if self.rectangle is not None and result is not None and self._contents.asked >= NEEDED:
-            key = self._contents.changes, self.rectangle
-            self._latest.want(key, statistics, result, self.rectangle, self._contents.source.exposure)
         return None
 
     def close(self) -> None:
-        self._latest.close()
+        self._derived.close()

@@ -8,9 +8,9 @@ import numpy as np
 
 from gffe_cl.lab.metrics import to_display
 from ..engine import names
+from ..engine.background import Derived
 from ..engine.layers import LayerSpec
 from .current_frame import Contents
-from .latest import Latest
 from .view import View
 
 _APART = 8  # pixels on each side of a found one that belong to it
@@ -31,7 +31,7 @@ class WorstPixels:
 
     def __init__(self, view: View, contents: Contents):
         self._view, self._contents = view, contents
-        self._latest = Latest("worst")
+        self._derived = Derived("worst")
         self._found: list[Worst] = []
         self._before: list[Worst] = []  # that the last request found
         self._next = 0
@@ -60,9 +60,6 @@ class WorstPixels:
     def update(self) -> tuple[Worst | None, str]:
         """Take the result, and request it. Call once per frame of the interface. Returns the pixel that was asked for,
         or a message why there is none; (None, "") while it is not known."""
-        made = self._latest.take()
-        if made is not None:
-            self._found = made
         if not self.due:
             return None, ""
         contents = self._contents
@@ -77,9 +74,10 @@ class WorstPixels:
             self.due = False
             return None, "A and B have different sizes"
         key = contents.changes, a, b
-        self._latest.want(key, worst_pixels, contents.spec(a), *images, contents.size, contents.source.exposure)
-        if not self._latest.ready:
+        made = self._derived.get(key, worst_pixels, contents.spec(a), *images, contents.size, contents.source.exposure)
+        if not self._derived.ready:
             return None, ""
+        self._found = made
         self._next = self._next if self._found == self._before else 0
         self._before, self.due = self._found, False
         if not self._found:
@@ -89,7 +87,7 @@ class WorstPixels:
         return found, ""
 
     def close(self) -> None:
-        self._latest.close()
+        self._derived.close()
 
 
 def worst_pixels(spec: LayerSpec, a: np.ndarray, b: np.ndarray, size: tuple[int, int], exposure: float) -> list[Worst]:

@@ -226,7 +226,7 @@ class App(Interface):
         if told != self._told and told != (None, None) and self.docks.panel("Inspector").is_visible:
             self.docks.show("Inspector")
         self._told = told
-        at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
+        at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
         at_work |= model.survey.busy or not model.regions.ready or model.follows
         assert self._params is not None and self._params.fps_idling is not None  # it runs
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)

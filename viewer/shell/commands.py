@@ -10,7 +10,7 @@ from imgui_bundle import imgui
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.options import Option
-from ..engine.slot_metrics import QUANTITIES, REGIONS
+from ..engine.figures import QUANTITIES, REGIONS
 from ..state import saving
 from ..state.actions import Action
 from ..state.comparing import FORMULAS

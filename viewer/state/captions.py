@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from ..engine import names
 from ..engine.buffers import Moment
+from ..engine.figures import REGIONS
 from ..engine.layers import LayerSpec
-from ..engine.slot_metrics import REGIONS
 from ..picture import differences, disocclusions, flip_map
 from ..picture.colors import LABEL_COLORS, Rgb, color_table
 from ..picture.current_frame import Contents

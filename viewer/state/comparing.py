@@ -10,8 +10,7 @@ import numpy as np
 
 from gffe_cl.lab.metrics import METRICS
 from ..engine import names
-from ..engine.engine import Engine
-from ..engine.messages import Metrics, Recipe, Result
+from ..engine.background import Derived
 from ..picture import flip_map
 from ..picture.current_frame import Contents
 from ..picture.differences import DIFFERENCES
@@ -19,35 +18,6 @@ from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.view import ERRORS, View
 from .presets import Kept, KeptSettings
-
-
-class Scores:
-    """Metrics by the slots' dependencies, and by slot."""
-
-    def __init__(self, engine: Engine):
-        self._engine = engine
-        self._known: dict[Recipe, dict[int, Metrics]] = {}
-
-    def of(self, recipe: Recipe) -> dict[int, Metrics]:
-        return self._known.setdefault(recipe, {})
-
-    def add(self, metrics: Metrics) -> None:
-        self.of(self._engine.recipe(metrics.setup))[metrics.slot] = metrics
-
-    def add_result(self, result: Result | None) -> None:
-        """Add the metrics that a slot came with, if any."""
-        if result is not None and result.metrics:
-            self.add(Metrics(result.request.slot, result.request.setup, result.metrics))
-
-    def update(self) -> None:
-        """Add the metrics that became known. Call once per frame of the interface."""
-        while (metrics := self._engine.poll_metrics()) is not None:
-            self.add(metrics)
-
-    def forget(self) -> None:
-        """Drop all metrics after a change of the source."""
-        self._known.clear()
-
 
 FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
@@ -67,7 +37,7 @@ class Comparison:
         self.flip_map: np.ndarray | None = None  # of FLIP errors, as it is shown
         self._nothing = False  # A or B does not exist for this frame
         self._flip_missing = METRICS["flip"].missing()
-        self._maps = flip_map.FlipMaps()
+        self._maps = Derived("flip")
         self._truth_instead_of = names.FINAL
 
     def why_not(self, way: str) -> str | None:
@@ -207,18 +177,10 @@ class Comparison:
         if self.why_not("flip error"):
             view.compare = "off"
             return None
-        try:
-            made = self._maps.take()
-        except Exception as error:  # whatever a binary package throws
-            view.compare = "off"
-            return f"FLIP failed: {error}"
-        if made is not None:
-            self.flip_map = made
-            if canvas is not None:
-                canvas.upload(flip_map.NAME, made, flip_map.SPEC)
         a, b = contents.image(view.a), contents.image(view.b)
         self._nothing = (a is None or b is None) and {view.a, view.b} <= contents.asked
         if self._nothing:
+            self._maps.forget()
             self.flip_map = None
             if canvas is not None:
                 canvas.forget([flip_map.NAME])
@@ -227,7 +189,16 @@ class Comparison:
         if a.shape != b.shape:
             view.compare = "off"
             return "FLIP compares images of one size"
-        self._maps.want((contents.changes, view.a, view.b), a, b, contents.source.exposure)
+        key = contents.changes, view.a, view.b
+        try:
+            made = self._maps.get(key, flip_map.flip_map, a, b, contents.source.exposure)
+        except Exception as error:  # whatever a binary package throws
+            view.compare = "off"
+            return f"FLIP failed: {error}"
+        if made is not None and made is not self.flip_map:
+            self.flip_map = made
+            if canvas is not None:
+                canvas.upload(flip_map.NAME, made, flip_map.SPEC)
         return None
 
     def drop_missing(self) -> None:

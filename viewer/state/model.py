@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,15 +16,16 @@ from gffe_cl.engine.options import Options
 from ..engine import names
 from ..engine.attached.program import FRAMES, RunningProgram
 from ..engine.buffers import moved
-from ..engine.cache import CACHE_MIB, FrameCache
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
 from ..engine.explain.pixel_explain_types import Link
-from ..engine.messages import Inspection, Metrics, Setup
-from ..engine.sources.attached import AttachedSource, FrozenSource
+from ..engine.figures import Figures, Measurements
+from ..engine.messages import Failure, Frame, Key, Recipe, Setup
+from ..engine.sources.attached import AttachedSource, FrozenSource, resolved
 from ..engine.sources.opening import ScenePlan, make_source
 from ..engine.sources.preview import Preview, Previewer, preview_of
 from ..engine.sources.source import FrameSource
+from ..engine.store import CACHE_MIB, Store, Want
 from ..picture.current_frame import Contents
 from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
@@ -36,19 +39,17 @@ from ..picture.selection import Selection
 from ..picture.view import View
 from ..picture.worst_pixels import WorstPixels
 from .captions import Message, entries_of, frame_text, layer_text, slot_text
-from .compare_b import Second
-from .comparing import Comparison, Scores
-from .loop import Loop
+from .comparing import Comparison
 from .navigation import Flight, Flyer, Walk
 from .parameters import Parameters
 from .playback import Playback
-from .presets import KeptSettings, command_line, told
-from .requests import Asking, Needed, Prefetch
+from .presets import Kept, KeptSettings, command_line, told
 from .saving import RecordingWork, Subject, Work
 from .settings import Settings
-from .survey import Survey
+from .survey import Side, Survey
 from .timings import Timings
 from .viewport import Framing, Pointing, Screen
+from .wanting import Ahead, Needed, Picture, Showing
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
@@ -67,13 +68,13 @@ class Model:
         check: bool = False, cache_mib: int = CACHE_MIB, start: bool = True,
     ):  # fmt: skip
         self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
-        self.engine = Engine(partial(open_viewer_device, device), cache=FrameCache(cache_mib << 20))
+        self.store = Store(cache_mib << 20)
+        self.engine = Engine(partial(open_viewer_device, device), self.store)
         if start:  # else there is no device, and nothing can be opened
             self.engine.start()
-        self._loop = Loop(self)
         self.contents = Contents()
         self.playback = Playback(n=n)
-        self.filling = Prefetch(self.engine, self.playback)
+        self.ahead = Ahead(self.store, self.playback)
         self.parameters = Parameters(options, self.playback, window)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
@@ -81,14 +82,14 @@ class Model:
         self.screen = Screen(self.contents, self.looks)
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
-        self.second = Second(self.engine, self.filling.find)
-        self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._loop.take)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
         self.histogram = Histogram(self.view, self.contents, self.looks)
         self.invalid = InvalidPixels(self.view, self.contents)
-        self.survey = Survey(self.engine, self.playback)
-        self.pointing = Pointing(self._inspect)
+        self.showing = Showing(self.store, self._show, self._fail)
+        self.measured = Measurements()
+        self.survey = Survey(self.store, self.measured, self.playback)
+        self.pointing = Pointing(self.store)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
         self.worst = WorstPixels(self.view, self.contents)
@@ -98,18 +99,19 @@ class Model:
         self.overview = False
         self.arrows = False
         self.measuring = False
-        self.scores = Scores(self.engine)
         self.messages: list[Message] = []
         self.doctor: Doctor | None = None  # of the open source, once requested
         self.preview: Preview | None = None  # shown until the opened source has a result
         self.previewer: Previewer | None = None
-        self.failure: str | None = None
+        self.failure: str | None = None  # why the requested picture is not there
+        self._inspection_fault = ""
         self.reload_fault = ""  # why the open source could not be read again
         self.notice = ""
         self.timings = Timings()
         self.program: RunningProgram | None = None  # that was attached to
         self.recipe = self.engine.recipe(self.setup)
         self._target = ""
+        self._flights = itertools.count(1)
         self.keep_place = False
         self._closed = False
         self.playback.restore(settings.playback)
@@ -133,7 +135,7 @@ class Model:
         make = partial(
             make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
         )
-        self.engine.open_source(make, self.asking.serial())
+        self.engine.open_source(make)
 
     def attach(self, name: str, frames: int = FRAMES) -> None:
         """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
@@ -146,13 +148,13 @@ class Model:
         program = self.program
         assert program is not None  # as `attach` was called
         self.notice = f"attaching to {program.name} …"
-        self.engine.open_source(lambda device: AttachedSource(program), self.asking.serial())
+        self.engine.open_source(lambda device: AttachedSource(program))
 
     def freeze(self) -> None:
         """Show the program's last rendered frames as they are now."""
         program = self.program
         assert program is not None
-        self.engine.open_source(lambda device: FrozenSource(program, device), self.asking.serial())
+        self.engine.open_source(lambda device: FrozenSource(program, device))
 
     @property
     def follows(self) -> bool:
@@ -173,11 +175,8 @@ class Model:
         self.contents.open(source)
         self.parameters.open(source)
         self.notice, self.reload_fault, self._target = "", "", source.target
-        if self.preview is None:
-            self.screen.show({}, set())
         for part in (
-            self.asking, self.filling, self.second, self.survey, self.scores, self.walk, self.selection,
-            self.disocclusions,
+            self.showing, self.ahead, self.measured, self.survey, self.walk, self.selection, self.disocclusions,
         ):  # fmt: skip
             part.forget()
         if self.export is not None:
@@ -206,9 +205,188 @@ class Model:
         is followed."""
         return None if self.source.live or self.follows else [self.source.time(k) for k in range(count)]
 
+    # ---- one frame of the interface after the other ----------------------------------------------------------
+
     def update(self, now: float, canvas) -> None:
-        """Take finished results of the engine into textures, and request the next ones."""
-        self._loop.update(now, canvas)
+        """Take what is there, and say what is wanted. `now`: seconds of the playback clock; `canvas`: None without a
+        window."""
+        self.screen.canvas = canvas
+        if self.previewer is not None and (preview := self.previewer.take()) is not None:
+            self.preview = preview
+            self.screen.preview(preview)
+        if (opened := self.engine.source) is not None and opened is not self.source:
+            self.opened(opened)
+        if self.source is not None:
+            self._follow_source()
+        self._upload()
+        self.recipe = self.engine.recipe(self.setup)
+        while (failure := self.engine.poll()) is not None:
+            self._failed(failure)
+        if self.source is None:
+            return
+        self.contents.cuts = self.engine.cuts.get(self.recipe, frozenset())
+        result = self.contents.result
+        ready = result.slot if result is not None and result.setup == self.setup else None
+        due = self._due(self.playback.tick(now, ready).request)
+        self._take_values()
+        self.showing.update(due, self._passes, self.screen.ready or result is None)
+        if self.follows and self.showing.shows_due:
+            self.source.flight += 1  # another frame is awaited from now on
+        self._derive(canvas)
+        self.store.want(self._wants(now))
+        if self.export is not None:
+            self.advance_export(canvas)
+
+    def _follow_source(self) -> None:
+        """Take over another render rate that was chosen, more frames of the source, and options that a running program
+        has changed."""
+        if self.source.live and self.parameters.render_rate != self.plan.fps:
+            self.plan = self.plan._replace(fps=self.parameters.render_rate)
+            self.reload()
+        if (count := self.source.count) != self.playback.count:
+            self.playback.extend(count, self.times(count))
+        result = self.contents.result
+        current = self.follows and result is not None and result.setup == self.setup
+        if current and self.setup.options != resolved(self.source.options):  # the program itself has changed them
+            self.parameters.take(self.source.options, None)
+
+    @property
+    def _passes(self) -> bool:
+        """Whether the picture changes by itself, or by dragging: then each one that is begun is shown."""
+        return self.playback.playing or self.playback.scrubbing or self.flying or self.follows
+
+    @property
+    def _kept_b(self) -> Kept | None:
+        """B's settings while anything of them is shown."""
+        return None if self.overview or self.follows else self.comparison.second
+
+    @property
+    def _layers(self) -> frozenset[str]:
+        """Names of layers of A that are read back now."""
+        layers = self.needed.all() if self.overview else self.needed.of_first(self.measuring)
+        return layers | (self.export.layers if self.export is not None else frozenset())
+
+    def _due(self, slot: int) -> Picture:
+        """Return the picture of a slot, as it is looked at now."""
+        flyer = self.flyer if self.flying else None
+        layers = self._layers
+        slot = 0 if self.follows else slot
+        if flyer is not None and (flyer.moved or flyer.slot != slot):
+            flyer.moved, flyer.slot, flyer.flight = False, slot, next(self._flights)
+
+        def want(recipe: Recipe, layers: frozenset[str]) -> Want:
+            if flyer is not None:
+                return Want(Key(replace(recipe, flight=flyer.flight), slot), layers, keep=False, pose=flyer.pose)
+            return Want(Key(recipe, slot), layers, keep=not self.follows)
+
+        kept = self._kept_b
+        if kept is None:
+            self.comparison.same_settings = False
+            return Picture(want(self.recipe, layers))
+        second = self.engine.recipe(kept.setup(self.n))
+        self.comparison.same_settings = second == self.recipe
+        return Picture(want(self.recipe, layers), want(second, self.needed.of_second(self.measuring)))
+
+    def _wants(self, now: float) -> list[Want]:
+        """Return everything that is wanted of the engine, the most urgent first."""
+        showing, awaited = self.showing, self.showing.awaited
+        wants = list(showing.wants)
+        if awaited is not None and self.inspects and not self.showing.failed:
+            wants += self.pointing.wants(awaited.a.key, self.follows)
+        wants += showing.following
+        result, beside = self.contents.result, not (self.flying or self.overview or self.export or self.follows)
+        if awaited is not None and result is not None:
+            others = set() if awaited.b is None else {awaited.b.key.recipe}
+            may_run = beside and showing.shows_due
+            wants += self.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
+        kept = self.kept.b if self.comparison.by_settings else None
+        idle = not (self.flying or self.export or self.playback.playing or self.follows) and not showing.is_waiting
+        self.survey.resets = sorted({0, *self.contents.resets})
+        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
+        wants += self.survey.update(Side(self.setup, self.recipe), b, self.source.exposure, idle)
+        return wants
+
+    def _take_values(self) -> None:
+        """Take values of pixels, and figures, that became known."""
+        fault = self.pointing.update()
+        if fault and not self.showing.failed and fault != self._inspection_fault:
+            self.say(fault, error=True)
+            self._failed_attached()
+        self._inspection_fault = fault
+        self.measured.update()
+        for fault in dict.fromkeys(self.measured.faults):
+            self.say(fault, error=True)
+        self.measured.faults.clear()
+
+    def _derive(self, canvas) -> None:
+        """Find what follows from the images that are shown."""
+        self.disocclusions.update(canvas)
+        self.invalid.update(canvas, self.playback.playing)
+        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
+        for fault in filter(None, faults):
+            self.say(fault, error=True)
+        found, reason = self.worst.update()
+        if found is not None:
+            self.walk.go_to_pixel(found.pixel)
+            x, y = found.pixel
+            self.say(f"error {found.error:.4g} at ({x}, {y}): number {found.rank} of the slot")
+        elif reason:
+            self.say(reason)
+
+    def _show(self, result: Frame, second: Frame | None) -> None:
+        """Set the displayed frames of A and B."""
+        self.contents.take(result, second)
+        self.failure = None
+        self.previewer = self.preview = None
+        if self.measuring:
+            for made in filter(None, (result, second)):
+                self.measured.measure(made, self.source.exposure)
+        self._upload()
+        self.timings.add(result)
+
+    def _upload(self) -> None:
+        if self.preview is None:
+            self.screen.update({self.view.a, self.view.b or self.view.a})
+
+    def _fail(self, failure: Failure, of_b: bool) -> None:
+        """Take notice that A or B of the awaited picture cannot be made."""
+        if of_b:
+            self.say(f"B: {failure.error}", error=True)
+            return
+        self.failure = failure.error
+        if failure.during == "network":  # goes on without it, until it is switched on again
+            self.say(f"shading correction is off: {failure.error}", error=True)
+            self.parameters.network_fault = failure.error
+            self.failure = None
+        else:
+            self.say(failure.error, error=True)
+            self._failed_attached()
+            self.playback.pause()
+        self.previewer = self.preview = None
+        if self.export is not None:
+            self.export.cancel()
+
+    def _failed(self, failure: Failure) -> None:
+        """Take notice of a failure of anything but a picture."""
+        self.failure = failure.error
+        self.say(failure.error, error=True)
+        self.notice = failure.error if self.source is None else ""
+        if failure.during == "source":
+            self.reload_fault = failure.error if self.keep_place else self.reload_fault
+            self.playback.pause()
+            if self.export is not None:
+                self.export.cancel()
+        self.keep_place = False
+        self.previewer = self.preview = None
+
+    def _failed_attached(self) -> None:
+        """Go on with the options of a running program that has refused others, and with its last frames if it has
+        ended."""
+        if self.follows and (program := self.program) is not None:
+            if program.ended:
+                self.freeze()
+            self.parameters.take(program.options, None)
+            self.source.flight += 1
 
     def go_to(self, find: Callable[[], int | None]) -> None:
         """Go to the slot that `find`, a method of the survey, gives, and show a message about it."""
@@ -230,33 +408,26 @@ class Model:
             self.walk.go_to_pixel(pixel)
 
     @property
-    def from_cache(self) -> bool:
-        """Whether the displayed frame came from the cache."""
-        return self.asking.from_cache
-
-    @property
     def inspects(self) -> bool:
-        """Whether the engine is asked for pixel values: not during playback from the cache."""
+        """Whether pixel values are wanted: cached frames are not computed for that during playback."""
         return not (self.from_cache and self.playback.playing)
 
-    def _inspect(self, x: int, y: int) -> None:
-        """Request the values of a displayed pixel. Cached frames are not computed for that during playback."""
-        if self.inspects:
-            result = self.contents.result
-            request = result.request if result is not None and self.from_cache else None
-            self.engine.inspect(x, y, request=request)
+    @property
+    def from_cache(self) -> bool:
+        """Whether the displayed frame came from the cache."""
+        return self.showing.from_cache
 
-    # ---- requests --------------------------------------------------------------------------------------------
+    # ---- what is shown --------------------------------------------------------------------------------------------
 
     @property
-    def metrics(self) -> dict[int, Metrics]:
-        """Return the metrics of the present recipe, by slot."""
-        return self.scores.of(self.recipe)
+    def metrics(self) -> dict[int, Figures]:
+        """Return the figures of the present recipe, by slot."""
+        return self.measured.of(self.recipe)
 
-    def metrics_of_second(self) -> dict[int, Metrics]:
-        """Return the metrics of B's settings, by slot; empty without B."""
+    def metrics_of_second(self) -> dict[int, Figures]:
+        """Return the figures of B's settings, by slot; empty without B."""
         kept = self.kept.b
-        return {} if kept is None else self.scores.of(self.engine.recipe(kept.setup(self.n)))
+        return {} if kept is None else self.measured.of(self.engine.recipe(kept.setup(self.n)))
 
     @property
     def n(self) -> int:
@@ -266,7 +437,7 @@ class Model:
     @property
     def slot(self) -> int:
         result = self.contents.result
-        return result.request.slot if result is not None else self.playback.slot
+        return result.slot if result is not None else self.playback.slot
 
     @property
     def setup(self) -> Setup:
@@ -279,15 +450,27 @@ class Model:
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
     @property
+    def busy(self) -> bool:
+        """Whether the engine works on anything that the picture waits for, or that was asked for."""
+        return self.engine.busy or self.showing.is_waiting
+
+    @property
     def settled(self) -> bool:
         """Whether the displayed frame is the requested one."""
+        result = self.contents.result
+        if result is None:
+            return False
         if self.follows:  # there is always another frame to come
-            shown = self.asking.shows_wanted and self.screen.ready
-            return shown and not (self.pointing.picked and self.pointing.story is None)
+            return (
+                self.showing.shows_like_due
+                and self.screen.ready
+                and not (self.pointing.picked and self.pointing.story is None)
+            )
         return (
-            self.asking.answered
+            self.showing.shows_due
+            and self._layers == result.layers
             and not self.engine.busy
-            and not (self.pointing.story_due and self.inspects)
+            and (self.pointing.tells(result.key) or not self.inspects)
             and self.comparison.ready
             and self.regions.ready
             and self.selection.ready
@@ -298,23 +481,27 @@ class Model:
     @property
     def current(self) -> bool:
         """Whether a still picture shows the playhead's slot, made with the present settings, kernels and frames."""
-        result = self.contents.result
-        if result is None or self.follows or self.flying or self.playback.playing:
+        if self.contents.result is None or self.follows or self.flying or self.playback.playing:
             return True
-        return result.request.slot == self.playback.slot and result.recipe == self.recipe and not self.second.waits
+        return self.showing.shows_slot_due
 
-    def shows(self, inspection: Inspection) -> bool:
-        """Return whether values belong to the displayed picture."""
+    @property
+    def shows_values(self) -> bool:
+        """Whether the values under the pointer belong to the displayed picture."""
         result = self.contents.result
-        if result is None or inspection.slot != result.request.slot:
-            return False
-        return self.follows or inspection.recipe == result.recipe
+        return result is not None and (self.follows or self.pointing.shows(result.key))
+
+    @property
+    def story_is_due(self) -> bool:
+        """Whether the story of the picked pixel is still that of another picture."""
+        result = self.contents.result
+        return result is None or not (self.follows or self.pointing.tells(result.key))
 
     @property
     def builds(self) -> tuple[str, str]:
         """Return which kernels the displayed frames of A and B were made with, where these differ; else empty texts."""
-        recipes = [made and made.recipe for made in (self.contents.result, self.contents.second)]
-        a, b = (recipe.kernels if recipe else "" for recipe in recipes)
+        shown = self.contents.result, self.contents.second
+        a, b = (frame.key.recipe.kernels if frame else "" for frame in shown)
         if not self.comparison.by_settings or a == b or not b:
             return "", ""
         return f"kernels {a[:BUILD_LETTERS]}   ", f"kernels {b[:BUILD_LETTERS]}   "
@@ -393,8 +580,8 @@ class Model:
 
     def stop_flying(self) -> None:
         self.flyer = None
+        self.store.want(())
         self.source.forget_flight()
-        self.asking.forget()
 
     def fly(self, flight: Flight | None, now: float) -> None:
         """Steer the camera; `now`: of the clock that playback goes by, seconds."""
@@ -420,7 +607,7 @@ class Model:
         result = self.contents.result
         if result is None:
             return slot_text(self.slot, self.n)
-        return frame_text(result.moment) if self.follows else slot_text(self.slot, result.request.setup.n)
+        return frame_text(result.moment) if self.follows else slot_text(self.slot, result.setup.n)
 
     def _headings(self) -> list[Entry]:
         """Return what a saved picture shows: the frame, and the layers and settings of A and B."""
@@ -468,8 +655,8 @@ class Model:
     def measure_cost(self) -> None:
         """Measure bandwidth, and the bytes that the displayed slot had to move."""
         self.engine.measure_bandwidth()
-        if self.contents.result is not None:
-            self.engine.count_traffic(self.contents.result.request)
+        if self.showing.shown is not None:
+            self.engine.count_traffic(self.showing.shown.a)
 
     def examine(self) -> None:
         """Have the doctor look at the sequence."""
@@ -518,14 +705,11 @@ class Model:
         self._closed = True
         if self.export is not None:
             self.export.close()
-        self.comparison.close()
-        self.regions.close()
-        self.invalid.close()
-        self.histogram.close()
-        self.worst.close()
-        self.survey.close()
-        self.selection.close()
-        self.engine.close()
+        for part in (
+            self.comparison, self.regions, self.invalid, self.histogram, self.worst, self.selection, self.measured,
+            self.engine,
+        ):  # fmt: skip
+            part.close()
         if self.program is not None:
             self.program.close()
 

@@ -44,6 +44,8 @@ class Flyer:
         self._pitch = math.asin(min(max(direction[1], -1.0), 1.0))
         self._then: float | None = None
         self.moved = True  # since it was last set to False
+        self.flight = 0  # number of the pose at `slot`, see Recipe
+        self.slot = -1  # for which it is flown
         self.pose = start
 
     def steer(self, flight: Flight, now: float) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import queue
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.sequence import Sequence
+from ..engine.background import Background
 from ..picture.canvas import read
 from ..picture.current_frame import Contents
 from ..picture.files import export_video, save_layers_exr, save_png, unused_name
@@ -39,7 +41,7 @@ class Subject:
     @property
     def slot(self) -> int:
         result = self.contents.result
-        return result.request.slot if result is not None else self.playback.slot
+        return result.slot if result is not None else self.playback.slot
 
     def unused(self, stem: str, suffix: str) -> Path:
         """Return a new path in the working folder."""
@@ -61,7 +63,8 @@ class Work:
         self.subject, self.path, self.done, self.total = subject, path, 0, total
         self.finished = self.failed = False
         self.outcome: str | None = None
-        self._thread: threading.Thread | None = None
+        self._background = Background("saving")
+        self._writing: Future | None = None
 
     @property
     def label(self) -> str:
@@ -72,8 +75,12 @@ class Work:
         return set()
 
     def advance(self, canvas) -> None:
-        if self.outcome is not None:
+        if self._writing is not None and self._writing.done():
+            error = self._writing.exception()
+            self.failed = error is not None
+            self.outcome = self._writing.result() if error is None else str(error) or repr(error)
             self.finished = True
+            self._background.close()
         else:
             self._proceed(canvas)
 
@@ -83,8 +90,8 @@ class Work:
     def close(self) -> None:
         """Cancel as the viewer ends: nothing half done is left, unless it takes more than five seconds to stop."""
         self.cancel()
-        if self._thread is not None:
-            self._thread.join(_PATIENCE)
+        if self._writing is not None:
+            wait([self._writing], _PATIENCE)
 
     def _proceed(self, canvas) -> None:
         raise NotImplementedError
@@ -95,15 +102,7 @@ class Work:
 
     def _start(self, write: Callable[[], str]) -> None:
         """Run `write`, which returns a message, on the thread."""
-
-        def run() -> None:
-            try:
-                self.outcome = write()
-            except Exception as error:
-                self.failed, self.outcome = True, str(error) or repr(error)
-
-        self._thread = threading.Thread(target=run, name="gffe-viewer-saving", daemon=True)
-        self._thread.start()
+        self._writing = self._background.run(write)
 
 
 class PictureWork(Work):
@@ -114,7 +113,7 @@ class PictureWork(Work):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
 
     def _proceed(self, canvas):
-        if self._thread is None:
+        if self._writing is None:
             pixels, legends, self.done = self.subject.picture(canvas), self.subject.legends(), 1
             self._start(lambda: self._write(with_legends(pixels, legends)))
 
@@ -139,7 +138,7 @@ class LayersWork(Work):
         self._cancelled = True
 
     def _proceed(self, canvas):
-        if self._thread is not None:
+        if self._writing is not None:
             return
         if self._cancelled:
             self.finished = True

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine.engine import Engine
-from ..engine.messages import Recipe, Request, Result, Setup
-from ..engine.slot_metrics import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
-from ..engine.worker import Worker
+from ..engine.figures import NEEDED, QUANTITIES, REGIONS, Figures, Measurements, Part
+from ..engine.messages import Failure, Frame, Key, Recipe, Setup
+from ..engine.store import Store, Want
 from .playback import Playback
 
-_AHEAD = 3  # slots sent to the engine at once
-_WAITING = 3  # results that wait to be measured
-_RECIPES = 8  # that are remembered
+_AHEAD = 3  # slots that are wanted, or wait to be measured, at once
 _HISTORY = 2  # rendered frames before the one that a slot is made of
 
 
@@ -45,48 +41,33 @@ class Survey:
         but neither found nor counted in means, as `gffe compare` has it.
     """
 
-    def __init__(self, engine: Engine, playback: Playback):
-        self._engine, self._playback = engine, playback
+    def __init__(self, store: Store, measured: Measurements, playback: Playback):
+        self._store, self._measured, self._playback = store, measured, playback
         self.on, self.quantity = False, "psnr"
         self.a: Side | None = None
         self.b: Side | None = None
         self.resets: Sequence[int] = ()
-        self._known: OrderedDict[Recipe, dict[int, Figures]] = OrderedDict()
-        self._measuring = _Measuring()
-        self._planned = None
+        self._wants: list[Want] = []
         self._found: tuple[str, list[int], int] | None = None  # how, the slots in order, and the one gone to
 
     # ---- measuring -----------------------------------------------------------------------------------------
 
-    def update(self, a: Setup, b: Setup | None, exposure: float, may_run: bool) -> None:
-        """Take the figures that became known, and request slots that are missing. Call once per frame of the interface;
-        `may_run`: whether the engine is idle."""
-        self.a, self.b = (None if setup is None else Side(setup, self._engine.recipe(setup)) for setup in (a, b))
-        while (answer := self._engine.poll_survey()) is not None:
-            self._planned = None
-            request, recipe, result = answer
-            if result is None:
-                self._of(recipe)[request.slot] = Figures({})
-            else:
-                self._measuring.add(recipe, result, exposure)
-        for recipe, slot, figures in self._measuring.take():
-            self._planned = None
-            self._of(recipe)[slot] = figures
-        run = self.on and may_run
-        state = run, self.a, self.b, self._measuring.waiting >= _WAITING
-        if state == self._planned:
-            return
-        self._planned = state
-        self._engine.survey(self._missing() if run and self._measuring.waiting < _WAITING else ())
+    def update(self, a: Side, b: Side | None, exposure: float, may_run: bool) -> list[Want]:
+        """Have the slots measured that are there, and return those that are missing. Call once per frame of the
+        interface; `may_run`: whether there is nothing else to do."""
+        self.a, self.b = a, b
+        for want in self._wants:
+            made = self._store.get(want)
+            if isinstance(made, Frame):
+                self._measured.survey(made, exposure)
+            elif isinstance(made, Failure):
+                self._measured.note(want.key, Figures(surveyed=True))
+        self._wants = self._missing() if self.on and may_run else []
+        return self._wants
 
     def forget(self) -> None:
-        """Drop all figures after a change of the source."""
-        self._known.clear()
-        self._measuring.clear()
-        self._planned = self._found = None
-
-    def close(self) -> None:
-        self._measuring.close()
+        """Drop everything after a change of the source."""
+        self._wants, self._found = [], None
 
     @property
     def busy(self) -> bool:
@@ -98,7 +79,7 @@ class Survey:
     def progress(self) -> tuple[int, int]:
         """Slots that are known, and all of them, of A and B together; once where both are the same."""
         slots, recipes = self.slots, {side.recipe for side in self._named.values()}
-        known = sum(len(self._of(recipe).keys() & set(slots)) for recipe in recipes)
+        known = sum(len(self._known(recipe) & set(slots)) for recipe in recipes)
         return known, len(slots) * len(recipes)
 
     @property
@@ -107,30 +88,25 @@ class Survey:
         playback = self._playback
         return [slot for slot in range(playback.first, playback.last + 1) if slot % (playback.n + 1)]
 
-    def _of(self, recipe: Recipe) -> dict[int, Figures]:
-        if recipe not in self._known:
-            self._known[recipe] = {}
-        self._known.move_to_end(recipe)
-        while len(self._known) > _RECIPES:
-            self._known.popitem(last=False)
-        return self._known[recipe]
+    def _known(self, recipe: Recipe) -> set[int]:
+        return {slot for slot, figures in self._measured.of(recipe).items() if figures.surveyed}
 
-    def _missing(self) -> list[Request]:
-        """Return requests for the next slots: A's from the playhead on and round, then B's."""
-        slots, here = self.slots, self._playback.slot
+    def _missing(self) -> list[Want]:
+        """Return the next slots: A's from the playhead on and round, then B's."""
+        slots, here, coming = self.slots, self._playback.slot, self._measured.surveying
         order = [slot for slot in slots if slot >= here] + [slot for slot in slots if slot < here]
         for side in self._named.values():
-            known = self._of(side.recipe).keys() | self._measuring.slots(side.recipe)
-            missing = [slot for slot in order if slot not in known][:_AHEAD]
+            known = self._known(side.recipe)
+            missing = [key for slot in order if slot not in known and (key := Key(side.recipe, slot)) not in coming]
             if missing:
-                return [Request(slot, side.setup, NEEDED, 0, role="ahead", keep=False) for slot in missing]
+                return [Want(key, NEEDED, keep=False) for key in missing[: max(_AHEAD - len(coming), 0)]]
         return []
 
     # ---- results -------------------------------------------------------------------------------------------
 
     def figures(self, side: Side | None) -> dict[int, Figures]:
         """Return the figures of A or B by slot."""
-        return {} if side is None else self._of(side.recipe)
+        return {} if side is None else self._measured.of(side.recipe)
 
     def curve(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return slots and values of a quantity, in order."""
@@ -257,64 +233,3 @@ class Survey:
         a, b = (dict(zip(*self._counted(side), strict=True)) for side in (self.a, self.b))
         common = sorted(a.keys() & b.keys())
         return [int(slot) for slot in sorted(common, key=lambda slot: -abs(a[slot] - b[slot]))]
-
-
-class _Measuring:
-    """Measures results on a thread, in the order in which they come."""
-
-    def __init__(self):
-        self._worker = Worker("survey", self._next, self._do)
-        self._news = self._worker.lock
-        self._waiting: deque[tuple[Recipe, Result, float]] = deque()
-        self._under_way: tuple[Recipe, int] | None = None
-        self._made: list[tuple[Recipe, int, Figures]] = []
-        self._measurers: dict[Recipe, Measurer] = {}
-
-    def add(self, recipe: Recipe, result: Result, exposure: float) -> None:
-        with self._news:
-            self._waiting.append((recipe, result, exposure))
-            self._worker.wake()
-
-    @property
-    def waiting(self) -> int:
-        return len(self._waiting)
-
-    def slots(self, recipe: Recipe) -> set[int]:
-        """Return the slots of this recipe that wait, that are being measured, or whose figures were not taken yet."""
-        with self._news:
-            found = {result.request.slot for of, result, _ in self._waiting if of == recipe}
-            found |= {slot for of, slot, _ in self._made if of == recipe}
-            return found | ({self._under_way[1]} if self._under_way and self._under_way[0] == recipe else set())
-
-    def take(self) -> list[tuple[Recipe, int, Figures]]:
-        with self._news:
-            made, self._made = self._made, []
-        return made
-
-    def clear(self) -> None:
-        with self._news:
-            self._waiting.clear()
-            self._made, self._under_way, self._measurers = [], None, {}
-
-    def close(self) -> None:
-        self._worker.close()
-
-    def _next(self) -> tuple[Recipe, Result, float, Measurer] | None:
-        if not self._waiting:
-            return None
-        recipe, result, exposure = self._waiting.popleft()
-        self._under_way = recipe, result.request.slot
-        if recipe not in self._measurers:
-            self._measurers = {**dict(list(self._measurers.items())[-1:]), recipe: Measurer()}
-        return recipe, result, exposure, self._measurers[recipe]
-
-    def _do(self, job: tuple[Recipe, Result, float, Measurer]) -> None:
-        recipe, result, exposure, measurer = job
-        try:
-            figures = measurer.measure(result, exposure)
-        except Exception:
-            figures = Figures({"kernels": sum(result.milliseconds.values())})
-        with self._news:
-            if self._under_way == (recipe, result.request.slot):  # not forgotten meanwhile
-                self._made.append((recipe, result.request.slot, figures))
-                self._under_way = None

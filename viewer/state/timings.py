@@ -22,9 +22,9 @@ class Timings:
         self._walls: deque[float] = deque(maxlen=_MEAN)
         self._readbacks: deque[float] = deque(maxlen=_MEAN)
 
-    def add(self, result) -> None:
-        """Add the times of an engine's Result."""
-        taken = dict(result.milliseconds)
+    def add(self, frame) -> None:
+        """Add the times of an computed Frame."""
+        taken = dict(frame.milliseconds)
         network = taken.pop("network", 0.0)
         copies = taken.pop("network copies", 0.0)
         if "correction" in taken:
@@ -35,7 +35,7 @@ class Timings:
             del self.stages[name]
         for name, milliseconds in taken.items():
             self.stages[name].append(milliseconds)
-        kernels = {(stage, kernel): ms for stage, taken in result.kernels.items() for kernel, ms in taken.items()}
+        kernels = {(stage, kernel): ms for stage, taken in frame.kernels.items() for kernel, ms in taken.items()}
         for name in self.kernels.keys() - kernels.keys():
             if name[0] in taken:
                 kernels[name] = 0.0  # of a rendered frame, or of generated ones, alone
@@ -45,8 +45,8 @@ class Timings:
             if name not in self.kernels:  # as many frames as its stage has
                 self.kernels[name].extend([0.0] * (len(self.stages[name[0]]) - 1) if name[0] in self.stages else [])
             self.kernels[name].append(milliseconds)
-        self._walls.append(result.wall_ms)
-        self._readbacks.append(result.readback_ms)
+        self._walls.append(frame.wall_ms)
+        self._readbacks.append(frame.readback_ms)
 
     def means(self) -> dict[str, float]:
         """Return the mean kernel times by stage, milliseconds."""

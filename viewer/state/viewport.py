@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from ..engine import names
+from ..engine.explain.pixel_explain_types import Story
 from ..engine.layers import FRAME_LAYERS
+from ..engine.messages import Failure, Inspection, Key
 from ..engine.sources.preview import Preview
+from ..engine.store import Pixel, Store, Want
 from ..picture import disocclusions, flip_map, invalid, regions
 from ..picture.canvas import Canvas
 from ..picture.current_frame import Contents
@@ -49,12 +51,7 @@ class Framing:
 
 
 class Pointing:
-    """Requests about single pixels, and their answers.
-
-    Parameters
-    ----------
-    inspect : callable
-        Asks the engine what it holds at (x, y).
+    """Values at single pixels of the picture.
 
     Attributes
     ----------
@@ -66,60 +63,72 @@ class Pointing:
         False: the pointer means nothing.
     """
 
-    def __init__(self, inspect: Callable[[int, int], None]):
-        self._inspect = inspect
+    def __init__(self, store: Store):
+        self._store = store
         self._size = (0, 0)
         self.enabled = True
-        self.inspection = self.story = self.picked = None
-        self.story_due = False  # the engine was asked for the story of the picked pixel
-        self._hovered: tuple[int, int] | None = None
+        self._wants: list[Want] = []
+        self._hovered: Pixel | None = None
+        self.inspection: Inspection | None = None
+        self.story: Story | None = None
+        self.picked: Pixel | None = None
+        self._inspected: Key | None = None  # the slot of the inspection
+        self._told: Key | None = None  # the slot of the story
 
     def hover(self, at: tuple[float, float] | None) -> None:
-        """Note that the pointer is over this display position, and request the values of its pixel; None: it is
-        elsewhere."""
+        """Note that the pointer is over this display position; None: it is elsewhere."""
         pixel = None if at is None or not self.enabled else (math.floor(at[0]), math.floor(at[1]))
-        pixel = pixel if self._is_inside(pixel) else None
-        if pixel != self._hovered:
-            self._hovered = pixel
-            wanted = pixel or self.picked
-            self.inspection = self.inspection if wanted else None
-            if not self.story_due:  # or it would take the place of the picked pixel, after which it is asked for
-                self._ask(wanted)
+        self._hovered = pixel if self._is_inside(pixel) else None
+        self.inspection = self.inspection if self._pixel else None
 
-    def pick(self, pixel: tuple[int, int] | None) -> None:
-        """Request the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
-        self.picked, self.story = None, None
-        self.inspection = self.inspection if self._hovered else None
-        if pixel is not None and self._is_inside(pixel):
-            self.picked = pixel[0], pixel[1]
-            self._ask(self.picked)
-        self.story_due = self.picked is not None
-
-    def ask_again(self) -> None:
-        """Repeat the requests for another slot."""
-        self.story_due = self.picked is not None
-        self._ask(self.picked or self._hovered)
+    def pick(self, pixel: Pixel | None) -> None:
+        """Tell the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
+        self.picked = (pixel[0], pixel[1]) if pixel is not None and self._is_inside(pixel) else None
+        self.story, self._told = None, None
+        self.inspection = self.inspection if self._pixel else None
 
     def open(self, size: tuple[int, int]) -> None:
         """Start with another picture, of `size` pixels."""
-        self._size = size
-        self.inspection = self.story = self.picked = None
-        self.story_due = False
+        self._size, self._wants = size, []
+        self.inspection = self.story = self.picked = self._inspected = self._told = None
 
-    def take(self, inspection) -> None:
-        """Take an engine's Inspection of the present slot."""
-        if inspection.pixel == self.picked:
-            self.story, self.story_due = inspection.story, False
-            if self._hovered != self.picked:
-                self._ask(self._hovered)
-        if inspection.pixel == (self._hovered or self.picked):
-            self.inspection = inspection
+    def wants(self, key: Key, follows: bool) -> list[Want]:
+        """Return the pixels that are wanted of the awaited slot, the picked one first. `follows`: it is of a running
+        program, which is asked anew only after an answer."""
+        pixels = list(dict.fromkeys(pixel for pixel in (self.picked, self._hovered) if pixel is not None))
+        waits = any(self._store.get(want) is None for want in self._wants)
+        if not (follows and waits and pixels == [want.pixel for want in self._wants]):
+            self._wants = [Want(key, pixel=pixel, keep=False) for pixel in pixels]
+        return self._wants
 
-    def _ask(self, pixel: tuple[int, int] | None) -> None:
-        if pixel is not None:
-            self._inspect(*pixel)
+    def update(self) -> str:
+        """Take what is there of the last `wants`. Returns why there is nothing; empty if nothing is wrong."""
+        fault = ""
+        for want in self._wants:
+            made = self._store.get(want)
+            if isinstance(made, Failure):
+                fault = made.error
+                self._told = want.key if want.pixel == self.picked else self._told
+            elif isinstance(made, Inspection):
+                if want.pixel == self.picked and (self.story is None or self._told != want.key):
+                    self.story, self._told = made.story, want.key
+                if want.pixel == self._pixel and self.inspection is not made:
+                    self.inspection, self._inspected = made, want.key
+        return fault
 
-    def _is_inside(self, pixel: tuple[int, int] | None) -> bool:
+    def shows(self, key: Key) -> bool:
+        """Return whether the values are those of a slot."""
+        return self._inspected == key
+
+    def tells(self, key: Key) -> bool:
+        """Return whether the story of the picked pixel is that of a slot; without one nothing is missing."""
+        return self.picked is None or self._told == key
+
+    @property
+    def _pixel(self) -> Pixel | None:
+        return self._hovered or self.picked
+
+    def _is_inside(self, pixel: Pixel | None) -> bool:
         return pixel is not None and all(0 <= at < size for at, size in zip(pixel, self._size, strict=True))
 
 
@@ -136,19 +145,20 @@ class Screen:
     canvas : Canvas or None
         None: there is nothing to draw on.
     upload_ms : float
-        What the last images took.
+        What the images on the canvas took.
     """
 
     def __init__(self, contents: Contents, looks: Looks):
         self._contents, self._looks = contents, looks
-        self._waiting: dict[str, np.ndarray] = {}
+        self._on_canvas: dict[str, np.ndarray] = {}
+        self._changes = self._coming = 0  # of the contents that are on the canvas, and of those that come
         self.canvas: Canvas | None = None
         self.upload_ms = 0.0
 
     @property
     def ready(self) -> bool:
         """Whether all images are on the canvas."""
-        return not self._waiting
+        return self._changes == self._contents.changes
 
     def preview(self, preview: Preview) -> None:
         """Show a preview on the canvas before there are contents."""
@@ -156,35 +166,36 @@ class Screen:
             self.canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
             self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
 
-    def show(self, images: Mapping[str, np.ndarray], first: set[str]) -> None:
-        """Show these images, with those of other settings, on the canvas, and remove all others, which belong to
-        another time. Those of `first` are uploaded at once, the others as time permits."""
-        second = self._contents.second if images else None
-        others = {} if second is None else {names.of_second(name): image for name, image in second.images.items()}
-        self._waiting, self.upload_ms = dict(images) | others, 0.0
-        if self.canvas is not None:
-            if images:
-                self.canvas.frame = self._contents.frame_info()
-            self.canvas.forget(self.canvas.layers.keys() - self._waiting.keys() - _OF_OTHERS)
-        for name in first & self._waiting.keys():
-            self._upload(name)
-        self.proceed()
-
-    def proceed(self) -> None:
-        """Upload images that wait, as many as time permits. Call once per frame of the interface."""
+    def update(self, first: set[str]) -> None:
+        """Upload the images of the contents that are not on the canvas yet, and remove all others, which belong to
+        another time: those of `first` at once, the others as time permits. Call once per frame of the interface, and
+        after the contents have changed."""
+        if self.ready:
+            return
+        images = self._contents.images
+        if self._coming != self._contents.changes:
+            self._coming, self.upload_ms = self._contents.changes, 0.0
+            if self.canvas is not None:
+                if self._contents.result is not None:
+                    self.canvas.frame = self._contents.frame_info()
+                self.canvas.forget(self.canvas.layers.keys() - images.keys() - _OF_OTHERS)
+        self._on_canvas = {name: image for name, image in self._on_canvas.items() if images.get(name) is image}
         end = time.perf_counter() + _BUDGET
-        while self._waiting:
-            self._upload(next(iter(self._waiting)))
-            if time.perf_counter() > end:
+        left = sorted(images.keys() - self._on_canvas.keys(), key=lambda name: name not in first)
+        for place, name in enumerate(left):
+            if place and name not in first and time.perf_counter() > end:
                 return
+            self._upload(name, images[name])
+        self._changes = self._contents.changes
 
-    def _upload(self, name: str) -> None:
-        start, image = time.perf_counter(), self._waiting.pop(name)
+    def _upload(self, name: str, image: np.ndarray) -> None:
+        start = time.perf_counter()
         if self.canvas is not None:
             own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
             spec = self._contents.spec(name)
             assert spec is not None  # there is an image of it
             self.canvas.upload(name, image, spec, *own)
+        self._on_canvas[name] = image
         self.upload_ms += (time.perf_counter() - start) * 1e3
         if not names.is_second(name):
             self._looks.meet([name])

@@ -19,7 +19,7 @@ from gffe_cl.engine.stages.buffers import CUT_SAMPLES
 from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.scene_cuts import COUNTED, counts_say_cut
 from gffe_cl.lab.compare import compare
-from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.messages import Recipe, Setup
 from gffe_cl.viewer.engine.seeker import Seeker
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.picture.current_frame import Contents
@@ -184,13 +184,13 @@ def test_the_viewer_shows_cuts(device, tmp_path):
     source = RecordedSource(sequence, device)
     contents, seeker = Contents(), Seeker(device, source, lambda: False)
     contents.open(source)
-    seeker.prepare(Setup())
+    seeker.prepare(Recipe(1, 0, Setup(), ""))
     for k, cuts in ((3, set()), (5, {4}), (1, {4})):
         seeker.go_to(k, 0.0)
         assert seeker.cuts == cuts
     contents.cuts = frozenset(seeker.cuts)
     assert contents.resets == {4: "a cut was found here", 2: "reset"}
-    seeker.prepare(Setup(Options(cut_detection=False)))
+    seeker.prepare(Recipe(1, 0, Setup(Options(cut_detection=False)), ""))
     seeker.go_to(5, 0.0)
     assert seeker.cuts == set()
     source.close()

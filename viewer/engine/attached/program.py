@@ -14,6 +14,7 @@ from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
+from ..background import Background
 from ..layers import LayerSpec
 from ..messages import Inspection
 from .channel import NO_ANSWER, OtherVersion, connect, own_version
@@ -73,7 +74,7 @@ class RunningProgram:
                 raise GffeError(f"{name}: {said}") from None
             raise
         self.options = self.about.options
-        threading.Thread(target=self._listen, name="gffe-viewer-attached", daemon=True).start()
+        Background("attached").run(self._listen)
 
     def close(self) -> None:
         self._channel.close()

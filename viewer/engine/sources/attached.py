@@ -10,13 +10,14 @@ from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from ..attached.program import RunningProgram
-from ..messages import Inspection, Request, Result
+from ..messages import Frame, Inspection, Key
 from .recorded import RecordedSource
 from .source import FrameSource
 
 
 class AttachedSource(FrameSource):
-    """Live frames of `program`. It has one slot, which is another frame at each request; `RemoteSlots` makes it."""
+    """Live frames of `program`. It has one slot, which is another frame for each number of `flight`; `RemoteSlots`
+    makes it."""
 
     follows = True
     count = 1
@@ -56,39 +57,33 @@ class RemoteSlots:
 
     def __init__(self, source: AttachedSource, check: Callable[[], None]):
         self.source, self._program, self._check = source, source.program, check
-        self.last: Request | None = None
         self._chosen: Options | None = None  # by the user, as last asked for
         self._inspected = False  # a pixel of a frame: mostly of generated ones
 
-    def drop(self) -> None:
-        """Do nothing: no pipeline is held here."""
-
-    def holds(self, request: Request) -> bool:
-        return True
-
-    def make(self, request: Request, to_inspect: bool = False) -> Result:
-        """Return the program's next frame. Options that have changed since the last request are sent to the program
-        first; frames that it makes before it uses them are skipped."""
-        chosen, program = request.setup.options, self._program
+    def make(self, key: Key, layers: frozenset[str]) -> Frame:
+        """Return the program's next frame. Options that have changed since the last call are sent to the program first;
+        frames that it makes before it uses them are skipped."""
+        chosen, program = key.recipe.setup.options, self._program
         if self._chosen not in (None, chosen) and chosen != resolved(program.options):
             program.use(chosen)
             while True:
-                made = self._next(request)
+                made = self._next(key, layers)
                 if resolved(program.options) == chosen:
                     break
         else:
-            made = self._next(request)
-        self._chosen, self.last = chosen, request
+            made = self._next(key, layers)
+        self._chosen = chosen
         return made
 
-    def _next(self, request: Request) -> Result:
+    def _next(self, key: Key, layers: frozenset[str]) -> Frame:
         specs = self._program.specs
-        generated = self._inspected or any(name in specs and specs[name].of_generated for name in request.layers)
+        generated = self._inspected or any(name in specs and specs[name].of_generated for name in layers)
         self._inspected = False
-        seen, images = self._program.see(request.layers, generated, self._check)
+        seen, images = self._program.see(layers, generated, self._check)
         self.source.exposure, self.source.options = seen.exposure, seen.options
-        return Result(
-            request,
+        return Frame(
+            key,
+            layers,
             seen.moment,
             images=images,
             specs=self._program.specs,
@@ -104,12 +99,12 @@ class RemoteSlots:
         """Return an empty dict: the traffic of another process's pipeline is not known."""
         return {}
 
-    def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
+    def inspect(self, x: int, y: int) -> Inspection | None:
         """Return the values of the program's next frame at display pixel (x, y); None outside."""
         if not (0 <= x < self.source.width and 0 <= y < self.source.height):
             return None
         self._inspected = True
-        return self._program.inspect(x, y, layers, self._check)
+        return self._program.inspect(x, y, None, self._check)
 
 
 def resolved(options: Options) -> Options:

@@ -59,7 +59,6 @@ class SceneSource(Live, FrameSource):
         self._flown: dict[float, Camera] = {}  # by k + alpha
         self._flown_at: list[float] = []  # its keys in order
         self._flown_last = -1.0  # key of the last call of `fly`
-        self._flights = 0  # calls of `fly`
         self._lock = threading.Lock()  # of the flown poses
         super().__init__(scene, device, width, height, count, scene.fps if fps is None else fps, window or "off")
         self._empty_ring()
@@ -101,9 +100,9 @@ class SceneSource(Live, FrameSource):
                 self._flown[made.k] = made.frame.shown_camera  # the new pose came too late
         return False
 
-    def fly(self, k: int, alpha: float, camera: Camera) -> None:
-        """Fly the camera: from now on `camera` (display pixels) sees the scene at `time(k, alpha)`. May be called from
-        any thread.
+    def fly(self, k: int, alpha: float, camera: Camera, flight: int) -> None:
+        """Fly the camera: from now on `camera` (display pixels) sees the scene at `time(k, alpha)`; `flight`: a new
+        number for each pose. May be called from any thread.
 
         Calls follow each other as a flight does: it moves evenly from one pose to the next if that is at most eight
         rendered frames later, and replaces what was flown in between. A new pose of a rendered frame that has been
@@ -111,8 +110,7 @@ class SceneSource(Live, FrameSource):
         """
         at = k + alpha
         with self._lock:
-            self._flights += 1
-            self.flight = self._flights
+            self.flight = flight
             if self._flown_last < at <= self._flown_last + _LONGEST_GAP:
                 skipped = slice(bisect_right(self._flown_at, self._flown_last), bisect_left(self._flown_at, at))
                 for between in self._flown_at[skipped]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from gffe_cl.captures.scenes import is_scene
 from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
+from ..background import Background
 
 _IMAGES = (".exr", ".png", ".npy", ".npz", ".flo", ".flo5")
 
@@ -37,49 +38,38 @@ class Previewer:
 
     def __init__(self, target: str):
         self.target = target
-        self._made: Preview | None = None
-        self._sequence: Sequence | None = None
-        self._problem: GffeError | None = None
-        self._opened = threading.Event()
-        threading.Thread(target=self._run, name="gffe-viewer-preview", daemon=True).start()
+        background = Background("preview")
+        self._opened: Future = background.run(open_capture, place_of(target))
+        self._read: Future | None = background.run(self._first)
 
     def sequence(self) -> Sequence:
         """Wait until the sequence is opened, and return it. Raises GffeError if it cannot be opened."""
-        self._opened.wait()
-        if self._problem is not None:
-            raise self._problem
-        assert self._sequence is not None  # it was opened without a problem
-        return self._sequence
+        try:
+            return self._opened.result()
+        except GffeError:
+            raise
+        except Exception as error:
+            raise GffeError(f"{self.target}: {type(error).__name__}: {error}") from None
 
     def take(self) -> Preview | None:
         """Return the preview once it is ready, one time only. There is none if slot 0 needs a device."""
-        made, self._made = self._made, None
-        return made
+        if self._read is None or not self._read.done():
+            return None
+        read, self._read = self._read, None
+        return None if read.exception() else read.result()  # opening and reading it again report errors
 
-    def _run(self) -> None:
-        try:
-            self._sequence = open_capture(place_of(self.target))
-        except GffeError as error:
-            self._problem = error
-        except Exception as error:  # opening it reports the error
-            self._problem = GffeError(f"{self.target}: {type(error).__name__}: {error}")
-        finally:
-            self._opened.set()
-        if self._sequence is not None and self._sequence.rendered:
-            self._read(self._sequence)
-
-    def _read(self, sequence: Sequence) -> None:
+    def _first(self) -> Preview | None:
+        sequence = self.sequence()
+        if not sequence.rendered:
+            return None
         entry = sequence.rendered[0]
         whole = entry.render_camera == entry.display_camera
         if not whole or sequence.size_of(entry) != (sequence.width, sequence.height):
-            return
-        try:
-            color = sequence.read_color(entry)
-        except GffeError:
-            return  # the next read reports the error
+            return None
+        color = sequence.read_color(entry)
         rgba = np.zeros((*color.shape[:2], 4), np.float16)
         rgba[..., :3] = np.clip(np.nan_to_num(color), -HALF_MAX, HALF_MAX)
-        self._made = Preview(self.target, rgba, sequence.exposure)
+        return Preview(self.target, rgba, sequence.exposure)
 
 
 def preview_of(target: str) -> Previewer | None:

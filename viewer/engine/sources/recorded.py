@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -19,6 +18,7 @@ from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
+from ..background import Background
 from .file_watch import Growth, Rewritten, continues
 from .source import CACHE_BYTES, FrameSource
 
@@ -69,7 +69,7 @@ class RecordedSource(Recorded, FrameSource):
     def look_closer(self):
         check, self.check = self.check, None
         if check is not None:
-            threading.Thread(target=self._suspect, args=(check,), name="gffe-viewer-check", daemon=True).start()
+            Background("check").run(self._suspect, check)
 
     def _suspect(self, check):
         with suppress(GffeError):  # an unreadable frame: displaying it reports the error
@@ -120,7 +120,7 @@ class _ReadAhead:
         self._most, self._bytes = nbytes, 0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._coming: dict[tuple, Future] = {}
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="gffe-viewer-read")
+        self._background = Background("read")
 
     def get(self, key: tuple, read: Callable[[], Any]) -> Any:
         """Return the stored or pending result, else that of `read`; raises its errors, and tries again next time."""
@@ -140,10 +140,10 @@ class _ReadAhead:
             self._coming.pop(key).cancel()
         for key, read in wanted.items():
             if key not in self._kept and key not in self._coming:
-                self._coming[key] = self._pool.submit(read)
+                self._coming[key] = self._background.run(read)
 
     def close(self) -> None:
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._background.close()
 
 
 def _nbytes(value: np.ndarray | RenderedFrame) -> int:

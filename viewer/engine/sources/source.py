@@ -24,11 +24,11 @@ class FrameSource(Source, Protocol):
 
     `target`: how the user named it; `render_size` may change with `configure`; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `flight`: another number whenever other
-    poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `follows`: shows what a
-    running program does: the only slot is another frame whenever it is asked for; `options`: of the running program
-    that the frames are from; `generated`: its new frames after each rendered one; `suspicions`: sentences about the
-    whole, more of them may come; `changed_on_disk`: files of its frames are others than when it was opened; `format`:
-    the description of `stored` frames.
+    poses are flown, 0 for none, or another frame of a running program is awaited; `held`: of the frames delivered last,
+    so many stay as they are; `follows`: shows what a running program does: the only slot is another frame whenever it
+    is asked for; `options`: of the running program that the frames are from; `generated`: its new frames after each
+    rendered one; `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its frames
+    are others than when it was opened; `format`: the description of `stored` frames.
     """
 
     target: str = ""
@@ -78,6 +78,12 @@ class FrameSource(Source, Protocol):
     def grow(self) -> bool:
         """Take over frames that were added at the end since it was opened. Returns whether there are any."""
         return False
+
+    def fly(self, k: int, alpha: float, camera: Camera, flight: int) -> None:
+        """See `time(k, alpha)` through `camera` from now on, where the camera may be flown; `flight` is new."""
+
+    def forget_flight(self) -> None:
+        """Put the camera back where it was before it was flown."""
 
     def look_closer(self) -> None:
         """Start the search for `suspicions`, after the first slot is made."""

@@ -1,4 +1,5 @@
-"""The viewer's cache of computed slots: what is kept, what goes first, and that what comes from it is right."""
+"""The viewer's store: what is wanted is made, the most urgent first; what is kept, what goes first, and that what comes
+from it is right."""
 
 import time
 
@@ -10,82 +11,209 @@ from viewer_session import Session
 from gffe_cl import Options
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.engine.buffers import Moment
-from gffe_cl.viewer.engine.cache import FrameCache, FrameKey, Playhead
-from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
+from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.engine.store import Playhead, Store, Want
 from gffe_cl.viewer.panels.timeline import runs
 from gffe_cl.viewer.state.navigation import Flight
+from gffe_cl.viewer.state.wanting import Picture, Showing
 
 BYTES = 1000
 FINAL = frozenset({"final"})
+DEPTH = frozenset({"frame.depth", "none for this frame"})
 
 
-def recipe(name=""):
-    return Recipe(1, 0, Setup(), name)
+def recipe(name="", source=0):
+    return Recipe(source, 0, Setup(), name)
 
 
-def result(slot=0, layers=FINAL, metrics=False, nbytes=BYTES):
-    moment = Moment(slot, 0.0, 0.0, *[None] * 4)
-    images = {name: np.zeros(nbytes, np.uint8) for name in layers if name != "none for this frame"}
-    return Result(Request(slot, Setup(), frozenset(layers), 1, metrics), moment, images, {}, {}, 0.0, 0.0)
+def want(slot=0, layers=FINAL, name="", source=0, **more):
+    return Want(Key(recipe(name, source), slot), layers, **more)
 
 
-def cache_of(slots):
-    return FrameCache(slots * (BYTES + 4096))
+def frame(of, nbytes=BYTES):
+    moment = Moment(of.key.slot, 0.0, 0.0, *[None] * 4)
+    images = {name: np.zeros(nbytes, np.uint8) for name in of.layers if name != "none for this frame"}
+    return Frame(of.key, of.layers, moment, images, {}, {}, 0.0, 0.0)
+
+
+def put(store, of, nbytes=BYTES):
+    """Whether a frame that nobody waits for is kept."""
+    store.put(of, frame(of, nbytes))
+    return of.key.slot in store.slots(of.key.recipe, of.layers)
+
+
+def store_of(slots):
+    return Store(slots * (BYTES + 4096))
+
+
+def made_by(store):
+    """The slots that an engine makes until nothing is missing."""
+    made = []
+    while (one := store.next()) is not None:
+        made.append(one.key.slot)
+        store.put(one, frame(one))
+    return made
+
+
+# ---- what is wanted ---------------------------------------------------------------------------------------------
+
+
+def test_the_most_urgent_want_is_made_first_and_nothing_twice():
+    store = store_of(10)
+    store.want([want(slot) for slot in (7, 3, 5)])
+    assert store.next() == want(7)
+    store.want([want(3), want(7), want(3)])
+    assert made_by(store) == [3, 7]
+    store.want([want(7), want(1), want(3, DEPTH)])
+    assert made_by(store) == [1, 3] and store.get(want(3)).key.slot == 3
+    store.want([])
+    assert store.next() is None
+
+
+def test_what_is_wanted_is_there_for_as_long_as_it_is_wanted():
+    store, shown, passing = store_of(0), want(3), want(4, keep=False)
+    store.want([shown, passing, want(5, hold=False)])
+    assert made_by(store) == [3, 4, 5], "what has no room is not made again"
+    assert store.get(shown) is store.get(shown) and store.get(passing).key.slot == 4
+    assert isinstance(store.get(want(5, hold=False)), Failure)
+    store.want([shown])
+    assert store.get(shown) is not None and store.get(passing) is None
+    store.want([])
+    assert store.get(shown) is None and store.nbytes == 0
+
+
+def test_no_answer_is_found_under_another_key():
+    store = store_of(10)
+    store.want([want(3)])
+    store.put(want(3), frame(want(3)))
+    for other in (want(2), want(3, name="other"), want(3, DEPTH), want(3, FINAL | DEPTH), want(3, pixel=(0, 0))):
+        assert store.get(other) is None
+    store.open(1)
+    store.want([want(3), want(3, source=1)])
+    assert store.next() == want(3, source=1) and store.get(want(3)) is None
+    store.put(want(3), frame(want(3)))
+    assert store.get(want(3)) is None and store.nbytes == 0, "of the source before"
+
+
+def test_a_failure_is_what_is_there_until_it_is_asked_for_again():
+    store, broken = store_of(10), want(2)
+    store.want([broken, want(3)])
+    store.put(broken, Failure("truncated"))
+    assert store.next() == want(3) and store.get(broken).error == "truncated"
+    store.retry(broken)
+    assert store.next() == broken
+    store.put(broken, Failure("truncated"))
+    store.want([want(3)])
+    store.want([broken])
+    assert store.next() == broken
+
+
+@pytest.fixture
+def showing():
+    shown, failed = [], []
+    showing = Showing(
+        store_of(10), lambda *frames: shown.append(frames), lambda failure, of_b: failed.append((failure.error, of_b))
+    )
+    showing.given, showing.failures = shown, failed
+    return showing
+
+
+def update(showing, due, passing=False):
+    showing.update(due, passing)
+    showing._store.want([*showing.wants, *showing.following])
+
+
+def test_a_and_b_are_shown_when_both_are_there(showing):
+    store, pair = showing._store, Picture(want(3), want(3, name="b"))
+    update(showing, pair)
+    assert store.next() == pair.a and showing.is_waiting
+    store.put(pair.a, frame(pair.a))
+    update(showing, pair)
+    assert not showing.given and store.next() == pair.b
+    store.put(pair.b, frame(pair.b))
+    update(showing, pair)
+    update(showing, pair)
+    assert [tuple(one.key for one in both) for both in showing.given] == [(pair.a.key, pair.b.key)]
+    assert showing.shows_due and not showing.from_cache
+    other = Picture(want(4), want(4, name="b"))
+    update(showing, other)
+    assert not showing.shows_due
+    store.put(other.a, frame(other.a))
+    store.put(other.b, Failure("no memory"))
+    update(showing, other)
+    assert showing.failures == [("no memory", True)] and showing.fault_of_b == "no memory"
+    assert (showing.given[-1][0].key, showing.given[-1][1]) == (other.a.key, None)
+    update(showing, pair)
+    assert showing.shows_due and showing.from_cache and not showing.fault_of_b
+
+
+def test_frames_that_pass_are_finished_and_none_is_when_one_seeks(showing):
+    store = showing._store
+    update(showing, Picture(want(1)), passing=True)
+    update(showing, Picture(want(5)), passing=True)
+    assert store.next() == want(1)
+    store.put(want(1), frame(want(1)))
+    assert store.next() == want(5), "which is due by now, without a pause"
+    update(showing, Picture(want(8)), passing=True)
+    assert [first.key.slot for first, _ in showing.given] == [1] and showing.awaited == Picture(want(8))
+    update(showing, Picture(want(9, DEPTH)), passing=True)
+    assert store.next() == want(9, DEPTH), "another layer"
+    update(showing, Picture(want(2)))
+    assert store.next() == want(2)
+    store.put(want(2), Failure("truncated"))
+    for _ in range(2):
+        update(showing, Picture(want(2)))
+    assert showing.failures == [("truncated", False)] and showing.failed and not showing.shows_due
+
+
+# ---- what is kept -----------------------------------------------------------------------------------------------
 
 
 def test_what_is_kept_has_all_layers_that_were_asked_for():
-    cache, key = cache_of(10), FrameKey(recipe(), 3)
-    assert cache.get(key, FINAL) is None
-    assert cache.put(key, result(3)) and cache.put(key, result(3, {"frame.depth", "none for this frame"}))
-    both = cache.get(key, frozenset({"final", "frame.depth"}))
-    assert set(both.images) == {"final", "frame.depth"} and set(cache.get(key, FINAL).images) == {"final"}
-    assert cache.get(key, frozenset({"none for this frame"})).images == {}  # known not to exist
-    assert cache.get(key, frozenset({"truth"})) is None and cache.get(FrameKey(recipe("other"), 3), FINAL) is None
-    assert cache.get(key, FINAL, metrics=True) is None
-    cache.put(key, result(3, metrics=True))
-    assert cache.get(key, FINAL, metrics=True) and cache.slots(recipe(), FINAL, True) == {3}
+    store = store_of(10)
+    assert store.get(want(3)) is None
+    assert put(store, want(3)) and put(store, want(3, DEPTH))
+    both = store.get(want(3, frozenset({"final", "frame.depth"})))
+    assert set(both.images) == {"final", "frame.depth"} and set(store.get(want(3)).images) == {"final"}
+    assert store.get(want(3, frozenset({"none for this frame"}))).images == {}  # known not to exist
     with pytest.raises(ValueError, match="read-only"):
         both.images["final"][0] = 1
-    cache.clear()
-    assert cache.get(key, FINAL) is None and cache.nbytes == 0
+    store.open(0)
+    assert store.get(want(3)) is None and store.nbytes == 0
 
 
 def test_never_more_bytes_than_given():
-    cache = cache_of(4)
+    store = store_of(4)
     for slot in range(50):
-        cache.use({recipe()}, Playhead(slot, 0, 49))
-        cache.put(FrameKey(recipe(), slot), result(slot, nbytes=BYTES * (1 + slot % 3)))
-        assert cache.nbytes <= cache.most
-    assert not cache.put(FrameKey(recipe(), 0), result(nbytes=10**6))
-    assert not FrameCache(0).put(FrameKey(recipe(), 0), result())
+        store.use({recipe()}, Playhead(slot, 0, 49))
+        put(store, want(slot), BYTES * (1 + slot % 3))
+        assert store.nbytes <= store.most
+    assert not put(store, want(0), 10**6) and not put(Store(0), want(0))
 
 
 def test_what_is_shown_last_from_the_playhead_on_goes_first():
-    cache = cache_of(4)
-    cache.use({recipe()}, Playhead(5, 0, 9))
-    for slot in (5, 6, 7, 8):
-        assert cache.put(FrameKey(recipe(), slot), result(slot))
-    assert not cache.put(FrameKey(recipe(), 4), result(4))  # shown after a whole lap
-    cache.use({recipe()}, Playhead(7, 0, 9))
-    assert cache.put(FrameKey(recipe(), 9), result(9)) and cache.put(FrameKey(recipe(), 0), result(0))
-    assert cache.slots(recipe(), FINAL) == {7, 8, 9, 0}
+    store = store_of(4)
+    store.use({recipe()}, Playhead(5, 0, 9))
+    assert all(put(store, want(slot)) for slot in (5, 6, 7, 8))
+    assert not put(store, want(4))  # shown after a whole lap
+    store.use({recipe()}, Playhead(7, 0, 9))
+    assert put(store, want(9)) and put(store, want(0))
+    assert store.slots(recipe(), FINAL) == {7, 8, 9, 0}
 
 
 def test_other_recipes_go_first_and_the_one_used_longest_ago_first_of_all():
-    cache = cache_of(4)
-    a, b, c = (recipe(name) for name in "abc")
-    for one, slot in ((a, 0), (b, 0), (a, 1), (b, 1)):
-        cache.put(FrameKey(one, slot), result(slot))
-    cache.get(FrameKey(a, 0), FINAL)
-    cache.use({c}, Playhead(0, 0, 9))
-    cache.put(FrameKey(c, 9), result(9))
-    cache.put(FrameKey(c, 8), result(8))
-    assert (cache.slots(a, FINAL), cache.slots(b, FINAL)) == ({0, 1}, frozenset())
-    cache.put(FrameKey(c, 7), result(7))
-    assert len(cache.slots(a, FINAL)) == 1 and cache.slots(c, FINAL) == {7, 8, 9}
-    assert not cache.put(FrameKey(b, 5), result(5, nbytes=2 * BYTES + 4096))  # b is not looked at
+    store = store_of(4)
+    for name, slot in (("a", 0), ("b", 0), ("a", 1), ("b", 1)):
+        put(store, want(slot, name=name))
+    store.get(want(0, name="a"))
+    store.use({recipe("c")}, Playhead(0, 0, 9))
+    assert put(store, want(9, name="c")) and put(store, want(8, name="c"))
+    assert (store.slots(recipe("a"), FINAL), store.slots(recipe("b"), FINAL)) == ({0, 1}, frozenset())
+    put(store, want(7, name="c"))
+    assert len(store.slots(recipe("a"), FINAL)) == 1 and store.slots(recipe("c"), FINAL) == {7, 8, 9}
+    assert not put(store, want(5, name="b"), 2 * BYTES + 4096)  # b is not looked at
 
 
 def test_stretches_of_slots():
@@ -105,14 +233,15 @@ def session(tmp_path):
 
 @pytest.fixture
 def computed(monkeypatch):
-    """Slots that were computed, with their roles, since this list was cleared."""
+    """Slots that were computed since this list was cleared."""
     from gffe_cl.viewer.engine.slot_renderer import SlotMaker
 
     slots, make = [], SlotMaker.make
 
-    def counted(self, request, **how):
-        slots.append((request.slot, request.role))
-        return make(self, request, **how)
+    def counted(self, key, layers, **how):
+        made = make(self, key, layers, **how)
+        slots.append(key.slot)
+        return made
 
     monkeypatch.setattr(SlotMaker, "make", counted)
     return slots
@@ -121,7 +250,7 @@ def computed(monkeypatch):
 def filled(session):
     """Until all slots are in the cache."""
     session.settle()
-    session.until(lambda: len(session.model.filling.cached) == session.model.playback.slots)
+    session.until(lambda: len(session.model.ahead.cached) == session.model.playback.slots)
 
 
 def shown(session):
@@ -134,25 +263,25 @@ def test_idle_time_fills_the_cache_ahead_of_the_playhead(computed, session):
     session.settle()
     computed.clear()
     filled(session)
-    # slot 0 was shown on opening, 3 just now; 4 may have been begun before `computed` was cleared
-    ahead = [slot for slot, role in computed if role == "ahead"]
-    assert ahead in ([4, 5, 6, 7, 1, 2], [5, 6, 7, 1, 2])
+    # slot 0 was shown on opening, 3 just now; 4 may have been made before `computed` was cleared
+    assert computed in ([4, 5, 6, 7, 1, 2], [5, 6, 7, 1, 2])
     computed.clear()
     for slot in (6, 1, 7, 0):
         session.model.playback.seek(slot)
         session.settle()
-        assert session.model.contents.result.request.slot == slot and session.model.slot == slot
+        assert session.model.contents.result.slot == slot and session.model.slot == slot
     assert computed == []
 
 
 def test_what_comes_from_the_cache_is_what_is_computed(session):
     """... of a pipeline that came to the slot in order."""
     model, direct = session.model, {}
-    model.engine.cache.most, cache = 0, model.engine.cache.most
+    model.store.most, cache = 0, model.store.most
     for slot in range(model.playback.slots):
         model.playback.seek(slot)
         direct[slot] = shown(session), model.contents.frame_info()
-    model.engine.cache.most = cache
+    model.store.most = cache
+    model.playback.seek(0)
     filled(session)
     for slot in reversed(range(model.playback.slots)):
         model.playback.seek(slot)
@@ -167,7 +296,7 @@ def test_a_module_that_is_toggled_back_finds_what_was_there(computed, session):
     assert shown(session) != first
     computed.clear()
     model.set("hole_filling", Options().hole_filling)
-    assert shown(session) == first and (5, "a") not in computed
+    assert shown(session) == first and 5 not in computed
 
 
 def test_another_layer_is_computed_and_then_kept_beside(computed, session):
@@ -189,7 +318,7 @@ def test_other_kernels_and_other_weights_find_nothing(computed, session):
     filled(session)
     model.engine._kernels.identity += " and another one"
     session.frame()
-    assert model.filling.find(model.recipe, model.contents.result.request) is None
+    assert model.store.slots(model.recipe, FINAL) == frozenset()
 
 
 def test_a_pixel_of_a_kept_slot_is_inspected_where_it_is(session):
@@ -209,13 +338,13 @@ def test_a_pixel_of_a_kept_slot_is_inspected_where_it_is(session):
 
 def test_nothing_is_kept_without_a_cache(computed, session):
     model = session.model
-    model.engine.cache.clear()
-    model.engine.cache.most = 0
+    model.store.forget(lambda key: True)
+    model.store.most = 0
     for slot in (3, 5, 3):
         model.playback.seek(slot)
         session.settle()
-    assert model.engine.cache.nbytes == 0
-    assert [slot for slot, role in computed if role == "a"][-3:] == [3, 5, 3]
+    assert model.store.nbytes == 0
+    assert computed[-3:] == [3, 5, 3]
 
 
 def test_another_sequence_starts_with_an_empty_cache(session, tmp_path):
@@ -236,7 +365,7 @@ def test_playback_of_kept_slots_drops_nothing(computed, session):
     now, seen = time.perf_counter(), []
     for i in range(3 * model.playback.slots):
         model.update(now + (i + 0.5) / model.playback.target_rate, session.canvas)
-        seen.append(model.contents.result.request.slot)
+        seen.append(model.contents.result.slot)
     assert seen[: model.playback.slots] == list(range(model.playback.slots)) and model.playback.dropped == 0
     assert computed == []
 
@@ -255,7 +384,7 @@ def test_a_frame_that_cannot_be_read_is_told_when_it_is_looked_at(session, tmp_p
     model.open(str(tiny_sequence.write(tmp_path / "broken", frames=4)))
     session.until(lambda: model.source is not source)
     session.settle()
-    session.until(lambda: model.filling.cached == {0, 1, 2, 3, 6, 7})
+    session.until(lambda: model.ahead.cached == {0, 1, 2, 3, 6, 7})
     assert not any(message.error for message in model.messages)
     model.playback.seek(4)
     session.until(lambda: any("frame_2.exr: truncated" in message.text for message in model.messages))
@@ -291,7 +420,7 @@ def test_new_frames_of_a_sequence_appear(computed, session, tmp_path):
     session.until(lambda: model.playback.count == 6)
     assert model.playback.slot == 11
     filled(session)
-    assert {slot for slot, _ in computed} == {6, 7, 8, 9, 10, 11} and model.slot == 11
+    assert set(computed) == {6, 7, 8, 9, 10, 11} and model.slot == 11
     kept = shown(session)
     (longer / "sequence.json").write_bytes(whole)
     source = model.source

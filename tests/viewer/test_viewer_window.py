@@ -1,0 +1,51 @@
+"""The window of the viewer, opened once under Xvfb: picture, numbers, keys, and a panel that is drawn and dragged in.
+
+The long tests of test_viewer_gui.py look at everything; this one is part of every run.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny_sequence
+
+
+def test_the_window(tmp_path):
+    if shutil.which("xvfb-run") is None:
+        assert not os.environ.get("CI"), "CI must have xvfb-run"
+        pytest.skip("xvfb-run is not installed")
+    tiny_sequence.write(tmp_path / "small")
+    script = str(Path(__file__).with_name("viewer_gui_case.py"))
+    child = subprocess.run(
+        [
+            "xvfb-run",
+            "-a",
+            "-s",
+            "-screen 0 1280x720x24",
+            sys.executable,
+            script,
+            "smoke",
+            str(tmp_path),
+            str(tmp_path),
+        ],
+        env=os.environ | {"XDG_CONFIG_HOME": str(tmp_path), "LIBGL_ALWAYS_SOFTWARE": "1"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert child.returncode == 0, f"{child.stdout[-3000:]}\n{child.stderr[-3000:]}"
+    seen = json.loads((tmp_path / "smoke.json").read_text())["cases"]["smoke"]
+    assert seen["error"] is None, seen["error"]
+    values = seen["values"]
+    np.testing.assert_allclose(values["shown"], values["expected"], atol=2)
+    assert values["slots after keys"] == [1, 2, 1]
+    assert values["pointed at"] == [[3, 4], [9, 7]]
+    assert values["zoomed at the pointer"] and values["wipe"] == pytest.approx(0.25, abs=0.01)
+    assert values["scrubbed to"] == [0, 5] and values["told"] == [3, 4]
+    assert values["switched"] is False

@@ -1,0 +1,94 @@
+"""Background work: jobs on a thread of their own, and values that are made there."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future
+from typing import Any
+
+
+class Background:
+    """Runs jobs one after the other on a thread, which starts with the first of them and keeps no program alive."""
+
+    def __init__(self, name: str):
+        self._name = name
+        self._news = threading.Condition()
+        self._jobs: deque[tuple[Future, Callable, tuple]] = deque()
+        self._thread: threading.Thread | None = None
+        self._closing = False
+
+    def run(self, job: Callable[..., Any], *arguments: Any, soon: bool = False) -> Future:
+        """Run a job, `soon`: before those that wait. What it returns or raises is in the Future."""
+        future: Future = Future()
+        with self._news:
+            if self._closing:
+                future.cancel()
+                return future
+            (self._jobs.appendleft if soon else self._jobs.append)((future, job, arguments))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name=f"gffe-viewer-{self._name}", daemon=True)
+                self._thread.start()
+            self._news.notify()
+        return future
+
+    def close(self) -> None:
+        """End the thread after the job that is under way, which is not waited for. Jobs that wait are canceled."""
+        with self._news:
+            self._closing = True
+            for future, *_ in self._jobs:
+                future.cancel()
+            self._news.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                while not self._jobs and not self._closing:
+                    self._news.wait()
+                if self._closing:
+                    return
+                future, job, arguments = self._jobs.popleft()
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                made = job(*arguments)
+            except BaseException as error:  # whatever a binary package throws
+                future.set_exception(error)
+            else:
+                future.set_result(made)
+
+
+class Derived:
+    """A value that follows from what is shown; it is made in the background, for what was asked for last."""
+
+    def __init__(self, name: str):
+        self._background = Background(name)
+        self._future: Future | None = None
+        self._wanted = self._coming = self._made = None  # their keys
+        self._value: Any = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether the last value is the one that was asked for last."""
+        return self._made is not None and self._made == self._wanted
+
+    def get(self, key: Hashable, make: Callable[..., Any], *arguments: Any) -> Any:
+        """Return the last value; None without one. If it is not that of `key`, `make` is called for it as soon as
+        nothing else is being made. Raises the error of `make`, once."""
+        self._wanted = key
+        future = self._future
+        if future is not None and future.done():
+            self._future, self._made = None, self._coming
+            self._value = future.result()
+        if self._future is None and key != self._made:
+            self._coming = key
+            self._future = self._background.run(make, *arguments)
+        return self._value
+
+    def forget(self) -> None:
+        """Drop the value, and the one that is being made."""
+        self._future = self._wanted = self._made = self._value = None
+
+    def close(self) -> None:
+        self._background.close()

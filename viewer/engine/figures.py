@@ -1,0 +1,274 @@
+"""Figures of generated slots against ground truth: metrics, flicker, and the regions of errors."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gffe_cl.lab.metrics import METRICS, focus_mask, measurable, squared_error, to_display
+from gffe_cl.lab.metrics.flicker import Flicker
+from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
+from gffe_cl.lab.metrics.regions import shows, steps, world_positions
+from . import names
+from .background import Background
+from .messages import Frame, Key, Recipe
+
+NEEDED = frozenset({names.FINAL, names.GAE, names.TRUTH, names.DEPTH, names.DYNAMIC, names.DISOCCLUDED})
+
+_RECIPES = 8  # whose figures are remembered
+_SLOW = 4  # slots that wait for metrics that are slow
+_TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
+
+# As the table of methods has them (gffe_cl/lab/metrics/regions.py), found by the pipeline; the first that holds counts.
+REGIONS = {
+    "out of screen": _TABLE["out of screen"],
+    "disoccluded": "hidden in the rendered frame behind something else",
+    "silhouettes": _TABLE["silhouettes"],
+    "dynamic": _TABLE["dynamic"],
+    "focus": _TABLE["focus"],
+    "rest": _TABLE["rest"],
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One figure of a slot. `worse`: 1 if larger is worse, −1 if smaller is, 0 if neither."""
+
+    label: str
+    unit: str
+    worse: int
+    digits: int = 2
+
+    def text(self, value: float) -> str:
+        return f"{value:.{self.digits}f} {self.unit}".rstrip()
+
+
+QUANTITIES = {
+    "psnr": Quantity("PSNR", "dB", -1),
+    "flip": Quantity("FLIP", "", 1, 4),
+    "flicker": Quantity("flicker", "%", 1, 3),
+    "disoccluded": Quantity("disoccluded", "%", 1),
+    "kernels": Quantity("kernel time", "ms", 1),
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A region: its share of the pixels and of the squared error, 0 to 1; its squared error as a mean over the whole
+    image; and PSNR in it (NaN if it is empty)."""
+
+    pixels: float
+    error: float
+    squared: float
+    psnr: float
+
+    @classmethod
+    def of(cls, pixels: float, squared: float, whole: float) -> Part:
+        """Return a region with a share `pixels` of the image; `squared` is its squared error and `whole` that of all
+        regions, both as means over the whole image."""
+        psnr = METRICS["psnr"].of_mean(squared / pixels) if pixels else float("nan")
+        return cls(pixels, squared / whole if whole > 0 else 0.0, squared, psnr)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Figures of one slot: by the names of `QUANTITIES` and of metrics, as far as they are known, and by region.
+    `surveyed`: all quantities are there that can be."""
+
+    values: dict[str, float] = field(default_factory=dict)
+    parts: dict[str, Part] = field(default_factory=dict)
+    surveyed: bool = False
+
+    def joined(self, other: Figures) -> Figures:
+        """Return these figures and the others of the same slot."""
+        return Figures(self.values | other.values, other.parts or self.parts, self.surveyed or other.surveyed)
+
+
+class Measurer:
+    """Figures of slots of one setup, in the order of display as far as flicker is to be known."""
+
+    def __init__(self):
+        self._flicker = Flicker()
+        self._before: int | None = None
+
+    def measure(self, frame: Frame, exposure: float, known: dict[str, float] | None = None) -> Figures:
+        """Return the figures of a generated slot, as far as its layers allow; `NEEDED` are the layers for all of them.
+        `known`: values that are not measured again."""
+        values = {"kernels": sum(frame.milliseconds.values())} | (known or {})
+        holes = frame.images.get(names.DISOCCLUDED)
+        if holes is not None:
+            values["disoccluded"] = 100 * float(np.count_nonzero(holes)) / holes.size
+        if frame.images.get(names.TRUTH) is None:
+            self._before = None
+            return Figures(values, surveyed=True)
+        shown, true = displayed(frame, exposure)
+        for name in ("psnr", "flip"):
+            if name not in values and not METRICS[name].missing():
+                values[name] = METRICS[name].measure(shown, true)
+        change = self._change(frame, shown, true)
+        if change is not None:
+            values["flicker"] = change
+        return Figures(values, parts_of(region_labels(frame, exposure), squared_error(shown, true)), True)
+
+    def _change(self, frame: Frame, shown: np.ndarray, true: np.ndarray) -> float | None:
+        """Return the flicker since the slot before, None if that was not measured. Rendered slots have no error."""
+        slot, n = frame.slot, frame.setup.n
+        if slot % (n + 1) == 1:
+            self._flicker.cut()
+            self._flicker.add(true, true)
+        elif self._before != slot - 1:
+            self._flicker.cut()
+        self._before = slot
+        return self._flicker.add(shown, true)
+
+
+class Measurements:
+    """Figures of slots by what they were made from, measured in the background: the slot on screen first.
+
+    Attributes
+    ----------
+    faults : list of str
+        Why figures could not be measured, since the last look.
+    """
+
+    def __init__(self):
+        self._background = Background("figures")
+        self._known: OrderedDict[Recipe, dict[int, Figures]] = OrderedDict()
+        self._surveying: set[Key] = set()
+        self._asked: set[Key] = set()  # slots on screen
+        self._quick: deque[tuple[Key, Future]] = deque()
+        self._slow: deque[tuple[Key, Future]] = deque()
+        self._made: deque[tuple[Key, Figures]] = deque()
+        self._measurers: dict[Recipe, Measurer] = {}
+        self.faults: list[str] = []
+
+    def of(self, recipe: Recipe) -> dict[int, Figures]:
+        """Return the figures that are known, by slot."""
+        known = self._known.setdefault(recipe, {})
+        self._known.move_to_end(recipe)
+        while len(self._known) > _RECIPES:
+            dropped, _ = self._known.popitem(last=False)
+            self._asked = {key for key in self._asked if key.recipe != dropped}
+        return known
+
+    def forget(self) -> None:
+        """Drop everything after a change of the source."""
+        self._known.clear()
+        self._asked.clear()
+        self._surveying.clear()
+
+    def update(self) -> None:
+        """Take what has been measured. Call once per frame of the interface."""
+        while self._made:
+            key, figures = self._made.popleft()
+            self.note(key, figures)
+            if figures.surveyed:
+                self._surveying.discard(key)
+
+    def note(self, key: Key, figures: Figures) -> None:
+        """Add figures of a slot."""
+        known = self.of(key.recipe)
+        known[key.slot] = known.get(key.slot, Figures()).joined(figures)
+
+    def measure(self, frame: Frame, exposure: float) -> None:
+        """Measure a slot that is shown by every metric, if it has ground truth."""
+        is_measurable = frame.moment.alpha and {names.FINAL, names.TRUTH} <= frame.images.keys()
+        if not is_measurable or frame.key in self._asked:
+            return
+        self._asked.add(frame.key)
+        known = self.of(frame.key.recipe).get(frame.key.slot, Figures()).values
+        for slow, waiting, most in (
+            (False, self._quick, 1 + _TO_MEASURE // frame.nbytes), (True, self._slow, _SLOW),
+        ):  # fmt: skip
+            job = self._background.run(self._by_metrics, frame, exposure, known, slow, soon=not slow)
+            waiting.append((frame.key, job))
+            while len(waiting) > most:
+                key, oldest = waiting.popleft()
+                if oldest.cancel():
+                    self._asked.discard(key)
+
+    def _by_metrics(self, frame: Frame, exposure: float, known: dict[str, float], slow: bool) -> None:
+        shown, true = displayed(frame, exposure)
+        for metric in measurable():
+            if metric.slow == slow and metric.name not in known:
+                try:
+                    self._made.append((frame.key, Figures({metric.name: metric.measure(shown, true)})))
+                except Exception as error:  # whatever a binary package throws
+                    self.faults.append(f"{type(error).__name__}: {error}")
+
+    def survey(self, frame: Frame, exposure: float) -> None:
+        """Measure all quantities of a slot."""
+        recipe, known = frame.key.recipe, self.of(frame.key.recipe).get(frame.key.slot, Figures()).values
+        self._surveying.add(frame.key)
+        if recipe not in self._measurers:
+            self._measurers = {**dict(list(self._measurers.items())[-1:]), recipe: Measurer()}
+        self._background.run(self._by_quantities, self._measurers[recipe], frame, exposure, known)
+
+    def _by_quantities(self, measurer: Measurer, frame: Frame, exposure: float, known: dict[str, float]) -> None:
+        try:
+            figures = measurer.measure(frame, exposure, known)
+        except Exception:
+            figures = Figures({"kernels": sum(frame.milliseconds.values())}, surveyed=True)
+        self._made.append((frame.key, figures))
+
+    @property
+    def surveying(self) -> frozenset[Key]:
+        """Slots whose quantities are being measured."""
+        return frozenset(self._surveying)
+
+    def close(self) -> None:
+        self._background.close()
+
+
+def displayed(frame: Frame, exposure: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return display values (H, W, 3) as shown and as they should be."""
+    shown, true = (to_display(frame.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
+    return shown, true
+
+
+def out_of_screen(frame: Frame, holes: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: the pixels of `holes`, in a generated slot, that lie outside of the rendered frame's view.
+    Needs the layer `names.DEPTH`."""
+    moment, outside = frame.moment, np.zeros_like(holes)
+    width, height = frame.render_size
+    world = world_positions(moment.camera, frame.images[names.DEPTH], holes)
+    outside[holes] = ~shows(moment.render_camera, width, height, world)
+    return outside
+
+
+def region_labels(frame: Frame, exposure: float) -> np.ndarray:
+    """Return (H, W) uint8: the region of each pixel, as an index into `REGIONS`, of a generated slot with the layers
+    `NEEDED`."""
+    images = frame.images
+    depth, dynamic = images[names.DEPTH], images[names.DYNAMIC] != 0
+    holes = images[names.DISOCCLUDED] != 0
+    outside = out_of_screen(frame, holes)
+    warped = images.get(names.GAE, images[names.FINAL])[..., :3]
+    masks = {
+        "out of screen": outside,
+        "disoccluded": holes,
+        "silhouettes": steps(depth),
+        "dynamic": dynamic,
+        "focus": focus_mask(warped, images[names.TRUTH][..., :3], dynamic, exposure),
+    }
+    labels = np.full(holes.shape, len(REGIONS) - 1, np.uint8)
+    for number, name in reversed(list(enumerate(REGIONS))):
+        if name in masks:
+            labels[masks[name]] = number
+    return labels
+
+
+def parts_of(labels: np.ndarray, squared: np.ndarray) -> dict[str, Part]:
+    """Return the regions' shares and errors by name. `labels`: (H, W) indices into `REGIONS`; `squared`: (H, W) squared
+    error of display values."""
+    counts = np.bincount(labels.ravel(), minlength=len(REGIONS))
+    sums = np.bincount(labels.ravel(), squared.ravel(), minlength=len(REGIONS))
+    parts = (float(sums[number]) / labels.size for number in range(len(REGIONS)))
+    whole = float(sums.sum()) / labels.size
+    return {
+        name: Part.of(float(count) / labels.size, part, whole)
+        for name, count, part in zip(REGIONS, counts, parts, strict=True)
+    }

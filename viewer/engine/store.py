@@ -1,0 +1,243 @@
+"""Store of computed slots: the interface says what it wants, the engine makes the first of it that is not there."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+from gffe_cl.engine.frame.camera import Camera
+from .messages import Failure, Frame, Inspection, Key, Recipe
+
+CACHE_MIB = 2048
+
+Pixel = tuple[int, int]
+Subject = tuple[Key, frozenset[str], Pixel | None]
+
+
+@dataclass(frozen=True)
+class Want:
+    """A slot that is wanted: `layers` of it, or the values of display pixel `pixel`.
+
+    `keep`: it stays in the store for as long as there is room. `hold`: it is there for as long as it is wanted, even if
+    there is no room. `pose`: display camera that is flown to that slot, a new one for each number of the recipe's
+    flight.
+    """
+
+    key: Key
+    layers: frozenset[str] = frozenset()
+    pixel: Pixel | None = None
+    keep: bool = True
+    hold: bool = True
+    pose: Camera | None = field(default=None, compare=False)
+
+    @property
+    def subject(self) -> Subject:
+        return self.key, self.layers, self.pixel
+
+
+@dataclass(frozen=True)
+class Playhead:
+    """Playback position: frames are needed next from `slot` on, and from `first` again after `last`."""
+
+    slot: int = 0
+    first: int = 0
+    last: int = 0
+
+    def distance(self, slot: int) -> int:
+        """Return the number of slots until `slot` is shown; slots outside of `first` to `last` come after all
+        others."""
+        length = self.last - self.first + 1
+        if not self.first <= slot <= self.last:
+            return length + abs(slot - self.slot)
+        return (slot - self.slot) % length
+
+
+class Store:
+    """Frames by key and layers. The interface calls `want` and `get`, the engine's thread `next` and `put`.
+
+    At most `most` bytes are kept. Where room is needed, recipes that are not in use go first, the one used longest ago
+    first of all; then, of those in use, what will be shown last from the playhead on. A frame that would itself have to
+    go is not kept.
+
+    Attributes
+    ----------
+    most, nbytes : int
+        Bytes: that may be kept, and that are.
+    changes : int
+        How often what is there has changed.
+    source : int
+        The source, by `Recipe.source`, whose slots are made.
+    news : threading.Condition
+        Guards all of it; notified when something else is wanted.
+    """
+
+    def __init__(self, most: int = CACHE_MIB << 20):
+        self.most, self.nbytes, self.changes, self.source = most, 0, 0, 0
+        self.news = threading.Condition()
+        self._wants: tuple[Want, ...] = ()
+        self._held: dict[Subject, Frame | Inspection | Failure] = {}  # what was made of them, by subject
+        self._kept: OrderedDict[Recipe, dict[int, Frame]] = OrderedDict()  # the latest used is the last
+        self._in_use: frozenset[Recipe] = frozenset()
+        self._playhead = Playhead()
+
+    # ---- the interface's side --------------------------------------------------------------------------------
+
+    def want(self, wants: Sequence[Want]) -> None:
+        """Replace the list of what is wanted, the most urgent first. What is not in it any more is not made, and given
+        up if it is under way."""
+        with self.news:
+            if tuple(wants) == self._wants:
+                return
+            self._wants = tuple(wants)
+            subjects = {want.subject for want in self._wants}
+            self._held = {subject: made for subject, made in self._held.items() if subject in subjects}
+            self.news.notify_all()
+
+    def get(self, want: Want) -> Frame | Inspection | Failure | None:
+        """Return what was made of a want: the same object for as long as it is wanted. None if it is not there yet."""
+        with self.news:
+            found = self._held.get(want.subject)
+            if found is None and want.pixel is None:
+                found = self._find(want)
+                if found is not None:
+                    self._held[want.subject] = found
+            return found
+
+    def retry(self, want: Want) -> None:
+        """Forget a failure to make this."""
+        with self.news:
+            if isinstance(self._held.get(want.subject), Failure):
+                del self._held[want.subject]
+                self.news.notify_all()
+
+    def use(self, recipes: Iterable[Recipe], playhead: Playhead) -> None:
+        """Set the current view: these recipes, from the playhead on."""
+        with self.news:
+            self._in_use, self._playhead = frozenset(recipes), playhead
+
+    def slots(self, recipe: Recipe, layers: frozenset[str]) -> frozenset[int]:
+        """Return the slots of a recipe that are kept with these layers."""
+        with self.news:
+            kept = self._kept.get(recipe, {})
+            return frozenset(slot for slot, frame in kept.items() if layers <= frame.layers)
+
+    def room(self, nbytes: int) -> int:
+        """Return how many slots of `nbytes` bytes each can be kept."""
+        return self.most // max(nbytes, 1)
+
+    # ---- the engine's side -----------------------------------------------------------------------------------
+
+    def next(self) -> Want | None:
+        """Return the most urgent want that is not there; None if all are."""
+        with self.news:
+            return next((want for want in self._wants if self._is_missing(want)), None)
+
+    def above(self, want: Want) -> set[Key]:
+        """Return the slots of more urgent wants."""
+        with self.news:
+            place = self._wants.index(want) if want in self._wants else 0
+            return {other.key for other in self._wants[:place]}
+
+    def put(self, want: Want, made: Frame | Inspection | Failure) -> None:
+        """Store what was made of a want, under its key and no other. A frame is kept together with the layers that are
+        there of its slot; its pictures must not be changed afterwards."""
+        if want.key.recipe.source != self.source:
+            return
+        with self.news:
+            is_kept = isinstance(made, Frame) and want.keep and self._keep(want.key, made)
+            if want in self._wants:
+                if want.hold or isinstance(made, Failure):
+                    self._held[want.subject] = made
+                elif not is_kept:
+                    self._held[want.subject] = Failure("there is no room for it")
+            self.changes += 1
+
+    def open(self, source: int) -> None:
+        """Drop everything; from now on slots of `source` are made."""
+        with self.news:
+            self.source, self._wants, self._held = source, (), {}
+            self._kept.clear()
+            self.nbytes = 0
+            self.changes += 1
+
+    def forget(self, outdated: Callable[[Key], bool]) -> None:
+        """Drop the slots that are outdated."""
+        with self.news:
+            for key in [Key(recipe, slot) for recipe, slots in self._kept.items() for slot in slots]:
+                if outdated(key):
+                    self._drop(key)
+            self._held = {subject: made for subject, made in self._held.items() if not outdated(subject[0])}
+            self.changes += 1
+            self.news.notify_all()
+
+    # ---- what is kept ----------------------------------------------------------------------------------------
+
+    def _is_missing(self, want: Want) -> bool:
+        if want.key.recipe.source != self.source or want.subject in self._held:
+            return False
+        return want.pixel is not None or not self._has(want)
+
+    def _has(self, want: Want) -> bool:
+        kept = self._kept.get(want.key.recipe, {}).get(want.key.slot)
+        return kept is not None and want.layers <= kept.layers
+
+    def _find(self, want: Want) -> Frame | None:
+        if not self._has(want):
+            return None
+        self._kept.move_to_end(want.key.recipe)
+        frame = self._kept[want.key.recipe][want.key.slot]
+        images = {name: frame.images[name] for name in want.layers if name in frame.images}
+        return replace(frame, layers=want.layers, images=images)
+
+    def _keep(self, key: Key, frame: Frame) -> bool:
+        """Keep a frame; returns whether there is room for it."""
+        for image in frame.images.values():
+            image.flags.writeable = False
+        before = self._drop(key)
+        if before is not None:
+            frame = replace(frame, layers=frame.layers | before.layers, images=before.images | frame.images)
+        if not self._make_room(key, frame.nbytes):
+            return False
+        self._kept.setdefault(key.recipe, {})[key.slot] = frame
+        self._kept.move_to_end(key.recipe)
+        self.nbytes += frame.nbytes
+        return True
+
+    def _drop(self, key: Key) -> Frame | None:
+        slots = self._kept.get(key.recipe, {})
+        kept = slots.pop(key.slot, None)
+        if kept is None:
+            return None
+        self.nbytes -= kept.nbytes
+        if not slots:
+            del self._kept[key.recipe]
+        return kept
+
+    def _make_room(self, key: Key, nbytes: int) -> bool:
+        if nbytes > self.most:
+            return False
+        while self.nbytes + nbytes > self.most:
+            victim = self._victim()
+            if self._is_nearer(victim, key):
+                return False
+            self._drop(victim)
+        return True
+
+    def _victim(self) -> Key:
+        """Return the kept slot that is needed least."""
+        idle = next((recipe for recipe in self._kept if recipe not in self._in_use), None)
+        candidates = [idle] if idle is not None else list(self._kept)
+        return max(
+            (Key(recipe, slot) for recipe in candidates for slot in self._kept[recipe]),
+            key=lambda key: self._playhead.distance(key.slot),
+        )
+
+    def _is_nearer(self, kept: Key, new: Key) -> bool:
+        """Return whether `kept` is needed before `new`."""
+        used = kept.recipe in self._in_use, new.recipe in self._in_use
+        if used[0] != used[1]:
+            return used[0]
+        distance = self._playhead.distance
+        return used[0] and distance(kept.slot) <= distance(new.slot)
