@@ -199,7 +199,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     return true;
 }
 
-/* What is measured at a subset of the pixels, before anything else is done with a rendered frame. The first row of
+/* Measures a subset of the pixels, before anything else is done with a rendered frame. The first row of
    work-groups writes its block. The next SAMPLES_Y count the samples of a cut: cut_counts[row * COUNTS + what].
    The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
    distance, and, of every fourth of their pixels, of the steps of motion over that distance. From them the last

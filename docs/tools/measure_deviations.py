@@ -100,7 +100,7 @@ GAE: dict[str, Change] = {
     "nothing is collected after a reset": Change(
         edits={
             "connectivity.cl": {"if (!collect) return;": ""},
-            "background.cl": {"if (collect && x + RUN": "if (x + RUN", "collect != 0, keys": "true, keys"},
+            "background.cl": {"if (!frame->has_previous) {": "if (false) {"},
         }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),

@@ -11,7 +11,7 @@ COMPLETE = cl.command_execution_status.COMPLETE
 
 
 def while_the_device_waits(device, work):
-    """What `work(gate)` returns, on a thread of its own, while the device waits for the event `gate`.
+    """Return the result of `work(gate)`, on a thread of its own, while the device waits for the event `gate`.
 
     Fails where it does not return meanwhile. The gate is opened in any case: drivers wait for it in every later call.
     Some hold a lock while they do, so that not even the gate can be opened: then the process ends, with a traceback of

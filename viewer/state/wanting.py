@@ -1,4 +1,4 @@
-"""What is wanted of the engine: the picture that is due, pixels of it, and frames ahead; and what of it is shown."""
+"""Wants of the engine: the picture that is due, pixels of it, and frames ahead; and the part of them that is shown."""
 
 from __future__ import annotations
 
@@ -126,12 +126,12 @@ class Showing:
 
     @property
     def wants(self) -> list[Want]:
-        """What is to be made of the awaited picture."""
+        """Parts of the awaited picture to make."""
         return self.awaited.wants if self.awaited is not None else []
 
     @property
     def following(self) -> list[Want]:
-        """What is to be made next: the picture that is due by now."""
+        """Parts of the picture that is due by now, to make next."""
         return self._due.wants if self._due is not None and self._due != self.awaited else []
 
     @property
