@@ -125,10 +125,15 @@ GAE: dict[str, Change] = {
     "parts that the frame before showed reappear": Change({"reappearing": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "holes continue surfaces that can be there": Change(
-        edits={"holes.cl": {"inside & !INVALID_DEPTH(shown) & !(px_source.z < IN_FRONT * shown)": "(Ints)(0)"}}
+        edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);": "return false;"}}
     ),
     "what lies beyond the image has no far side": Change(
-        edits={"holes.cl": {"= !out_of_screen;": "= true;", "tile.after_far_side && ANY(is_out": "false && ANY(is_out"}}
+        edits={
+            "holes.cl": {
+                "s.is_outside = is_out": "s.is_outside = false && is_out",
+                "tile.after_far_side && is_out": "false && is_out",
+            }
+        }
     ),
     "… lines go on at their angle": Change(
         edits={
