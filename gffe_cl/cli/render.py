@@ -72,7 +72,7 @@ def render(
     """Render a built-in scene to a sequence: color, depth, motion vectors and cameras.
 
     Situations, small scenes of one difficulty each: bars, railings, entering, ropes, balls, rotors, handheld, cab,
-    wipers, lamps, shadows, fan, screen, quantized.
+    wipers, lamps, shadows, fan, screen, marbles, quantized.
     """
     from gffe_cl.captures.scenes import load_scene
     from gffe_cl.captures.scenes.render import render_sequence

@@ -842,7 +842,7 @@ def test_unwritable_home(tmp_path):
     assert child.returncode == 0 and "no:" not in child.stdout, child.stdout + child.stderr
     # In the process itself, where no driver finds a cache: one program tells what all would.
     build = (
-        "import gffe_cl; from gffe_cl.engine.opencl.program import build; build(gffe_cl.open_device(), 'scene_cuts')"
+        "import gffe_cl; from gffe_cl.engine.opencl.program import build; build(gffe_cl.open_device(), 'presentation')"
     )
     child = subprocess.run(
         [sys.executable, "-c", build], env=environment | {"HOME": "/proc"}, capture_output=True, text=True

@@ -226,8 +226,8 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
     }
     if (error != CL_SUCCESS) return error;
     gffe_grid_size(&g->step, operation->grid, operation->level, size);
-    group[0] = (size_t)(kernel->group ? kernel->group : g->lanes > 1 ? ROW : TILE_WIDTH);
-    group[1] = (size_t)(kernel->group ? kernel->group_rows : g->lanes > 1 ? 1 : TILE_HEIGHT);
+    group[0] = kernel->group ? (size_t)kernel->group : g->lanes > 1 ? (size_t)ROW : (size_t)TILE_WIDTH;
+    group[1] = kernel->group ? (size_t)kernel->group_rows : g->lanes > 1 ? 1 : (size_t)TILE_HEIGHT;
     size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
     size[1] = (size[1] + (size_t)step_of(g, kernel->step_y) - 1) / (size_t)step_of(g, kernel->step_y);
     for (k = 0; k < 2; ++k) size[k] = (size[k] + group[k] - 1) / group[k] * group[k];
