@@ -61,6 +61,6 @@ INLINE int scan_for(const uchar value, __global const uchar *mask, const int end
     if (at + SCAN_BYTES <= end) equal = as_ulong2(as_uchar16(*(__global const uint4 *)(mask + at)) == (uchar16)(value));
     for (int k = 0; (equal.x | equal.y) && k < min(SCAN_BYTES, end - at); ++k)
         if (mask[at + k] == value) found[atomic_inc(found_count)] = (ushort)(own + k);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE); /* the caller may write to the mask */
     return at - own;
 }

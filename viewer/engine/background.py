@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
+import weakref
 from collections import deque
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from typing import Any
+
+_PATIENCE = 5.0  # seconds that the end of the program waits for a job under way
+_all: weakref.WeakSet[Background] = weakref.WeakSet()
 
 
 class Background:
@@ -18,6 +23,7 @@ class Background:
         self._jobs: deque[tuple[Future, Callable, tuple]] = deque()
         self._thread: threading.Thread | None = None
         self._closing = False
+        _all.add(self)
 
     def run(self, job: Callable[..., Any], *arguments: Any, soon: bool = False) -> Future:
         """Run a job, `soon`: before those that wait. What it returns or raises is in the Future."""
@@ -40,6 +46,11 @@ class Background:
             for future, *_ in self._jobs:
                 future.cancel()
             self._news.notify()
+
+    def join(self) -> None:
+        """Wait for a thread that is ending, but not for ever."""
+        if self._thread is not None:
+            self._thread.join(_PATIENCE)
 
     def _run(self) -> None:
         while True:
@@ -92,3 +103,12 @@ class Derived:
 
     def close(self) -> None:
         self._background.close()
+
+
+@atexit.register
+def _end() -> None:
+    """End all threads before the interpreter stops them: within a binary package that is a crash."""
+    for background in list(_all):
+        background.close()
+    for background in list(_all):
+        background.join()
