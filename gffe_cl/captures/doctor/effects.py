@@ -23,8 +23,8 @@ def effects_notes(clip: Clip, indices: list[int], exposure: float) -> list[Findi
     for k in [k for k in indices if k and not entries[k].reset][:_FRAMES]:
         before, frame = clip.read(entries[k - 1]), clip.read(entries[k])
         if frame.motion is not None and np.shape(before.color) == np.shape(frame.color):
-            found.append((float(moving_colors(frame, before, exposure).mean()), k))
-    share, _ = min(found, default=(0.0, 0))  # of what lasts
+            found.append(float(moving_colors(frame, before, exposure).mean()))
+    share = min(found, default=0.0)  # one that lasts
     if share < _LEAST:
         return []
     sentence = (
