@@ -50,12 +50,11 @@ ROOMS_OF_VIEWER = (
     ("viewer.engine",),
     ("viewer.picture",),
     ("viewer.state",),
-    ("viewer.panels",),
-    ("viewer.shell",),
+    ("viewer.window",),
     ("viewer.automation",),
 )
 # Parts that name the type of the whole they belong to, for annotations only: imports that count for no circle.
-NAMES_ITS_WHOLE = {"viewer.shell.commands": "viewer.shell.app"}
+NAMES_ITS_WHOLE = {"viewer.window.commands": "viewer.window.app"}
 
 
 def parts():
@@ -110,7 +109,7 @@ def absolute(module, path, node):
 @pytest.fixture(scope="module")
 def graph():
     known = modules()
-    assert len(known) > 100 and {"__init__", "viewer.shell.app", "engine.stages.warp", "cli"} <= set(known)
+    assert len(known) > 100 and {"__init__", "viewer.window.app", "engine.stages.warp", "cli"} <= set(known)
     return {module: imports(module, path, known) for module, path in known.items()}
 
 
@@ -211,13 +210,13 @@ def test_the_rules_can_fail():
         "engine.core.errors": {"engine.pipeline.pipeline"},
         "engine.pipeline.pipeline": {"captures.formats"},
         "captures.formats": {"engine.core.errors"},
-        "viewer.shell.app": {"viewer.state.model", "lab.table.jobs", "lab.metrics.images"},
+        "viewer.window.app": {"viewer.state.model", "lab.table.jobs", "lab.metrics.images"},
     }
-    assert across(graph, WINGS) == ["engine.pipeline.pipeline → captures.formats", "viewer.shell.app → lab.table.jobs"]
+    assert across(graph, WINGS) == ["engine.pipeline.pipeline → captures.formats", "viewer.window.app → lab.table.jobs"]
     assert upwards(inside(graph, "engine"), FLOORS["engine"]) == ["core.errors → pipeline.pipeline"]
     assert circle(graph) == ["captures.formats", "engine.core.errors", "engine.pipeline.pipeline"]
     assert upwards({"viewer.engine.story": {"viewer.state.model"}}, ROOMS_OF_VIEWER)
-    assert upwards({"viewer.panels.plot": {"viewer.shell.app"}}, ROOMS_OF_VIEWER)
+    assert upwards({"viewer.state.model": {"viewer.window.app"}}, ROOMS_OF_VIEWER)
     with pytest.raises(AssertionError, match="on no floor"):
         upwards({"cellar": set()}, FLOORS["engine"])
     source = "def draw(app, size): ...\ndef _of(_model: Any, *, options=None): ...\ndef fit(model: Model): ..."
@@ -228,13 +227,13 @@ def test_imports_of_the_viewer_are_relative(tmp_path):
     """... and of all others absolute: each fails where it is the other way round."""
     path, known = tmp_path / "plot.py", {"viewer", "viewer.state", "viewer.state.model", "engine.stages.warp"}
     path.write_text("from ..state import model\nfrom gffe_cl.engine.stages import warp\nfrom . import widgets\n")
-    assert imports("viewer.panels.plot", path, known) == {"viewer.state.model", "engine.stages.warp", "viewer"}
+    assert imports("viewer.window.plot", path, known) == {"viewer.state.model", "engine.stages.warp", "viewer"}
     with pytest.raises(AssertionError, match="absolute"):
         imports("engine.stages.plot", path, known)
     path.write_text("from gffe_cl.viewer.state import model\n")
     assert imports("cli.view", path, known) == {"viewer.state.model"}
     with pytest.raises(AssertionError, match="relative"):
-        imports("viewer.panels.plot", path, known)
+        imports("viewer.window.plot", path, known)
 
 
 def untyped(source):

@@ -28,7 +28,7 @@ from gffe_cl.viewer.picture.invalid import RENDERED, SHOWN, bad_values
 from gffe_cl.viewer.picture.shown_numbers import numbers_of
 from gffe_cl.viewer.picture.textures import texels_of
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.shell.picture_frames import uncovered
+from gffe_cl.viewer.window.picture_frames import uncovered
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))

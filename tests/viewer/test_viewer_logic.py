@@ -21,14 +21,14 @@ from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.viewer.automation.steps import read_place
 from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.panels.picture import short
-from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state import settings as settings_module
 from gffe_cl.viewer.state.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
 from gffe_cl.viewer.state.settings import Settings, default_path
 from gffe_cl.viewer.state.timings import Timings
+from gffe_cl.viewer.window.picture import short
+from gffe_cl.viewer.window.plot import scale_of
 
 cases = settings(deadline=None, max_examples=100)
 

@@ -27,10 +27,6 @@ from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.seeker import Seeker
-from gffe_cl.viewer.panels import status
-from gffe_cl.viewer.panels.doctor import offers_repair
-from gffe_cl.viewer.panels.inspector import rows_of
-from gffe_cl.viewer.panels.palette import stepped
 from gffe_cl.viewer.picture.legends import value_text
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
@@ -38,6 +34,10 @@ from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, pa
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.state.settings import Settings
+from gffe_cl.viewer.window import status
+from gffe_cl.viewer.window.doctor import offers_repair
+from gffe_cl.viewer.window.inspector import rows_of
+from gffe_cl.viewer.window.palette import stepped
 
 
 @pytest.fixture

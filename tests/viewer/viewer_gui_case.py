@@ -32,10 +32,10 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
 
     from gffe_cl.engine.inference import network
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
-    from gffe_cl.viewer.shell.app import App
-    from gffe_cl.viewer.shell.start import leaving
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
+    from gffe_cl.viewer.window.app import App
+    from gffe_cl.viewer.window.start import leaving
 
     network.default_model = lambda: None  # nothing hangs on weights that are installed
     settings, warning = Settings.load()

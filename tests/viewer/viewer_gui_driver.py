@@ -16,8 +16,8 @@ from PIL import Image
 from gffe_cl import Options
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.shell.app import App
 from gffe_cl.viewer.state.parameters import ALWAYS
+from gffe_cl.viewer.window.app import App
 
 KEY = imgui.Key
 CTRL, SHIFT = KEY.mod_ctrl.value, KEY.mod_shift.value

@@ -10,9 +10,9 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from ..picture.files import save_png
-from ..shell.app import App
 from ..state.model import Model
 from ..state.playback import EVERY_FRAME
+from ..window.app import App
 from .screenshot import PATIENCE, without_pointer
 from .steps import DONE, Step, check, perform
 

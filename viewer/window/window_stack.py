@@ -6,7 +6,7 @@ from typing import Protocol
 
 from imgui_bundle import imgui
 
-from ..panels.interface import Interface
+from .interface import Interface
 
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value
 

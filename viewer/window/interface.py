@@ -31,7 +31,7 @@ class Spot:
 
 
 class Interface:
-    """State and tools that all panels share. The window is a subclass (`shell.app.App`).
+    """State and tools that all panels share. The window is a subclass (`app.App`).
 
     Attributes
     ----------

@@ -8,8 +8,8 @@ from typing import Any
 
 from imgui_bundle import imgui
 
-from ..panels.interface import Interface
 from ..picture.canvas import Rectangle
+from .interface import Interface
 
 _INTERFACE = 1 / 12  # seconds between frames of the whole interface
 _AFTER_INPUT = 0.3  # seconds in which the whole interface follows keys and mouse

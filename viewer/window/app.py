@@ -13,30 +13,32 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from ..panels import (
+from ..picture.canvas import Canvas
+from ..state.model import Model
+from ..state.navigation import Flight
+from ..state.settings import can_save
+from . import (
+    commands,
     compare,
     doctor,
     histogram,
     inspector,
     kernels,
+    keys,
     layer_list,
     modules,
     picture,
     plot,
     regions,
     status,
+    theme,
     timeline,
     timings,
     windows,
 )
-from ..panels.interface import Interface
-from ..panels.palette import Palette
-from ..picture.canvas import Canvas
-from ..state.model import Model
-from ..state.navigation import Flight
-from ..state.settings import can_save
-from . import commands, keys, theme
 from .docks import Docks, content_scale
+from .interface import Interface
+from .palette import Palette
 from .picture_frames import PictureFrames
 from .window_stack import Stack
 

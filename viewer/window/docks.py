@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from ..panels import widgets
-from ..panels.interface import Interface
+from . import widgets
+from .interface import Interface
 
 _BY_HAND = ("Plot", "Doctor")  # closed until they are asked for
 _STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
