@@ -1,71 +1,26 @@
-"""The application: window, docking, menus, keys, drops; one frame of the interface after the other."""
+"""The application: it opens the window, and draws one frame of the interface after the other."""
 
 from __future__ import annotations
 
-import shutil
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
-from imgui_bundle import portable_file_dialogs as dialogs
 
 from ..picture.canvas import Canvas
 from ..state.model import Model
 from ..state.navigation import Flight
 from ..state.settings import can_save
-from . import (
-    commands,
-    compare,
-    doctor,
-    histogram,
-    inspector,
-    kernels,
-    keys,
-    layer_list,
-    modules,
-    picture,
-    plot,
-    regions,
-    status,
-    theme,
-    timeline,
-    timings,
-    windows,
-)
-from .docks import Docks, content_scale
-from .interface import Interface
-from .palette import Palette
+from . import commands, keys, status, theme, windows
+from .docks import content_scale
 from .picture_frames import PictureFrames
-from .window_stack import Stack
+from .workspace import Workspace
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5
-_PANELS = {
-    "Picture": (picture.draw, "MainDockSpace"),
-    "Layers": (layer_list.draw, "Left"),
-    "Histogram": (histogram.draw, "Left"),
-    "Modules": (modules.draw, "Right"),
-    "Compare": (compare.draw, "Right"),
-    "Inspector": (inspector.draw, "RightBottom"),
-    "Regions": (regions.draw, "RightBottom"),
-    "Timings": (timings.draw, "RightBottom"),
-    "Kernels": (kernels.draw, "RightBottom"),
-    "Doctor": (doctor.draw, "Right"),
-    "Plot": (plot.draw, "Above"),
-    "Timeline": (timeline.draw, "Bottom"),
-}
-_LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
 _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
-
-
-def has_dialogs() -> bool:
-    """Return whether the system has a dialog for folders that can be opened."""
-    programs = ("zenity", "kdialog", "matedialog", "qarma")
-    return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
 
 
 def _within_screen(size: tuple[int, int]) -> tuple[int, int]:
@@ -84,7 +39,7 @@ def _within_screen(size: tuple[int, int]) -> tuple[int, int]:
     return width, height
 
 
-class App(Interface):
+class App(Workspace):
     """Ties the model to ImGui and GL.
 
     `on_frame(app)`, if given, is called once per interface frame: screenshots and tests hook in there.
@@ -96,13 +51,7 @@ class App(Interface):
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
-        self.docks = Docks(self, _PANELS, lambda: self.scale)
-        self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
-        self.stack = Stack(self.palette, self.help, self.open_path)
         commands.register(self)
-        self._dropped: list[str] = []
-        self._dialog = None
-        self._params: hello_imgui.RunnerParams | None = None
         self.picture_frames = PictureFrames(self)
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
         self._layers_known: list = []  # those that have actions
@@ -163,37 +112,6 @@ class App(Interface):
         for use in wanted:
             use(pixels.reshape(height, width, 3)[::-1].copy())
 
-    def close(self) -> None:
-        if self._params is not None:
-            self._params.app_shall_exit = True
-
-    @property
-    def scale(self) -> float:
-        """Size of the interface; 1 is the default for the screen."""
-        return min(max(self.model.settings.ui_scale or 1.0, _LEAST_SCALE), _LARGEST_SCALE)
-
-    def scale_by(self, factor: float) -> None:
-        self.model.settings.ui_scale = self.scale * factor
-        self.model.settings.ui_scale = self.scale
-
-    def show_survey(self, on: bool) -> None:
-        """Measure every generated frame, and show the plot of it; off: no more frames are measured."""
-        self.model.survey.on = on
-        if on:
-            self.docks.show("Plot")
-
-    def switch_regions(self) -> None:
-        """Toggle regions of errors over the picture, with the panel that has their legend."""
-        regions = self.model.regions
-        regions.switch(not regions.on)
-        if regions.on:
-            self.docks.show("Regions")
-
-    def find(self, find) -> None:
-        """Go to a frame of the survey."""
-        self.docks.show("Plot")
-        self.model.go_to(find)
-
     def _post_init(self) -> None:
         import glfw
         import moderngl
@@ -249,34 +167,10 @@ class App(Interface):
         taken = keys.FLIGHT_KEYS if self.model.flying else frozenset()
         if refused := keys.dispatch(self.actions, taken, self.stack.covers):
             self.model.say(refused)
-        for path in self._dropped:
-            self.model.open(path)
-        self._dropped.clear()
-        if self._dialog is not None and self._dialog.ready():
-            chosen = self._dialog.result()
-            chosen = chosen[0] if isinstance(chosen, list) and chosen else chosen
-            self._dialog = None
-            if chosen:
-                self.model.open(chosen)
+        self._open_given()
         self.stack.draw(self)
         windows.progress(self)
         windows.messages(self)
         self.picture_frames.look_for_input()
         if self.on_frame is not None:
             self.on_frame(self)
-
-    def drop(self, paths: list[str]) -> None:
-        """Note paths dropped onto the window; the first one is opened in the next frame."""
-        self._dropped += paths[:1]
-
-    def examine(self) -> None:
-        """Run the doctor on the sequence, and show its report."""
-        self.model.examine()
-        self.docks.show("Doctor")
-
-    def open_dialog(self) -> None:
-        """Open the system's folder dialog if there is one, else a field for the path."""
-        if has_dialogs():
-            self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
-        else:
-            self.open_path.open()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
@@ -17,15 +16,13 @@ from ..state.comparing import FORMULAS
 from ..state.model import Model
 from ..state.parameters import ALL
 from ..state.presets import Kept
-
-if TYPE_CHECKING:
-    from .app import App
+from .workspace import Workspace
 
 _EXPOSURE_STEP = 0.5
 LAYERS = "Layer"  # group of actions
 
 
-def register(app: App) -> None:
+def register(app: Workspace) -> None:
     """Fill `app.actions`."""
     model = app.model
 
@@ -159,7 +156,7 @@ def register(app: App) -> None:
     add("help", "Keys and help", "Help", "?", app.help.toggle, anywhere=True)
 
 
-def _comparing(app: App, add, opened) -> None:
+def _comparing(app: Workspace, add, opened) -> None:
     """Register the actions that compare A with B."""
     model = app.model
 
@@ -195,7 +192,7 @@ def _comparing(app: App, add, opened) -> None:
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
 
 
-def _finding(app: App, add, opened) -> None:
+def _finding(app: Workspace, add, opened) -> None:
     """Register the actions that find wrong frames, regions and pixels."""
     model, survey, regions = app.model, app.model.survey, app.model.regions
     add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
@@ -232,7 +229,7 @@ def _finding(app: App, add, opened) -> None:
         lambda: opened() or (None if model.selection.rectangle else "drag with Shift to draw one"))  # fmt: skip
 
 
-def _register_parameter(app: App, name: str, option: Option) -> None:
+def _register_parameter(app: Workspace, name: str, option: Option) -> None:
     """Register a switch for a module, an action for every choice, and for a number one that asks for it."""
     model, parameters = app.model, app.model.parameters
 
@@ -251,7 +248,7 @@ def _register_parameter(app: App, name: str, option: Option) -> None:
         add("number", f"{option.label} …", "Parameters", partial(app.palette.ask, name))
 
 
-def register_layers(app: App) -> None:
+def register_layers(app: Workspace) -> None:
     """Register an action for every new layer. Actions of layers that are not made now stay, disabled."""
     model = app.model
     for spec in model.contents.layers:
@@ -278,11 +275,11 @@ def _why_no_layer(model: Model, name: str) -> str | None:
     return model.contents.why_not(name)
 
 
-def _theme(app: App) -> None:
+def _theme(app: Workspace) -> None:
     app.model.settings.theme = "dark" if app.model.settings.theme == "light" else "light"
 
 
-def menus(app: App) -> None:
+def menus(app: Workspace) -> None:
     for group, actions in app.actions.grouped().items():
         if group == LAYERS:  # a panel of their own
             continue

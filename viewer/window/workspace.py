@@ -1,0 +1,126 @@
+"""What is in the window: panels, the palette, and windows over them; and what actions do with these."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from imgui_bundle import hello_imgui
+from imgui_bundle import portable_file_dialogs as dialogs
+
+from ..state.model import Model
+from . import (
+    compare,
+    doctor,
+    histogram,
+    inspector,
+    kernels,
+    layer_list,
+    modules,
+    picture,
+    plot,
+    regions,
+    timeline,
+    timings,
+    windows,
+)
+from .docks import Docks
+from .interface import Interface
+from .palette import Palette
+from .window_stack import Stack
+
+_PANELS = {
+    "Picture": (picture.draw, "MainDockSpace"),
+    "Layers": (layer_list.draw, "Left"),
+    "Histogram": (histogram.draw, "Left"),
+    "Modules": (modules.draw, "Right"),
+    "Compare": (compare.draw, "Right"),
+    "Inspector": (inspector.draw, "RightBottom"),
+    "Regions": (regions.draw, "RightBottom"),
+    "Timings": (timings.draw, "RightBottom"),
+    "Kernels": (kernels.draw, "RightBottom"),
+    "Doctor": (doctor.draw, "Right"),
+    "Plot": (plot.draw, "Above"),
+    "Timeline": (timeline.draw, "Bottom"),
+}
+_LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
+
+
+def has_dialogs() -> bool:
+    """Return whether the system has a dialog for folders that can be opened."""
+    programs = ("zenity", "kdialog", "matedialog", "qarma")
+    return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
+
+
+class Workspace(Interface):
+    """The interface with its panels and windows."""
+
+    def __init__(self, model: Model):
+        super().__init__(model)
+        self.docks = Docks(self, _PANELS, lambda: self.scale)
+        self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
+        self.stack = Stack(self.palette, self.help, self.open_path)
+        self._dropped: list[str] = []
+        self._dialog: Any = None
+        self._params: hello_imgui.RunnerParams | None = None  # while the window is open
+
+    def close(self) -> None:
+        if self._params is not None:
+            self._params.app_shall_exit = True
+
+    @property
+    def scale(self) -> float:
+        """Size of the interface; 1 is the default for the screen."""
+        return min(max(self.model.settings.ui_scale or 1.0, _LEAST_SCALE), _LARGEST_SCALE)
+
+    def scale_by(self, factor: float) -> None:
+        self.model.settings.ui_scale = self.scale * factor
+        self.model.settings.ui_scale = self.scale
+
+    def show_survey(self, on: bool) -> None:
+        """Measure every generated frame, and show the plot of it; off: no more frames are measured."""
+        self.model.survey.on = on
+        if on:
+            self.docks.show("Plot")
+
+    def switch_regions(self) -> None:
+        """Toggle regions of errors over the picture, with the panel that has their legend."""
+        regions = self.model.regions
+        regions.switch(not regions.on)
+        if regions.on:
+            self.docks.show("Regions")
+
+    def find(self, find) -> None:
+        """Go to a frame of the survey."""
+        self.docks.show("Plot")
+        self.model.go_to(find)
+
+    def drop(self, paths: list[str]) -> None:
+        """Note paths dropped onto the window; the first one is opened in the next frame."""
+        self._dropped += paths[:1]
+
+    def examine(self) -> None:
+        """Run the doctor on the sequence, and show its report."""
+        self.model.examine()
+        self.docks.show("Doctor")
+
+    def open_dialog(self) -> None:
+        """Open the system's folder dialog if there is one, else a field for the path."""
+        if has_dialogs():
+            self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
+        else:
+            self.open_path.open()
+
+    def _open_given(self) -> None:
+        """Open what was dropped, or chosen in the dialog."""
+        for path in self._dropped:
+            self.model.open(path)
+        self._dropped.clear()
+        if self._dialog is not None and self._dialog.ready():
+            chosen = self._dialog.result()
+            chosen = chosen[0] if isinstance(chosen, list) and chosen else chosen
+            self._dialog = None
+            if chosen:
+                self.model.open(chosen)
