@@ -31,7 +31,7 @@ FLOORS = {
         ("options",),
         ("stages",),
         ("pipeline",),
-        ("timing", "export"),
+        ("timing", "export", "inspection"),
         ("selftest",),
     ),
     "captures": (
@@ -257,6 +257,7 @@ import numpy as np
 import gffe_cl
 before = set(sys.modules)
 import pyopencl as cl
+import gffe_cl.engine.inspection.attached.client
 device = gffe_cl.open_device()
 def buffer(*shape):
     array = np.ones(shape, np.float16 if shape[-1] == 4 else np.float32)
@@ -275,7 +276,8 @@ _LINKED = {"numpy", "pyopencl", "platformdirs", "pytools", "siphash24", "typing_
 
 
 def test_a_renderer_links_the_engine_alone():
-    """A pipeline on device buffers loads NumPy, pyopencl (with what that needs), platformdirs and the engine wing."""
+    """A pipeline on device buffers, and `attach`, load NumPy, pyopencl with what that needs, platformdirs, and nothing
+    of the package but the engine wing."""
     done = subprocess.run([sys.executable, "-c", _PIPELINE], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     loaded = json.loads(done.stdout)
@@ -286,17 +288,12 @@ def test_a_renderer_links_the_engine_alone():
 
 
 def test_the_viewer_knows_no_option_by_name():
-    """A new toggle needs no change in the viewer: only what explains a pixel, what makes shading correction
-    unavailable, and what frames are rendered for, read single options."""
-    explaining = {
-        "engine/explain/pixel_explain.py",
-        "engine/explain/fragment_history.py",
-        "engine/seeker.py",
-        "state/parameters.py",
-    }
+    """A new toggle needs no change in the viewer: only what makes shading correction unavailable, and what
+    frames are rendered for, read single options."""
+    reading = ("engine/seeker.py", "state/parameters.py")
     folder = parts()["viewer"]
     for path in folder.rglob("*.py"):
-        if path.relative_to(folder).as_posix() in explaining:
+        if path.relative_to(folder).as_posix() in reading:
             continue
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Attribute) and node.attr in OPTIONS:

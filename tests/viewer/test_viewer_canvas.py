@@ -16,10 +16,10 @@ from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.engine.stages.buffers import Sizes, texel_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
-from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table

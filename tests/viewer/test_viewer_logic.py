@@ -19,8 +19,8 @@ from PIL import Image
 
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.viewer.automation.steps import read_place
-from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state import settings as settings_module
 from gffe_cl.viewer.state.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text

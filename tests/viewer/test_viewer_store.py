@@ -10,7 +10,7 @@ from viewer_session import Session
 
 from gffe_cl import Options
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.engine.buffers import Moment
+from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource

@@ -14,8 +14,8 @@ from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.sequence import SequenceWriter, named_channels
 from gffe_cl.viewer.state.navigation import Flight
-from gffe_cl.viewer.window.workspace import has_dialogs
 from gffe_cl.viewer.window.timeline import DOUBT
+from gffe_cl.viewer.window.workspace import has_dialogs
 
 CASES, case = collector()
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value

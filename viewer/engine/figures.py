@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import METRICS, focus_mask, measurable, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
 from gffe_cl.lab.metrics.regions import shows, steps, world_positions
-from . import names
 from .background import Background
 from .messages import Frame, Key, Recipe
 

@@ -14,6 +14,9 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Moment, Shot
+from gffe_cl.engine.inspection.explain.motion_trail import Passed
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -22,9 +25,6 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing import traffic
-from . import names
-from .buffers import Moment, Shot
-from .explain.motion_trail import Passed
 from .invalid import invalid_pixels
 from .messages import Recipe
 from .sources.source import FrameSource

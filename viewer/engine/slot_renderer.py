@@ -6,22 +6,26 @@ import itertools
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from gffe_cl.captures.offline.run import alphas_for
+from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.rendered_frame import HALF_MAX
+from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Shot, device_layers, moved, pixel_values, read_layers, source_position
+from gffe_cl.engine.inspection.description import in_words
+from gffe_cl.engine.inspection.explain.pixel_explain import pixel_story
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
+from gffe_cl.engine.inspection.layers import layers_of
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.timing import traffic
-from . import names
-from .buffers import Shot, device_layers, moved, pixel_values, read_layers, source_position
-from .description import changed_motion, in_words
-from .explain.pixel_explain import pixel_story
 from .invalid import Invalid, fault_at, seen_at, seen_through
-from .layers import layers_of
-from .messages import Frame, Inspection, Interrupted, Key
+from .messages import Frame, Interrupted, Key
 from .reloading import Kernels
 from .seeker import Seeker
 from .sources.source import FrameSource
@@ -103,7 +107,7 @@ class SlotMaker:
         readback_ms = (time.perf_counter() - reading) * 1e3
         if stored is not None and names.UNDONE in wanted:
             assert seeker.converted is not None  # as it was stored
-            images[names.UNDONE] = changed_motion(stored, seeker.converted, source.format)
+            images[names.UNDONE] = _changed_motion(stored, seeker.converted, source.format)
         if truth is not None and names.TRUTH in wanted:
             images[names.TRUTH] = _rgba(truth)
         return Frame(
@@ -184,3 +188,19 @@ def _rgba(color: np.ndarray) -> np.ndarray:
     out = np.zeros((*color.shape[:2], 4), np.float16)
     out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
     return out
+
+
+def _changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFormat | None) -> np.ndarray:
+    """Return motion in use minus motion as stored, (H, W, 2) float32, pixels of color; 0 without motion."""
+    if stored.motion is None or used.motion is None:
+        return np.zeros((*used.color.shape[:2], 2), np.float32)
+    plain = replace(
+        format or FrameFormat(),
+        motion_dilated=False,
+        motion_jittered=False,
+        motion_invalid=None,
+        camera_motion="included",
+    )
+    given = described_frame(stored, plain, None, (0.0, 0.0)).motion
+    assert given is not None  # as it is stored
+    return np.asarray(used.motion, np.float32) - given

@@ -15,10 +15,10 @@ from typing import Any
 import moderngl
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
 from gffe_cl.engine.stages.buffers import lies_on_source
 from gffe_cl.engine.stages.frame_block import reprojection
-from ..engine import names
-from ..engine.layers import VIEWS, LayerSpec
 from . import colors, differences, invalid
 from .colors import Rgb
 from .displays import TONE_MAPS, Display, FrameInfo, shown_as

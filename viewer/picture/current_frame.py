@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..engine import names
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.messages import Frame
 from ..engine.sources.source import FrameSource
 from .displays import FrameInfo, area_of

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..engine import names
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from .current_frame import Contents
 from .displays import Display, default_display, fitted, shown_as
 

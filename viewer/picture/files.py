@@ -20,7 +20,7 @@ from gffe_cl.captures.video import require_video, write_video
 from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from ..engine.layers import LayerSpec
+    from gffe_cl.engine.inspection.layers import LayerSpec
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv")
 _LONGEST_STEM = 120  # characters; file names end at 255 bytes

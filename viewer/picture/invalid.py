@@ -7,8 +7,8 @@ from collections import deque
 
 import numpy as np
 
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.background import Derived
-from ..engine.layers import LayerSpec
 from ..engine.messages import Frame
 from .current_frame import Contents
 from .displays import FrameInfo

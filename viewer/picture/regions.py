@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import squared_error, to_display
-from ..engine import names
 from ..engine.background import Derived
 from ..engine.figures import NEEDED, REGIONS, Part, parts_of, region_labels
-from ..engine.layers import LayerSpec
 from ..engine.messages import Frame
 from .current_frame import Contents
 from .view import View

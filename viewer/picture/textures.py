@@ -7,7 +7,7 @@ import math
 import moderngl
 import numpy as np
 
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection.layers import LayerSpec
 from .displays import FrameInfo
 
 _DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}

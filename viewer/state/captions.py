@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..engine import names
-from ..engine.buffers import Moment
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.figures import REGIONS
-from ..engine.layers import LayerSpec
 from ..picture import differences, disocclusions, flip_map
 from ..picture.colors import LABEL_COLORS, Rgb, color_table
 from ..picture.current_frame import Contents

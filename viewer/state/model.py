@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import moved
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
 from gffe_cl.engine.options import Options
-from ..engine import names
-from ..engine.attached.program import FRAMES, RunningProgram
-from ..engine.buffers import moved
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
-from ..engine.explain.pixel_explain_types import Link
 from ..engine.figures import Figures, Measurements
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.sources.attached import AttachedSource, FrozenSource, resolved
 from ..engine.sources.opening import ScenePlan, make_source
 from ..engine.sources.preview import Preview, Previewer, preview_of
+from ..engine.sources.program import FRAMES, RunningProgram
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Store, Want
 from ..picture.current_frame import Contents

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
-from ..engine.explain.motion_trail import WayPoint
-from ..engine.explain.pixel_explain_types import Link
+from gffe_cl.engine.inspection.explain.motion_trail import WayPoint
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
 from ..picture.current_frame import Contents
 from ..picture.view import View
 from .playback import Playback

@@ -7,10 +7,10 @@ import time
 
 import numpy as np
 
-from ..engine import names
-from ..engine.explain.pixel_explain_types import Story
-from ..engine.layers import FRAME_LAYERS
-from ..engine.messages import Failure, Inspection, Key
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS
+from ..engine.messages import Failure, Key
 from ..engine.sources.preview import Preview
 from ..engine.store import Pixel, Store, Want
 from ..picture import disocclusions, flip_map, invalid, regions

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
-from ..engine import names
+from gffe_cl.engine.inspection import names
 from ..engine.messages import Failure, Frame, Key, Recipe
 from ..engine.store import Playhead, Store, Want
 from ..picture.current_frame import Contents

@@ -10,9 +10,8 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from ..engine.explain.pixel_explain_types import Story
-from ..engine.layers import LayerSpec
-from ..engine.messages import Inspection
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..picture.invalid import bad_values
 from ..picture.legends import value_text
 from ..state.model import Model

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from ..engine import names
+from gffe_cl.engine.inspection import names
 from ..engine.sources.preview import Preview
 from ..picture.canvas import Rectangle
 from ..picture.shown_numbers import Numbers, numbers_of, texels

@@ -1,14 +1,10 @@
-"""Description of an engine's buffers, in words, and what conversion changed in them."""
+"""Description of an engine's buffers, in words."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 
-import numpy as np
-
-from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 
 def in_words(
@@ -35,19 +31,3 @@ def _text(value: object) -> str:
     if isinstance(value, tuple):
         return ", ".join(_text(one) for one in value)
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFormat | None) -> np.ndarray:
-    """Return motion in use minus motion as stored, (H, W, 2) float32, pixels of color; 0 without motion."""
-    if stored.motion is None or used.motion is None:
-        return np.zeros((*used.color.shape[:2], 2), np.float32)
-    plain = replace(
-        format or FrameFormat(),
-        motion_dilated=False,
-        motion_jittered=False,
-        motion_invalid=None,
-        camera_motion="included",
-    )
-    given = described_frame(stored, plain, None, (0.0, 0.0)).motion
-    assert given is not None  # as it is stored
-    return np.asarray(used.motion, np.float32) - given

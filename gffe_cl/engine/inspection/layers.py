@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.engine.inspection import names
 from gffe_cl.engine.pipeline.outputs import Output
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Stage
@@ -14,7 +15,6 @@ from gffe_cl.engine.stages.buffers import RENDERED, RGBA, XY, BufferSpec, Extrap
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
-from . import names
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
 FRAME_GROUP = "frame"

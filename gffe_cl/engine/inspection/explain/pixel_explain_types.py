@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
-from .motion_trail import WayPoint
+import numpy as np
+
+from gffe_cl.engine.inspection.explain.motion_trail import WayPoint
 
 
 @dataclass(frozen=True)
@@ -73,3 +75,29 @@ class Story:
     sentences: tuple[Step | str, ...] = ()
     fragment: tuple[int, int] | None = None
     way: tuple[WayPoint, ...] = ()
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """Values of a computed slot at display pixel `pixel`.
+
+    `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
+    rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on that image;
+    of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source` is
+    invalid; empty if it is not.
+    """
+
+    pixel: tuple[int, int]
+    slot: int
+    source: tuple[float, float] | None
+    values: dict[str, np.ndarray]
+    story: Story
+    fault: str = ""
+    origin: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def of(self, layers: frozenset[str] | None) -> Inspection:
+        """Return the same with the values of `layers` alone; None: of all."""
+        if layers is None:
+            return self
+        values, origin = ({name: of[name] for name in of if name in layers} for of in (self.values, self.origin))
+        return replace(self, values=values, origin=origin)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from gffe_cl.engine.core.validation import require_frame_rate, require_size, require_whole
 from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.inspection.attached.shared_memory import Placed, RecordingPlan
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
-from ..buffers import Moment
-from ..layers import LayerSpec
-from ..messages import Inspection
-from .shared_memory import Placed, RecordingPlan
 
 MOST_FRAMES = 256  # that a program records
 

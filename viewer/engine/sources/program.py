@@ -7,20 +7,35 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.captures.sequence import Sequence
+from gffe_cl.captures.formats.capture import described
+from gffe_cl.captures.sequence.description import FrameEntry, rendered_entry
+from gffe_cl.captures.sequence.pixel_source import ForeignPixels
+from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.inspection.attached.channel import NO_ANSWER, OtherVersion, connect, own_version
+from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
+from gffe_cl.engine.inspection.attached.shared_memory import About, RecordingPlan, mapped, recorded
+from gffe_cl.engine.inspection.attached.wire import (
+    FROM_PROGRAM,
+    Ask,
+    Greeting,
+    Look,
+    Program,
+    Recording,
+    Refused,
+    Seen,
+    Use,
+)
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
 from ..background import Background
-from ..layers import LayerSpec
-from ..messages import Inspection
-from .channel import NO_ANSWER, OtherVersion, connect, own_version
-from .encoding import decoded, encoded
-from .shared_memory import RecordingPlan, mapped, recorded
-from .wire import FROM_PROGRAM, Ask, Greeting, Look, Program, Recording, Refused, Seen, Use
 
 FRAMES = 24  # rendered frames that are recorded unless asked otherwise
 _ANSWER_SECONDS = 5.0
@@ -102,12 +117,11 @@ class RunningProgram:
     def recording(self) -> Sequence:
         """Return the last rendered frames, copied, as a sequence; also of a program that has ended. Raises GffeError if
         it has recorded none."""
-        sequence = None
-        if self._plan is not None and self._recorded is not None:
-            sequence = recorded(self._plan, self._recorded, self.name)
-        if sequence is None:
+        plan, memory = self._plan, self._recorded
+        kept = recorded(plan, memory) if plan is not None and memory is not None else []
+        if plan is None or not kept:
             raise GffeError(f"{self.name}: no rendered frame was recorded yet")
-        return sequence
+        return sequence_of(kept, plan, self.name)
 
     def _send(self, message) -> None:
         try:
@@ -170,3 +184,31 @@ class RunningProgram:
             elif isinstance(message, Refused):
                 self.options, self._refused = message.options, message
             self._news.notify_all()
+
+
+def sequence_of(kept: list[tuple[About, list[np.ndarray]]], plan: RecordingPlan, name: str) -> Sequence:
+    """Return recorded frames, at least one, as a sequence."""
+    entries, cameras, pixels = [], [], _RecordedPixels()
+    for about, (color, depth, motion) in kept:
+        images = color[..., :3], depth, motion
+        frame = RenderedFrame(*images, about.camera, about.time, about.display_camera, about.reset)
+        entries.append(rendered_entry(about.number, frame, plan.display))
+        pixels.images[entries[-1].file] = images
+        for time, camera in about.cameras.items():
+            cameras.append(FrameEntry("", time, "camera_only", display_camera=camera))
+    exposure = kept[-1][0].exposure
+    return Sequence(Path(name), described(name, plan.display, entries, plan.fps, exposure, cameras), pixels)
+
+
+class _RecordedPixels(ForeignPixels):
+    """Pixels of recorded frames, in memory: `images` by the entries' file names."""
+
+    def __init__(self):
+        super().__init__()
+        self.images: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def rendered(self, entry, size):
+        return self.images[entry.file]
+
+    def color(self, entry, size):
+        return self.images[entry.file][0]

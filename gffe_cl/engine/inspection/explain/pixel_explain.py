@@ -7,6 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import (
+    PixelValues,
+    Shot,
+    device_layers,
+    moved,
+    pixel_values,
+    read_blocks,
+    source_position,
+)
+from gffe_cl.engine.inspection.explain.fragment_history import Fragment, around, least
+from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
+from gffe_cl.engine.inspection.explain.refusals import (
+    what_was_taken,
+    where_it_reappears_from,
+    why_no_background,
+    why_no_mover,
+)
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import HOLE_FILLINGS, MAX_LEVELS
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -21,12 +40,6 @@ from gffe_cl.engine.stages.buffers import (
     FILLED_BY,
 )
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
-from .. import names
-from ..buffers import PixelValues, Shot, device_layers, moved, pixel_values, read_blocks, source_position
-from .fragment_history import Fragment, around, least
-from .motion_trail import Passed, way_of
-from .pixel_explain_types import Link, Step, Story
-from .refusals import what_was_taken, where_it_reappears_from, why_no_background, why_no_mover
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 

@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Shot, device_layers, read_blocks
+from gffe_cl.engine.inspection.explain.fragment_history import around, least
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import MAX_LEVELS
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING
 from gffe_cl.engine.stages.history import DYNAMIC
-from .. import names
-from ..buffers import Shot, device_layers, read_blocks
-from .fragment_history import around, least
-from .pixel_explain_types import Link, Step
 
 _MOVERS, _HOLES = constants("hidden_parts.cl"), constants("holes.cl")
 _DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))

@@ -19,7 +19,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import scalar
-from ..explain.pixel_explain_types import Link, Step
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step
 
 NUMERIC = "biuf"  # kinds of NumPy's types
 _AS_THEY_ARE = {NoneType, bool, int, float, str}

@@ -7,15 +7,10 @@ import mmap
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.captures.formats.capture import described
-from gffe_cl.captures.sequence.description import FrameEntry, rendered_entry
-from gffe_cl.captures.sequence.pixel_source import ForeignPixels
-from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
     require_exposure,
@@ -27,8 +22,8 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.inspection.attached.encoding import NUMERIC, decoded, encoded
 from gffe_cl.engine.stages.buffers import DeviceFrame
-from .encoding import NUMERIC, decoded, encoded
 
 _PAGE = mmap.PAGESIZE
 _ABOUT = 16 << 10  # bytes of a frame's description
@@ -156,7 +151,7 @@ class RecordingPlan:
 
 
 @dataclass
-class _About:
+class About:
     """A recorded frame without its pixels. `cameras`: of the frames extrapolated from it, by their times."""
 
     number: int
@@ -179,7 +174,7 @@ class Recorder:
 
     def __init__(self, plan: RecordingPlan):
         self.plan, self.block = plan, SharedBlock(plan.nbytes)
-        self._about: _About | None = None
+        self._about: About | None = None
         self._slot, self._copies = 0, []
         self._queue: cl.CommandQueue | None = None
 
@@ -199,7 +194,7 @@ class Recorder:
         ]
         self._queue.flush()
         cameras = on_device.camera, on_device.display_camera
-        self._about = _About(number, frame.time, *cameras, reset, exposure, {})
+        self._about = About(number, frame.time, *cameras, reset, exposure, {})
         self._say()
 
     def made(self, time: float, camera: Camera) -> None:
@@ -235,10 +230,10 @@ class Recorder:
         self._head[2] = len(said)
 
 
-def recorded(plan: RecordingPlan, memory: mmap.mmap, name: str) -> Sequence | None:
-    """Return copies of the last recorded frames, the consecutive ones up to the newest. The program may continue
-    writing, or be dead. None if there is none yet."""
-    found: dict[int, tuple[_About, list[np.ndarray]]] = {}
+def recorded(plan: RecordingPlan, memory: mmap.mmap) -> list[tuple[About, list[np.ndarray]]]:
+    """Return copies of the last recorded frames with their images, the consecutive ones up to the newest. The program
+    may continue writing, or be dead."""
+    found: dict[int, tuple[About, list[np.ndarray]]] = {}
     for slot in range(plan.count):
         before = plan.head(memory, slot).copy()
         if not before[0] or before[0] != before[1]:
@@ -248,41 +243,12 @@ def recorded(plan: RecordingPlan, memory: mmap.mmap, name: str) -> Sequence | No
         if plan.head(memory, slot)[0] != before[0]:
             continue  # it was written meanwhile
         try:
-            about = decoded(said, _About)
+            about = decoded(said, About)
         except GffeError:
             continue  # the program died meanwhile
         found[about.number] = about, images
-    if not found:
-        return None
-    number, kept = max(found), []
+    number, kept = max(found, default=0), []
     while number in found:
         kept.append(found[number])
         number -= 1
-    return _sequence(kept[::-1], plan, name)
-
-
-def _sequence(kept: list[tuple[_About, list[np.ndarray]]], plan: RecordingPlan, name: str) -> Sequence:
-    entries, cameras, pixels = [], [], RecordedPixels()
-    for about, (color, depth, motion) in kept:
-        images = color[..., :3], depth, motion
-        frame = RenderedFrame(*images, about.camera, about.time, about.display_camera, about.reset)
-        entries.append(rendered_entry(about.number, frame, plan.display))
-        pixels.images[entries[-1].file] = images
-        for time, camera in about.cameras.items():
-            cameras.append(FrameEntry("", time, "camera_only", display_camera=camera))
-    exposure = kept[-1][0].exposure
-    return Sequence(Path(name), described(name, plan.display, entries, plan.fps, exposure, cameras), pixels)
-
-
-class RecordedPixels(ForeignPixels):
-    """Pixels of recorded frames, in memory: `images` by the entries' file names."""
-
-    def __init__(self):
-        super().__init__()
-        self.images: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-
-    def rendered(self, entry, size):
-        return self.images[entry.file]
-
-    def color(self, entry, size):
-        return self.images[entry.file][0]
+    return kept[::-1]

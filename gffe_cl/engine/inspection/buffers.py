@@ -10,10 +10,10 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import FRAME_BUFFERS, named_images
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
-from . import names
-from .layers import FRAME_BUFFERS, named_images
 
 _Key = TypeVar("_Key")
 

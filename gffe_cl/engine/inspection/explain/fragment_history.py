@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Shot, device_layers, moved, read_blocks
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.history import FIXED_TO_CAMERA, STATIC
-from .. import names
-from ..buffers import Shot, device_layers, moved, read_blocks
-from .pixel_explain_types import Link, Step, Story
 
 _CELLS = constants("mover_grid.h")
 

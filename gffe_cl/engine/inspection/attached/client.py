@@ -21,23 +21,33 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_kind, require_whole
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.attached.channel import Channel, Listener
+from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
+from gffe_cl.engine.inspection.attached.shared_memory import Recorder, RecordingPlan, SharedBlock, placed
+from gffe_cl.engine.inspection.attached.wire import (
+    FROM_VIEWER,
+    Ask,
+    Greeting,
+    Look,
+    Program,
+    Recording,
+    Refused,
+    Seen,
+    Use,
+)
+from gffe_cl.engine.inspection.buffers import Moment, Shot, device_layers, pixel_values, start_reading
+from gffe_cl.engine.inspection.description import in_words
+from gffe_cl.engine.inspection.explain.motion_trail import Passed
+from gffe_cl.engine.inspection.explain.pixel_explain import pixel_story
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
+from gffe_cl.engine.inspection.layers import LayerSpec, layers_of
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame
 from gffe_cl.engine.pipeline.pacing import Pacer
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from .. import names
-from ..buffers import Moment, Shot, device_layers, pixel_values, start_reading
-from ..description import in_words
-from ..explain.motion_trail import Passed
-from ..explain.pixel_explain import pixel_story
-from ..layers import LayerSpec, layers_of
-from ..messages import Inspection
-from .channel import Channel, Listener
-from .encoding import decoded, encoded
-from .shared_memory import Recorder, RecordingPlan, SharedBlock, placed
-from .wire import FROM_VIEWER, Ask, Greeting, Look, Program, Recording, Refused, Seen, Use
 
 _GREETING_SECONDS = 2.0
 _LEAST_SECONDS = 1 / 60  # between two frames that are looked at

@@ -9,13 +9,12 @@ import pytest
 from fuzz_targets import answer_seed
 
 from gffe_cl import Camera, GffeError
+from gffe_cl.engine.inspection.attached import wire
+from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
+from gffe_cl.engine.inspection.attached.shared_memory import About, RecordingPlan
+from gffe_cl.engine.inspection.explain.motion_trail import WayPoint
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Link, Step, Story
 from gffe_cl.engine.options import Options
-from gffe_cl.viewer.engine.attached import wire
-from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
-from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, _About
-from gffe_cl.viewer.engine.explain.motion_trail import WayPoint
-from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
-from gffe_cl.viewer.engine.messages import Inspection
 
 CAMERA = Camera.look_at((0.1, 1 / 3, 2), (1, 2, 7.7), (0, 1, 0), 300.1, 301.3, 160.7, 90.1)
 STORY = Story(
@@ -32,7 +31,7 @@ MESSAGES = (
     wire.Program(7, (160, 96), (80, 48), 29.97, "a device", Options()),
     wire.Recording(RecordingPlan(3, (160, 96), (160, 96), 30.0)),
     wire.Refused("no", Options()),
-    _About(np.int64(3), 0.1, CAMERA, CAMERA, False, 1.0, {0.1 + 0.2: CAMERA}),
+    About(np.int64(3), 0.1, CAMERA, CAMERA, False, 1.0, {0.1 + 0.2: CAMERA}),
 )
 
 
