@@ -290,7 +290,7 @@ def test_a_renderer_links_the_engine_alone():
 def test_the_viewer_knows_no_option_by_name():
     """A new toggle needs no change in the viewer: only what makes shading correction unavailable, and what
     frames are rendered for, read single options."""
-    reading = ("engine/seeker.py", "state/parameters.py")
+    reading = ("engine/slot_maker.py", "state/parameters.py")
     folder = parts()["viewer"]
     for path in folder.rglob("*.py"):
         if path.relative_to(folder).as_posix() in reading:

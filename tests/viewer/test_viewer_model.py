@@ -26,7 +26,7 @@ from gffe_cl.lab.fault_injection import broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
-from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.picture.legends import value_text
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model

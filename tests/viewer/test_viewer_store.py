@@ -15,6 +15,7 @@ from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.store import Playhead, Store, Want
+from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.state.navigation import Flight
 from gffe_cl.viewer.state.wanting import Picture, Showing
 from gffe_cl.viewer.window.timeline import runs
@@ -110,13 +111,23 @@ def test_a_failure_is_what_is_there_until_it_is_asked_for_again():
     assert store.next() == broken
 
 
+class Shown(Contents):
+    """Contents that remember all that was shown."""
+
+    def __init__(self):
+        super().__init__()
+        self.given = []
+
+    def take(self, result, second=None):
+        super().take(result, second)
+        self.given.append((result, second))
+
+
 @pytest.fixture
 def showing():
-    shown, failed = [], []
-    showing = Showing(
-        store_of(10), lambda *frames: shown.append(frames), lambda failure, of_b: failed.append((failure.error, of_b))
-    )
-    showing.given, showing.failures = shown, failed
+    failed, contents = [], Shown()
+    showing = Showing(store_of(10), contents, lambda failure, of_b: failed.append((failure.error, of_b)))
+    showing.given, showing.failures = contents.given, failed
     return showing
 
 
@@ -234,7 +245,7 @@ def session(tmp_path):
 @pytest.fixture
 def computed(monkeypatch):
     """Slots that were computed since this list was cleared."""
-    from gffe_cl.viewer.engine.slot_renderer import SlotMaker
+    from gffe_cl.viewer.engine.slot_maker import SlotMaker
 
     slots, make = [], SlotMaker.make
 

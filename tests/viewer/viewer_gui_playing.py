@@ -10,7 +10,7 @@ from scn_models import movers_model
 from viewer_gui_driver import KEY, SHIFT, Gui, collector
 
 from gffe_cl.engine.inference import network as inference
-from gffe_cl.viewer.engine.slot_renderer import SlotMaker
+from gffe_cl.viewer.engine.slot_maker import SlotMaker
 from gffe_cl.viewer.window.timeline import CACHED
 
 CASES, case = collector()

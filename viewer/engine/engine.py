@@ -19,22 +19,16 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.timing.bench import Copier
 from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
 from .reloading import WATCH_SECONDS, Kernels
-from .slot_renderer import SlotMaker, weights_of
+from .slot_maker import SlotMaker, weights_of
 from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
 from .sources.source import FrameSource
 from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
-_ACTIVITIES = {
-    "source": "opening",
-    "kernels": "building kernels",
-    "bandwidth": "measuring bandwidth",
-    "traffic": "counting bytes that must move",
-}
+_ACTIVITIES = {"source": "opening", "kernels": "building kernels"}
 
 
 class Engine:
@@ -63,10 +57,6 @@ class Engine:
         All that the compiler said of that, in its lines.
     cuts : dict
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
-    bandwidth : float or None
-        GB/s of copying, once measured.
-    traffic : dict
-        Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
 
     def __init__(self, open_the_device: Callable[[], Device] = open_viewer_device, store: Store | None = None):
@@ -75,8 +65,6 @@ class Engine:
         self.source: FrameSource | None = None
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error, self.build_log = 0, None, ""
-        self.bandwidth: float | None = None
-        self.traffic: dict[str, dict[str, float]] = {}
         self.cuts: dict[Recipe, frozenset[int]] = {}
         self._news = self.store.news
         self._orders: dict[str, Callable[[], None]] = {}
@@ -128,15 +116,6 @@ class Engine:
     def reload_kernels(self) -> None:
         """Rebuild the kernels if their text changed."""
         self._post("kernels", self._do_kernels)
-
-    def measure_bandwidth(self) -> None:
-        """Measure `bandwidth`, once; takes a second, and 512 MiB on the device."""
-        if self.bandwidth is None:
-            self._post("bandwidth", self._do_bandwidth)
-
-    def count_traffic(self, want: Want) -> None:
-        """Count `traffic` for a slot; reads some layers back."""
-        self._post("traffic", partial(self._do_traffic, want))
 
     def poll(self) -> Failure | None:
         """Return the oldest failure of anything but slots, once."""
@@ -231,14 +210,6 @@ class Engine:
         assert self._kernels is not None
         self.builds += self._kernels.reload()
         self.build_log, self.build_error = self._kernels.log, self._kernels.error
-
-    def _do_bandwidth(self) -> None:
-        if self.bandwidth is None:
-            self.bandwidth = Copier(self._need_device()).bandwidth()
-
-    def _do_traffic(self, want: Want) -> None:
-        if self.source is not None and want.key.recipe.source == self._opened:
-            self.traffic = self._holding(want).must_move()
 
     def _do_want(self, want: Want) -> None:
         """Make what is wanted. A failure of it is what is shown in its place."""

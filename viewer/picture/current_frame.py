@@ -1,15 +1,18 @@
-"""Displayed content: the open source, and the slot that was computed last."""
+"""Displayed content: the open source, the slot that was computed last, and its images on the canvas."""
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
 
 from gffe_cl.engine.inspection import names
-from gffe_cl.engine.inspection.layers import LayerSpec
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from ..engine.messages import Frame
+from ..engine.sources.preview import Preview
 from ..engine.sources.source import FrameSource
+from .canvas import Canvas
 from .displays import FrameInfo, area_of
 
 
@@ -111,3 +114,72 @@ class Contents:
         return FrameInfo(
             self.size, rendered, self.size, source.exposure, *cameras, source_area=area, generated=generated
         )
+
+
+_BUDGET = 0.02  # seconds per frame of the interface, but at least one image
+
+
+class Screen:
+    """Puts the images of `contents` on a canvas.
+
+    Attributes
+    ----------
+    canvas : Canvas or None
+        None: there is nothing to draw on.
+    upload_ms : float
+        What the images on the canvas took.
+    """
+
+    def __init__(self, contents: Contents):
+        self._contents = contents
+        self._on_canvas: dict[str, np.ndarray] = {}
+        self._uploaded: set[str] = set()  # names, with those whose images are other ones by now
+        self._changes = self._coming = 0  # of the contents that are on the canvas, and of those that come
+        self.canvas: Canvas | None = None
+        self.upload_ms = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether all images are on the canvas."""
+        return self._changes == self._contents.changes
+
+    def preview(self, preview: Preview) -> None:
+        """Show a preview on the canvas before there are contents."""
+        if self.canvas is not None:
+            self.canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
+            self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
+            self._uploaded.add(names.FINAL)
+
+    def update(self, first: set[str]) -> None:
+        """Upload the images of the contents that are not on the canvas yet, and remove all others, which belong to
+        another time: those of `first` at once, the others as time permits. Call once per frame of the interface, and
+        after the contents have changed."""
+        if self.ready:
+            return
+        images = self._contents.images
+        if self._coming != self._contents.changes:
+            self._coming, self.upload_ms = self._contents.changes, 0.0
+            if self.canvas is not None:
+                if self._contents.result is not None:
+                    self.canvas.frame = self._contents.frame_info()
+                self.canvas.forget(self._uploaded - images.keys())
+                self._uploaded &= images.keys()
+        self._on_canvas = {name: image for name, image in self._on_canvas.items() if images.get(name) is image}
+        end = time.perf_counter() + _BUDGET
+        left = sorted(images.keys() - self._on_canvas.keys(), key=lambda name: name not in first)
+        for place, name in enumerate(left):
+            if place and name not in first and time.perf_counter() > end:
+                return
+            self._upload(name, images[name])
+        self._changes = self._contents.changes
+
+    def _upload(self, name: str, image: np.ndarray) -> None:
+        start = time.perf_counter()
+        if self.canvas is not None:
+            own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
+            spec = self._contents.spec(name)
+            assert spec is not None  # there is an image of it
+            self.canvas.upload(name, image, spec, *own)
+            self._uploaded.add(name)
+        self._on_canvas[name] = image
+        self.upload_ms += (time.perf_counter() - start) * 1e3

@@ -10,6 +10,7 @@ from .displays import Display
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
 OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions")
 ERRORS = ("absolute", "squared")
+INVALID = INVALID_RENDERED, INVALID_SHOWN = "invalid rendered", "invalid shown"  # layers: masks of invalid pixels
 
 Size = tuple[int, int]
 

@@ -19,14 +19,14 @@ from gffe_cl.engine.options import Options
 from ..engine.doctor_worker import Doctor
 from ..engine.engine import Engine, open_viewer_device
 from ..engine.figures import Figures, Measurements
-from ..engine.messages import Failure, Frame, Key, Recipe, Setup
+from ..engine.messages import Failure, Key, Recipe, Setup
 from ..engine.sources.attached import AttachedSource, FrozenSource, resolved
 from ..engine.sources.opening import ScenePlan, make_source
 from ..engine.sources.preview import Preview, Previewer, preview_of
 from ..engine.sources.program import FRAMES, RunningProgram
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Store, Want
-from ..picture.current_frame import Contents
+from ..picture.current_frame import Contents, Screen
 from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
@@ -48,7 +48,7 @@ from .saving import RecordingWork, Subject, Work
 from .settings import Settings
 from .survey import Side, Survey
 from .timings import Timings
-from .viewport import Framing, Pointing, Screen
+from .viewport import Framing, Pointing
 from .wanting import Ahead, Needed, Picture, Showing
 
 _SCENES = ScenePlan(480, 270, 0)
@@ -79,14 +79,14 @@ class Model:
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
-        self.screen = Screen(self.contents, self.looks)
+        self.screen = Screen(self.contents)
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
         self.histogram = Histogram(self.view, self.contents, self.looks)
         self.invalid = InvalidPixels(self.view, self.contents)
-        self.showing = Showing(self.store, self._show, self._fail)
+        self.showing = Showing(self.store, self.contents, self._fail)
         self.measured = Measurements()
         self.survey = Survey(self.store, self.measured, self.playback)
         self.pointing = Pointing(self.store)
@@ -229,7 +229,8 @@ class Model:
         ready = result.slot if result is not None and result.setup == self.setup else None
         due = self._due(self.playback.tick(now, ready).request)
         self._take_values()
-        self.showing.update(due, self._passes, self.screen.ready or result is None)
+        if self.showing.update(due, self._passes, self.screen.ready or result is None):
+            self._shown()
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
         self._derive(canvas)
@@ -333,9 +334,10 @@ class Model:
         elif reason:
             self.say(reason)
 
-    def _show(self, result: Frame, second: Frame | None) -> None:
-        """Set the displayed frames of A and B."""
-        self.contents.take(result, second)
+    def _shown(self) -> None:
+        """Note what follows from another picture that is shown."""
+        result, second = self.contents.result, self.contents.second
+        assert result is not None
         self.failure = None
         self.previewer = self.preview = None
         if self.measuring:
@@ -651,12 +653,6 @@ class Model:
             self.export = None
 
     # ---- telling -------------------------------------------------------------------------------------------
-
-    def measure_cost(self) -> None:
-        """Measure bandwidth, and the bytes that the displayed slot had to move."""
-        self.engine.measure_bandwidth()
-        if self.showing.shown is not None:
-            self.engine.count_traffic(self.showing.shown.a)
 
     def examine(self) -> None:
         """Have the doctor look at the sequence."""

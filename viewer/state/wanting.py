@@ -76,8 +76,8 @@ class Showing:
 
     Parameters
     ----------
-    show : callable
-        Called with A's frame and B's, or None, as soon as they are there.
+    contents : Contents
+        Takes A's frame and B's, or None, as soon as they are there.
     fail : callable
         Called with the failure of A's or of B's, and whether it is B's, once for each picture. Without B's A is shown.
 
@@ -92,37 +92,35 @@ class Showing:
         Why there is nothing of B; empty if there is.
     """
 
-    def __init__(
-        self, store: Store, show: Callable[[Frame, Frame | None], None], fail: Callable[[Failure, bool], None]
-    ):
-        self._store, self._show, self._fail = store, show, fail
+    def __init__(self, store: Store, contents: Contents, fail: Callable[[Failure, bool], None]):
+        self._store, self._contents, self._fail = store, contents, fail
         self.awaited: Picture | None = None
         self.shown: Picture | None = None
         self._due: Picture | None = None
-        self._frames: tuple[Frame, Frame | None] | None = None  # that are shown
         self._told: set[Want] = set()  # failures
         self.from_cache = self._was_there = False
         self.fault_of_b = ""
 
     def forget(self) -> None:
         """Drop the picture after a change of the source."""
-        self.awaited = self.shown = self._due = self._frames = None
+        self.awaited = self.shown = self._due = None
         self.fault_of_b = ""
 
-    def update(self, due: Picture, passing: bool, may_show: bool = True) -> None:
+    def update(self, due: Picture, passing: bool, may_show: bool = True) -> bool:
         """Show what is there of the awaited picture, and await the one that is due. Call once per frame of the
-        interface; `passing`: frames pass (it plays, for example): none is given up for the next one."""
-        before = self.awaited
+        interface; `passing`: frames pass (it plays, for example): none is given up for the next one. Returns whether
+        another picture is shown."""
+        before, changes = self.awaited, self._contents.changes
         self._due = due
         there = before is not None and may_show and self._take(before)
-        if before is not None and (before == due or (passing and not there and before.is_like(due))):
-            return
-        self.awaited, self._told = due, set()
-        for want in due.wants:
-            self._store.retry(want)
-        self._was_there = not self.is_waiting
-        if may_show:
-            self._take(due)
+        if before is None or (before != due and (there or not passing or not before.is_like(due))):
+            self.awaited, self._told = due, set()
+            for want in due.wants:
+                self._store.retry(want)
+            self._was_there = not self.is_waiting
+            if may_show:
+                self._take(due)
+        return self._contents.changes != changes
 
     @property
     def wants(self) -> list[Want]:
@@ -173,10 +171,10 @@ class Showing:
         first, second = made[0], made[1] if len(made) > 1 else None
         self.fault_of_b = second.error if isinstance(second, Failure) else ""
         if isinstance(first, Frame):
-            frames = first, second if isinstance(second, Frame) else None
-            if self._frames is None or any(a is not b for a, b in zip(frames, self._frames, strict=True)):
-                self.from_cache, self.shown, self._frames = self._was_there, picture, frames
-                self._show(*frames)
+            second, contents = second if isinstance(second, Frame) else None, self._contents
+            if first is not contents.result or second is not contents.second:
+                self.from_cache, self.shown = self._was_there, picture
+                contents.take(first, second)
         return True
 
 

@@ -6,13 +6,10 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import moderngl
 from imgui_bundle import ImVec2
 
-from ..picture.canvas import Canvas, Rectangle, Tile
-from ..picture.displays import Display
+from ..picture.canvas import Canvas, Rectangle
 from ..picture.view import View
 from ..state.actions import Actions
 from ..state.model import Model
@@ -57,9 +54,7 @@ class Interface:
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
-        self._drawn: Any = None
         self._current_at = -math.inf  # clock, when the picture was the requested one
-        self._all_there = True  # when the overview was drawn
 
     def stale_for(self, seconds: float) -> bool:
         """Return whether the picture has not been the requested one for longer than that. Call once per frame of the
@@ -68,20 +63,3 @@ class Interface:
         if model.current or model.export is not None:
             self._current_at = self.clock()
         return self.clock() - self._current_at > seconds
-
-    def drawn(self, view: View, size: tuple[int, int]) -> moderngl.Texture:
-        """Return the texture of the canvas, redrawn only after a change."""
-        what = (view, size, self.model.contents.changes, self.model.comparison.ready, self.model.regions.changes)
-        if what != self._drawn:
-            self._drawn, self._texture = what, self.canvas.draw(view, size)
-        return self._texture
-
-    def drawn_overview(
-        self, tiles: list[tuple[str, Display]], size: tuple[int, int], caption: int, gap: int
-    ) -> tuple[moderngl.Texture, tuple[Tile, ...]]:
-        """Return the texture of all layers, and where they are."""
-        what = (tiles, size, caption, self.model.contents.changes)
-        if what != self._drawn or not self.model.screen.ready or not self._all_there:
-            self._all_there = self.model.screen.ready
-            self._drawn, self._tiles = what, self.canvas.overview(tiles, size, caption=caption, gap=gap)
-        return self._tiles

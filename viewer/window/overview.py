@@ -24,7 +24,7 @@ def draw(app: Interface, room: tuple[int, int]) -> None:
         tiles = model.overview_tiles()
         size = _size(len(tiles), room, model.contents.size, caption)
         size = size[0], min(size[1], app.canvas.largest)
-        texture, places = app.drawn_overview(tiles, size, caption, _GAP)
+        texture, places = app.canvas.overview(tiles, size, caption=caption, gap=_GAP)
         origin = imgui.get_cursor_screen_pos()
         imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
         imgui.set_cursor_screen_pos(origin)

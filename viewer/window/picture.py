@@ -55,7 +55,7 @@ def draw(app: Interface) -> None:
         return
     view = model.comparison.shown()
     view.line = _LINE * widgets.mark_unit()
-    texture = app.drawn(view, (width, height))
+    texture = app.canvas.draw(view, (width, height))
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
     imgui.set_cursor_screen_pos(origin)
     imgui.invisible_button("###picture", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left.value
@@ -107,7 +107,7 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
     model, (height, width) = app.model, preview.color.shape[:2]
     view = View(names.FINAL, model.looks.of(names.FINAL))
     view.fit(size, (width, height))
-    texture = app.drawn(view, size)
+    texture = app.canvas.draw(view, size)
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
     marks = imgui.get_window_draw_list()
     text = f"rendered frame 0   {model.engine.activity or 'computing'} …"
