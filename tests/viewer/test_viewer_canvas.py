@@ -710,28 +710,6 @@ def test_overview(canvas, count):
 # ---- uploads -------------------------------------------------------------------------------------------
 
 
-def test_uploads_go_through_a_ring_of_pixel_buffers(context, monkeypatch):
-    canvas = Canvas(context)
-    written, write = [], moderngl.TextureArray.write
-    monkeypatch.setattr(moderngl.TextureArray, "write", lambda *a, **k: (written.append(a[1]), write(*a, **k))[1])
-    canvas.frame = FrameInfo((6, 5))
-    for index in range(7):
-        values = np.full((5, 6), index, np.uint8)
-        canvas.upload("l", values, LABEL)
-        assert canvas._buffers.sizes == [30] * min(index + 1, 3)
-        assert (
-            canvas._buffers._rings[30][-1].read() == values.tobytes() and written[-1] is canvas._buffers._rings[30][-1]
-        )
-        close(drawn(canvas, View("l", Display(), center=(3, 2.5)), (6, 5)), LABEL_COLORS[index])
-    assert len(set(map(id, written[:3]))) == 3 and all(written[i] is written[i + 3] for i in range(4))  # in turn
-    canvas.upload("s", np.zeros((5, 6), np.float32), SCALAR)
-    assert canvas._buffers.sizes == [30] * 3 + [120]
-    for width in range(100, 120):
-        canvas.upload("s", np.zeros((5, width), np.float32), SCALAR)
-    assert len(canvas._buffers.sizes) == 12  # old sizes are given back
-    canvas.release()
-
-
 def test_size_and_type_may_change_any_time(canvas):
     display = Display(high=8, color_map="gray")
     for array in (

@@ -22,7 +22,7 @@ from gffe_cl.engine.stages.frame_block import reprojection
 from . import colors, differences
 from .colors import Rgb
 from .displays import TONE_MAPS, Display, FrameInfo, shown_as
-from .textures import PixelBuffers, Texture, texels_of
+from .textures import Texture, texels_of
 from .view import COMPARISONS, INVALID, INVALID_RENDERED, INVALID_SHOWN, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
@@ -104,7 +104,6 @@ class Canvas:
         self._tiles: tuple[Tile, ...] = ()
         self._programs: dict[tuple[int, ...], _Program] = {}
         self._layers: dict[str, Texture] = {}
-        self._buffers = PixelBuffers(ctx)
         self._targets: dict[str, moderngl.Framebuffer] = {}
         self._nothing = _Shown(Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
         tables = np.stack([colors.color_table(name) for name in colors.COLOR_MAPS])
@@ -136,9 +135,7 @@ class Canvas:
         if layer is None or layer.format != (texels.shape, texels.dtype):
             self.forget([name])
             layer = self._layers[name] = Texture(self.ctx, texels)
-        buffer = self._buffers.next(texels.nbytes)
-        buffer.write(texels)
-        layer.texels.write(buffer, alignment=1)
+        layer.texels.write(texels, alignment=1)
         layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
         layer.host = texels if name in INVALID else None
         layer.drop_reduced()
@@ -160,7 +157,6 @@ class Canvas:
     def release(self) -> None:
         """Release everything; the canvas must not be used any more."""
         self.forget(list(self._layers))
-        self._buffers.release()
         for framebuffer in self._targets.values():
             _release(framebuffer)
         for program in self._programs.values():
