@@ -541,7 +541,7 @@ def test_viewer_follows_switches_and_freezes(device, program, looking, tmp_path,
 
     monkeypatch.chdir(tmp_path)
     model.save_recording()
-    looking.until(lambda: model.export is None)
+    looking.until(lambda: model.saving.work is None)
     assert (tmp_path / "game_recorded" / "sequence.json").exists()
     code, said, _ = gffe("check", "game_recorded")
     assert code == 0 and "rendered frames, 160×96" in said

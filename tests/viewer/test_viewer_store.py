@@ -459,19 +459,19 @@ def test_the_render_rate_of_a_flight(session):
     model.open("corridor")
     session.until(lambda: model.source.live)
     session.settle()
-    model.toggle_flying()
+    model.flights.toggle()
     for _ in range(20):
-        model.fly(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0), time.perf_counter())
+        model.flights.steer(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0), time.perf_counter())
         session.frame()
         time.sleep(0.01)
-    pose = model.flyer.pose.position
+    pose = model.flights.flyer.pose.position
     assert not np.allclose(pose, model.source.scene.camera(0.0, 8, 8).position)
     for rate, n in (("10", 5), ("15", 3), ("30", 1)):
         source = model.source
         model.set("render_rate", rate)
         session.until(lambda source=source: model.source is not source and model.contents.result is not None)
         assert (model.source.fps, model.n, model.playback.target_rate) == (float(rate), n, 60.0)
-        assert model.flying and model.playback.playing and np.array_equal(model.flyer.pose.position, pose)
+        assert model.flying and model.playback.playing and np.array_equal(model.flights.flyer.pose.position, pose)
         session.until(lambda: model.contents.result.moment.alpha > 0)
         assert model.contents.result.moment.camera.position == pytest.approx(pose, abs=1e-6)
     model.stop_flying()

@@ -222,7 +222,7 @@ def saving(gui: Gui):
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)
     gui.frames(2)
-    gui.wait(lambda: model.export is None, "the layers")
+    gui.wait(lambda: model.saving.work is None, "the layers")
     (folder,) = _made(before)
     images = gui.images()
     values["exr"] = {"files": sorted(path.stem for path in folder.iterdir()), "layers": sorted(images)}
@@ -235,7 +235,7 @@ def saving(gui: Gui):
     gui.frames(2)
     values["progress"] = gui.exists("//###export")
     gui.shot("saving")
-    gui.wait(lambda: model.export is None, "the video")
+    gui.wait(lambda: model.saving.work is None, "the video")
     (video,) = _made(before)
     import imageio_ffmpeg
 
@@ -278,7 +278,7 @@ def saving_on_a_full_disk(gui: Gui):
             gui.settle()
             model.messages = []
             gui.key(key, CTRL)
-            gui.wait(lambda: model.export is None and model.messages, f"what is told of the {name}")
+            gui.wait(lambda: model.saving.work is None and model.messages, f"what is told of the {name}")
             values["told"][name] = [(message.text, message.error) for message in model.messages]
             if name == "picture":
                 gui.shot("saving_on_a_full_disk")
@@ -301,10 +301,10 @@ def cancelling(gui: Gui):
     gui.settle()
     before = set(Path.cwd().iterdir())
     gui.key(KEY.m, CTRL)
-    gui.wait(lambda: model.export is not None and model.export.done > 3, "some frames")
-    values["of"] = model.export.total
+    gui.wait(lambda: model.saving.work is not None and model.saving.work.done > 3, "some frames")
+    values["of"] = model.saving.work.total
     gui.click("//###export/###cancel_export")
-    gui.wait(lambda: model.export is None, "the end")
+    gui.wait(lambda: model.saving.work is None, "the end")
     values["left over"] = [path.name for path in _made(before)]
     values["told"] = gui.told()
 
@@ -383,7 +383,7 @@ def leave_while_saving(gui: Gui) -> None:
     model.set("n", 7)
     gui.settle()
     gui.key(KEY.m, CTRL)
-    gui.wait(lambda: model.export is not None and model.export.done > 3, "some frames")
+    gui.wait(lambda: model.saving.work is not None and model.saving.work.done > 3, "some frames")
     gui.values["part"] = [path.name for path in Path.cwd().glob(".*.part*")]
 
 

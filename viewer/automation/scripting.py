@@ -134,7 +134,7 @@ class Director:
 
 def _works_beside(model: Model) -> bool:
     """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
-    return model.survey.busy or model.export is not None or (model.doctor is not None and not model.doctor.done)
+    return model.survey.busy or model.saving.work is not None or (model.doctor is not None and not model.doctor.done)
 
 
 def require_film(path: Path) -> None:

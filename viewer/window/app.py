@@ -141,7 +141,7 @@ class App(Workspace):
             self._layers_known = model.contents.layers
             commands.register_layers(self)
         by_hand = None if self.stack.covers else keys.flight(model)
-        model.fly(self.steering if self.steering and model.flying else by_hand, self.clock())
+        model.flights.steer(self.steering if self.steering and model.flying else by_hand, self.clock())
         told = model.pointing.picked, model.selection.rectangle if self.drags == "nothing" else self._told[1]
         if told != self._told and told != (None, None) and self.docks.panel("Inspector").is_visible:
             self.docks.show("Inspector")

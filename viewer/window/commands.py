@@ -51,7 +51,7 @@ def register(app: Workspace) -> None:
         model.freeze() if model.follows else model.playback.toggle()
 
     def savable():
-        return opened() or ("something is being saved" if model.export is not None else None)
+        return opened() or ("something is being saved" if model.saving.work is not None else None)
 
     def playback(name, *arguments):
         return lambda: getattr(model.playback, name)(*arguments)
@@ -62,9 +62,9 @@ def register(app: Workspace) -> None:
     add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
     add("open_path", "Open by path …", "File", "Ctrl+Shift+O", app.open_path.open)
     add("reload", "Reload frames", "File", "Ctrl+R", model.reload, on_disk)
-    add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
-    add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
-    add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.save, saving.VideoWork), savable)
+    add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.saving.start, saving.PictureWork), savable)
+    add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.saving.start, saving.LayersWork), savable)
+    add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.saving.start, saving.VideoWork), savable)
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
@@ -126,7 +126,7 @@ def register(app: Workspace) -> None:
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
     _comparing(app, add, opened)
     _finding(app, add, opened)
-    add("fly", "Fly the camera", "Camera", "G", model.toggle_flying, live, checked=lambda: model.flying,
+    add("fly", "Fly the camera", "Camera", "G", model.flights.toggle, live, checked=lambda: model.flying,
         tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)
 

@@ -137,7 +137,7 @@ def messages(app: Interface) -> None:
 
 def progress(app: Interface) -> None:
     """Draw the progress of the export that is under way, with a button to stop it."""
-    work = app.model.export
+    work = app.model.saving.work
     if work is None:
         return
     app.spot = None

@@ -119,8 +119,7 @@ class Workspace(Interface):
             self.model.open(path)
         self._dropped.clear()
         if self._dialog is not None and self._dialog.ready():
-            chosen = self._dialog.result()
-            chosen = chosen[0] if isinstance(chosen, list) and chosen else chosen
+            chosen: Any = self._dialog.result()
             self._dialog = None
             if chosen:
-                self.model.open(chosen)
+                self.model.open(chosen[0] if isinstance(chosen, list) else chosen)
