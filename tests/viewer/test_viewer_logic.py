@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import resource
-import string
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -549,28 +548,6 @@ def test_search():
     assert found("xyzzy") == [] and len(found("")) == 5 and found(" … ")[-1] == "Toggle loop"
 
 
-labels = st.lists(st.text(string.ascii_letters + " ", min_size=1).filter(str.strip), min_size=1, max_size=6)
-
-
-@cases
-@given(
-    st.lists(st.tuples(labels.map(" ".join), st.booleans()), max_size=8),
-    st.text(string.ascii_letters + " ", max_size=6),
-)
-def test_search_finds_labels_and_puts_the_enabled_first(rows, text):
-    actions = Actions()
-    for i, (label, enabled) in enumerate(rows):
-        actions.register(Action(str(i), label, "", "", print, lambda enabled=enabled: None if enabled else "not now"))
-    found = actions.search(text)
-    refused = [action.enabled() is not None for action in found]
-    assert refused == sorted(refused) and len({action.id for action in found}) == len(found)
-    letters = set(text.casefold()) - {" "}
-    assert all(letters <= set(action.label.casefold()) for action in found)
-    for action in actions:
-        assert action in actions.search(action.label)
-        assert action in actions.search(action.label.split()[0][:3])
-
-
 # -- settings --------------------------------------------------------------------------------------------------------
 
 plain = st.recursive(
@@ -682,16 +659,6 @@ def test_linked_settings_stay_linked(tmp_path):
     link.symlink_to(tmp_path / "dotfiles" / "viewer.json")
     assert Settings(theme="light").save(link) is None
     assert link.is_symlink() and Settings.load(tmp_path / "dotfiles" / "viewer.json")[0].theme == "light"
-
-
-@pytest.mark.limits
-def test_a_full_disk_keeps_the_old_settings(tmp_path):
-    path = tmp_path / "viewer.json"
-    Settings(theme="light").save(path)
-    with limited(100):
-        warning = Settings(recent=["/" + "x" * 500]).save(path)
-    assert "cannot be saved" in warning and os.listdir(tmp_path) == ["viewer.json"]
-    assert Settings.load(path) == (Settings(theme="light"), None)
 
 
 def test_recent_paths(tmp_path):

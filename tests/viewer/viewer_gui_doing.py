@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import glfw
@@ -244,55 +240,6 @@ def saving(gui: Gui):
     values["told"] = gui.told()
 
 
-_ROOM = 16 << 10  # bytes
-
-
-@contextmanager
-def full_disk(folder: Path):
-    """Be in a folder on a disk of `_ROOM`, if one may be mounted; else no file may become larger."""
-    import resource
-
-    folder.mkdir()
-    here, limits = Path.cwd(), resource.getrlimit(resource.RLIMIT_FSIZE)
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={_ROOM}", "none", str(folder)]
-    mounted = shutil.which("mount") and not subprocess.run(mount, capture_output=True).returncode
-    try:
-        os.chdir(folder)
-        if not mounted:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (_ROOM, limits[1]))
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        os.chdir(here)
-        if mounted:
-            subprocess.run(["umount", str(folder)], check=True)
-
-
-@case
-def saving_on_a_full_disk(gui: Gui):
-    """Picture, layers and video say why they are not there, leave nothing, and the viewer goes on."""
-    model, values = gui.model, gui.values
-    values["told"] = {}
-    with full_disk(gui.sequences / "full"):
-        for name, key in (("picture", KEY.s), ("layers", KEY.e), ("video", KEY.m)):
-            gui.settle()
-            model.messages = []
-            gui.key(key, CTRL)
-            gui.wait(lambda: model.saving.work is None and model.messages, f"what is told of the {name}")
-            values["told"][name] = [(message.text, message.error) for message in model.messages]
-            if name == "picture":
-                gui.shot("saving_on_a_full_disk")
-        values["left over"] = [path.name for path in Path.cwd().rglob("*")]
-        before = model.playback.slot
-        gui.key(KEY.right_arrow)
-        gui.settle()
-        values["shown then"] = model.slot - before
-    before, model.messages = set(Path.cwd().iterdir()), []
-    gui.key(KEY.s, CTRL)
-    gui.settle()
-    values["saved elsewhere"] = [path.suffix for path in _made(before)]
-
-
 @case
 def cancelling(gui: Gui):
     """A video that is cancelled leaves nothing."""
@@ -307,44 +254,6 @@ def cancelling(gui: Gui):
     gui.wait(lambda: model.saving.work is None, "the end")
     values["left over"] = [path.name for path in _made(before)]
     values["told"] = gui.told()
-
-
-@case
-def frame_rate(gui: Gui):
-    """Frames of the interface per second while 960×540 is computed, the panels with the plots in front."""
-    model, values = gui.model, gui.values
-    gui.open(gui.sequences / "large")
-    model.set_measuring(False)
-    for name in ("Compare", "Timings"):
-        gui.ctx.window_focus(f"//{name}")
-    values["open"] = [name for name in gui.app.docks.names if gui.app.docks.panel(name).is_visible]
-    window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
-    for size in ((1280, 720), (1600, 900)):
-        gui.on_screen(lambda size=size: glfw.set_window_size(window, *size))
-        gui.frames(10)
-        model.playback.mode, model.playback.speed = "every frame", 4.0
-        model.playback.play()
-        gui.frames(5)
-        frames, computed, start = 0, model.contents.changes, time.perf_counter()
-        longest = now = start
-        longest = 0.0
-        while now - start < 2.5:
-            gui.frames()
-            frames, before, now = frames + 1, now, time.perf_counter()
-            longest = max(longest, now - before)
-        name = f"{size[0]}×{size[1]}"
-        values[name] = {
-            "interface": frames / (now - start),
-            "computed": (model.contents.changes - computed) / (now - start),
-            "longest": longest,
-        }
-        model.playback.pause()
-        gui.shot(f"frame rate, {name}")
-    values["load"] = os.getloadavg()[0]
-    gui.on_screen(lambda: glfw.set_window_size(window, 1280, 720))
-    for name in ("Modules", "Inspector"):
-        gui.ctx.window_focus(f"//{name}")
-    gui.open(gui.sequences / "small")
 
 
 def leave_while_working(gui: Gui) -> None:
