@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,8 +48,9 @@ class Quantity:
 
 
 QUANTITIES = {
-    "psnr": Quantity("PSNR", "dB", -1),
-    "flip": Quantity("FLIP", "", 1, 4),
+    metric.name: Quantity(metric.label, metric.unit, -1 if metric.higher_is_better else 1, metric.digits)
+    for metric in METRICS.values()
+} | {
     "flicker": Quantity("flicker", "%", 1, 3),
     "disoccluded": Quantity("disoccluded", "%", 1),
     "kernels": Quantity("kernel time", "ms", 1),
@@ -105,9 +107,10 @@ class Measurer:
             self._before = None
             return Figures(values, surveyed=True)
         shown, true = displayed(frame, exposure)
-        for name in ("psnr", "flip"):
-            if name not in values and not METRICS[name].missing():
-                values[name] = METRICS[name].measure(shown, true)
+        for metric in measurable():
+            if metric.name not in values:
+                with suppress(Exception):  # whatever a binary package throws; `Measurements.measure` tells it
+                    values[metric.name] = metric.measure(shown, true)
         change = self._change(frame, shown, true)
         if change is not None:
             values["flicker"] = change

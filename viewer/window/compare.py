@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
 
 from gffe_cl.lab.metrics import METRICS
 from ..picture import flip_map
@@ -138,27 +137,3 @@ def _quality(model: Model) -> None:
             imgui.text_wrapped(f"B  {_beside(second.values, score.values)}")
     elif model.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")
-    if model.measuring or model.metrics:
-        _plot(model)
-
-
-def _plot(model: Model) -> None:
-    """Plot all metrics that were measured with these settings."""
-    legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value
-    if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
-        implot.setup_axes("frame", "dB", 0, implot.AxisFlags_.auto_fit.value)
-        shares = ", ".join(metric.label for metric in METRICS.values() if not metric.unit)
-        implot.setup_axis(
-            implot.ImAxis_.y2, shares, implot.AxisFlags_.aux_default.value | implot.AxisFlags_.auto_fit.value
-        )
-        implot.setup_axis_limits(implot.ImAxis_.x1, 0, max(model.playback.slots, 1), imgui.Cond_.always.value)
-        implot.setup_legend(implot.Location_.north, legend_flags)
-        for name, metric in METRICS.items():
-            known = [(slot, m.values[name]) for slot, m in sorted(model.metrics.items()) if name in m.values]
-            if known:
-                xs, ys = (np.array(values, np.float64) for values in zip(*known, strict=True))
-                implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1 if metric.unit else implot.ImAxis_.y2)
-                implot.plot_line(metric.label if metric.unit else f"{metric.label} (right)", xs, ys)
-        implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1)
-        implot.plot_inf_lines("###now", np.array([float(model.slot)]))
-        implot.end_plot()
