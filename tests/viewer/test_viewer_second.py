@@ -10,6 +10,8 @@ from viewer_session import Canvas, Session
 
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.figures import Figures
+from gffe_cl.viewer.state.studies import modules_of
 
 
 class WideCanvas(Canvas):
@@ -137,3 +139,68 @@ def test_settings_are_found_again(session):
     assert (saved["compare"], saved["b"]) == ("off", None)
     line = model.command_line(model.setup)
     assert "--no-motion" in line and replace(model.setup, n=3) != model.setup
+
+
+# ---- studies: of the shown frame ---------------------------------------------------------------------------------
+
+
+def studied(session, study):
+    """Look at a study until it is made; returns it."""
+    session.model.update(0.0, session.canvas)
+
+    def looked():
+        study.look()
+        return study.parts and not study.busy
+
+    study.look()
+    session.frame()
+    session.until(looked)
+    return study
+
+
+def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
+    model = session.model
+    model.playback.seek(3)
+    model.keep_as_b()
+    session.settle()
+    assert studied(session, model.studies.differing).first is None, "equal settings"
+    assert len(model.studies.differing.all) > 30
+    model.set("static_threshold", 20.0)
+    session.settle()
+    found = studied(session, model.studies.differing)
+    assert found.first.spec.name == "history.dynamic_mask"
+    final = next(one for one in found.all if one.spec.name == "final")
+    images = [model.contents.image("final"), None]
+    model.take_second()
+    session.settle()
+    images[1] = model.contents.image("final")
+    differs = (images[0] != images[1]).any(-1)
+    assert (final.pixels, final.of) == (differs.sum(), differs.size) and final.pixels
+    assert final.largest == np.abs(np.subtract(*images, dtype=np.float64)).max()
+
+
+def test_an_ablation_tells_what_a_module_gains(session):
+    model = session.model
+    model.playback.seek(3)
+    session.settle()
+    gains = studied(session, model.studies.ablation).found
+    assert gains.keys() == set(modules_of(model.setup)) > {"hole_filling", "motion"}
+    scores = []
+    for filling in ("far-side", "none"):
+        model.set("hole_filling", filling)
+        model.set_measuring(True)
+        session.settle()
+        session.until(lambda: "psnr" in model.metrics.get(3, Figures()).values)
+        scores.append(model.metrics[3].values["psnr"])
+    assert gains["hole_filling"]["all"] == pytest.approx(scores[0] - scores[1], abs=1e-4)
+
+
+def test_a_row_over_time_is_that_row_of_every_frame(session):
+    model = session.model
+    model.pointing.pick((3, 4))
+    session.settle()
+    rows, slots = studied(session, model.studies.over_time).picture(model.studies.here)
+    assert slots == range(6) and rows.shape == (6, tiny_sequence.W, 4)
+    model.playback.seek(3)
+    session.settle()
+    np.testing.assert_array_equal(rows[3], model.contents.image("final")[4])

@@ -126,7 +126,7 @@ def messages(app: Interface) -> None:
     imgui.push_text_wrap_pos(hello_imgui.em_size(36))
     for message in shown[-4:]:
         if message.error:
-            imgui.text_colored(widgets.RED, "error")
+            imgui.text_colored(widgets.red(), "error")
             imgui.same_line()
         imgui.text_unformatted(message.text)
     imgui.pop_text_wrap_pos()

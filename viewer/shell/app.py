@@ -13,24 +13,10 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from ..panels import (
-    compare,
-    doctor,
-    histogram,
-    inspector,
-    kernels,
-    layer_list,
-    modules,
-    picture,
-    plot,
-    regions,
-    status,
-    timeline,
-    timings,
-    windows,
-)
+from ..panels import status, windows
 from ..panels.interface import Interface
 from ..panels.palette import Palette
+from ..panels.table import PANELS
 from ..picture.canvas import Canvas
 from ..state.model import Model
 from ..state.navigation import Flight
@@ -42,20 +28,6 @@ from .window_stack import Stack
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5
-_PANELS = {
-    "Picture": (picture.draw, "MainDockSpace"),
-    "Layers": (layer_list.draw, "Left"),
-    "Histogram": (histogram.draw, "Left"),
-    "Modules": (modules.draw, "Right"),
-    "Compare": (compare.draw, "Right"),
-    "Inspector": (inspector.draw, "RightBottom"),
-    "Regions": (regions.draw, "RightBottom"),
-    "Timings": (timings.draw, "RightBottom"),
-    "Kernels": (kernels.draw, "RightBottom"),
-    "Doctor": (doctor.draw, "Right"),
-    "Plot": (plot.draw, "Above"),
-    "Timeline": (timeline.draw, "Bottom"),
-}
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
 _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
@@ -94,7 +66,7 @@ class App(Interface):
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
-        self.docks = Docks(self, _PANELS, lambda: self.scale)
+        self.docks = Docks(self, PANELS, lambda: self.scale)
         self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
         self.stack = Stack(self.palette, self.help, self.open_path)
         commands.register(self)
@@ -227,7 +199,7 @@ class App(Interface):
             self.docks.show("Inspector")
         self._told = told
         at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
-        at_work |= model.survey.busy or not model.regions.ready or model.follows
+        at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
         assert self._params is not None and self._params.fps_idling is not None  # it runs
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 

@@ -46,6 +46,7 @@ from .playback import Playback
 from .presets import Kept, KeptSettings, command_line, told
 from .saving import RecordingWork, Subject, Work
 from .settings import Settings
+from .studies import Here, Studies
 from .survey import Side, Survey
 from .timings import Timings
 from .viewport import Framing, Pointing, Screen
@@ -89,6 +90,7 @@ class Model:
         self.showing = Showing(self.store, self._show, self._fail)
         self.measured = Measurements()
         self.survey = Survey(self.store, self.measured, self.playback)
+        self.studies = Studies(self.store, self.measured.background)
         self.pointing = Pointing(self.store)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
@@ -176,7 +178,8 @@ class Model:
         self.parameters.open(source)
         self.notice, self.reload_fault, self._target = "", "", source.target
         for part in (
-            self.showing, self.ahead, self.measured, self.survey, self.walk, self.selection, self.disocclusions,
+            self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
+            self.disocclusions,
         ):  # fmt: skip
             part.forget()
         if self.export is not None:
@@ -295,15 +298,22 @@ class Model:
             wants += self.pointing.wants(awaited.a.key, self.follows)
         wants += showing.following
         result, beside = self.contents.result, not (self.flying or self.overview or self.export or self.follows)
+        kept = self.kept.b
+        idle = not (self.flying or self.export or self.playback.playing or self.follows) and not showing.is_waiting
+        a = Side(self.setup, self.recipe)
+        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
+        here = Here(
+            self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
+            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.engine.recipe,
+            self.contents.frame_info,
+        )  # fmt: skip
+        wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
             others = set() if awaited.b is None else {awaited.b.key.recipe}
             may_run = beside and showing.shows_due
             wants += self.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
-        kept = self.kept.b if self.comparison.by_settings else None
-        idle = not (self.flying or self.export or self.playback.playing or self.follows) and not showing.is_waiting
         self.survey.resets = sorted({0, *self.contents.resets})
-        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
-        wants += self.survey.update(Side(self.setup, self.recipe), b, self.source.exposure, idle)
+        wants += self.survey.update(a, b if self.comparison.by_settings else None, self.source.exposure, idle)
         return wants
 
     def _take_values(self) -> None:
