@@ -8,6 +8,10 @@ import pytest
 import tiny_sequence
 from viewer_session import Canvas, Session
 
+from gffe_cl.captures.offline.run import run_sequence
+from gffe_cl.captures.offline.source import Recorded
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.figures import Figures
@@ -204,3 +208,42 @@ def test_a_row_over_time_is_that_row_of_every_frame(session):
     model.playback.seek(3)
     session.settle()
     np.testing.assert_array_equal(rows[3], model.contents.image("final")[4])
+
+
+def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
+    model = session.model
+    model.set("motion", False)
+    session.settle()
+    source = open_sequence(tmp_path / "first")
+    device, options = open_device(), model.setup.options
+    run_sequence(Recorded(source, device), tmp_path / "out", device, options, [0.5], dump_stages=True)
+    model.take_b_from(str(tmp_path / "out"))
+    model.playback.seek(3)
+    session.settle()
+    assert model.contents.second is not None, model.messages
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
+    differing = studied(session, model.studies.differing)
+    assert not [one.spec.name for one in differing.all if one.pixels]
+    assert sum(not one.differs for one in differing.all) > 30, "those of the dump"
+    model.set("motion", True)
+    session.settle()
+    assert (session.canvas.layers["B:final"] != model.contents.image("final")).any()
+    assert studied(session, model.studies.differing).first.spec.group == "history"
+    model.take_b_from(str(tmp_path / "nothing"))
+    session.settle()
+    assert "nothing" in model.showing.fault_of_b and model.contents.second is None
+
+
+def test_b_is_other_kernels_in_a_folder(session, tmp_path):
+    model = session.model
+    model.playback.seek(3)
+    shutil.copytree(kernel_folder(), tmp_path / "edited")
+    path = tmp_path / "edited" / "holes.cl"
+    (tmp_path / "edited" / "warp.cl").write_text((kernel_folder() / "warp.cl").read_text() + "\n// another build\n")
+    model.take_b_from(str(path.parent))
+    session.settle()
+    assert model.comparison.by_settings and model.contents.second.key.recipe.kernels != model.recipe.kernels
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
+    path.unlink()
+    model.take_b_from(str(path.parent))
+    assert model.messages[-1].error and "holes.cl" in model.messages[-1].text

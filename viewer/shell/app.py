@@ -72,6 +72,7 @@ class App(Interface):
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
+        self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
         self._params: hello_imgui.RunnerParams | None = None
         self.picture_frames = PictureFrames(self)
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
@@ -227,7 +228,7 @@ class App(Interface):
             chosen = chosen[0] if isinstance(chosen, list) and chosen else chosen
             self._dialog = None
             if chosen:
-                self.model.open(chosen)
+                self._chosen(chosen)
         self.stack.draw(self)
         windows.progress(self)
         windows.messages(self)
@@ -244,9 +245,11 @@ class App(Interface):
         self.model.examine()
         self.docks.show("Doctor")
 
-    def open_dialog(self) -> None:
-        """Open the system's folder dialog if there is one, else a field for the path."""
+    def open_dialog(self, title: str = "Open a sequence", use: Callable[[str], object] | None = None) -> None:
+        """Open the system's folder dialog if there is one, else a field for the path. `use` takes the path; None: it is
+        opened."""
+        self._chosen = use or self.model.open
         if has_dialogs():
-            self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
+            self._dialog = dialogs.select_folder(title, str(Path.cwd()))
         else:
-            self.open_path.open()
+            self.open_path.open(self._chosen, title)

@@ -63,7 +63,7 @@ def register(app: App) -> None:
         return lambda: change(model.view.a, *values)
 
     add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
-    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", app.open_path.open)
+    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", lambda: app.open_path.open(model.open))
     add("reload", "Reload frames", "File", "Ctrl+R", model.reload, on_disk)
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
@@ -166,6 +166,10 @@ def _comparing(app: App, add, opened) -> None:
     def no_second():
         return None if model.kept.b is not None else "no settings are kept as B"
 
+    def no_settings():
+        reason = no_second()
+        return reason or ("B is pictures, not settings" if model.kept.b and model.kept.b.place else None)
+
     def copy(kept: Kept | None = None):
         line = printable(model.command_line(model.setup if kept is None else kept.setup(model.n)))
         imgui.set_clipboard_text(line)
@@ -173,11 +177,16 @@ def _comparing(app: App, add, opened) -> None:
 
     add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
         tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
-    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
+    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second,
+        lambda: opened() or no_settings())  # fmt: skip
+    add("b_from", "B from a folder …", "Compare", "Ctrl+K",
+        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.take_b_from),
+        lambda: opened() or ("freeze the running program first" if model.follows else None),
+        tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
     add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
-        lambda: copy(model.kept.b), lambda: opened() or no_second())  # fmt: skip
+        lambda: copy(model.kept.b), lambda: opened() or no_settings())  # fmt: skip
     add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
     for way, text, key in (
         ("split", "Split wipe", "W"),

@@ -534,6 +534,22 @@ class Model:
         self.comparison.with_settings(kept.name)
         self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
 
+    def take_b_from(self, place: str) -> None:
+        """Compare with what is stored at `place`: kernels, with the present settings, or the pictures of a sequence."""
+        folder = Path(place).expanduser().absolute()
+        try:
+            if next(folder.glob("*.cl"), None) is not None:
+                kernels = self.engine.take_kernels(folder)
+                kept = self.kept.keep(self.setup, kernels, f"{told(self.setup)}, kernels of {folder.name}")
+            else:
+                kept = self.kept.keep_stored(str(folder), self.setup.options)
+        except (GffeError, OSError) as error:
+            self.say(str(error), error=True)
+            return
+        self.comparison.with_settings(kept.name)
+        if self.view.compare == "off":
+            self.comparison.set("split")
+
     def take_second(self) -> None:
         """Go on with B's settings as A."""
         kept = self.kept.b
