@@ -90,7 +90,7 @@ class KeptSettings:
         return made
 
     def keep_stored(self, place: str, options: Options) -> Kept:
-        """Make pictures that are stored at `place` B. `options`: of A."""
+        """Make pictures that are stored at `place` B, and return it. `options`: of A."""
         made = Kept(printable(Path(place).name)[:_LONGEST], options, None, "", weights_of(options), place)
         self.all = [made, *(kept for kept in self.all if kept.name != made.name)][:_MOST]
         self.b = made

@@ -35,7 +35,7 @@ ALL = "all"  # the whole image, beside its regions
 
 @dataclass(frozen=True)
 class Here:
-    """Where a study is made.
+    """Place and settings of a study.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Study:
 
     def why_not(self, here: Here) -> str | None:
         """Return why there is no answer here; None if there is one."""
-        return None
+        raise NotImplementedError
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
         """Return the frames that each part needs, in order."""
@@ -185,7 +185,7 @@ class Studies:
 
 @dataclass(frozen=True)
 class Difference:
-    """How a layer of A differs from B's. `pixels` of `of` differ, at most by `largest` (NaN where numbers of one are
+    """Difference between a layer of A and of B. `pixels` of `of` differ, at most by `largest` (NaN where numbers of one are
     none of the other, or where there are no numbers to subtract); `remark`: why they cannot be compared, if so."""
 
     spec: LayerSpec
@@ -200,7 +200,7 @@ class Difference:
 
 
 class Differing(Study):
-    """How every layer of this frame differs between A's and B's settings, in the order of the stages."""
+    """Differences of every layer of this frame between A's and B's settings, in the order of the stages."""
 
     def why_not(self, here: Here) -> str | None:
         return "B is not other settings (K keeps them)" if here.b is None else None
@@ -273,7 +273,7 @@ def difference(spec: LayerSpec, a: Frame, b: Frame) -> Difference | None:
 
 
 class Ablation(Study):
-    """What each module gains in this frame, in dB of PSNR, over the whole image and by region of A."""
+    """Gain of each module in this frame, dB of PSNR, over the whole image and by region of A."""
 
     def why_not(self, here: Here) -> str | None:
         if here.slot % (here.a.setup.n + 1) == 0:
