@@ -11,7 +11,7 @@ from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.options import Option
 from ..engine.figures import QUANTITIES, REGIONS
-from ..state import saving
+from ..state import copying, saving
 from ..state.actions import Action
 from ..state.comparing import FORMULAS
 from ..state.model import Model
@@ -71,12 +71,19 @@ def register(app: App) -> None:
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
+    add("attach", "Attach …", "Program", "",
+        lambda: app.open_path.open(model.attach_to, "Name of a running program that has called gffe_cl.attach"),
+        tooltip="When a followed program ends, the viewer attaches again to the next one of its name")  # fmt: skip
     add("follow", "Follow the program", "Program", "L", lambda: model.freeze() if model.follows else model.follow(),
         attached, checked=lambda: model.follows,
         tooltip="On: its frames as they come. Off: its last rendered frames, frozen")  # fmt: skip
     add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
         tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
+    add("undo", "Undo a setting", "Parameters", "Ctrl+Z", model.undo.undo,
+        lambda: None if model.undo.done else "no setting was changed")  # fmt: skip
+    add("redo", "Redo a setting", "Parameters", "Ctrl+Shift+Z", model.undo.redo,
+        lambda: None if model.undo.undone else "nothing was undone")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
     add(
@@ -103,6 +110,10 @@ def register(app: App) -> None:
         repeat=True)  # fmt: skip
     add("first", "First frame", "Playback", "Home", playback("home"), opened)
     add("last", "Last frame", "Playback", "End", playback("end"), opened)
+    add("only_generated", "Only generated frames", "Playback", "Shift+G",
+        lambda: setattr(model.playback, "only_generated", not model.playback.only_generated), opened,
+        checked=lambda: model.playback.only_generated,
+        tooltip="While it plays, the generated frame before stands in for each rendered one")  # fmt: skip
     add("set_in", "Set in point", "Playback", "[", playback("set_in"), opened)
     add("set_out", "Set out point", "Playback", "]", playback("set_out"), opened)
     add("clear_points", "Clear in and out points", "Playback", "\\", playback("clear_points"), opened)
@@ -127,6 +138,7 @@ def register(app: App) -> None:
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
+    _copying(app, add, savable)
     _comparing(app, add, opened)
     _finding(app, add, opened)
     add("fly", "Fly the camera", "Camera", "G", model.toggle_flying, live, checked=lambda: model.flying,
@@ -157,6 +169,33 @@ def register(app: App) -> None:
     add("layout", "Default arrangement", "Panels", "", app.docks.reset)
 
     add("help", "Keys and help", "Help", "?", app.help.toggle, anywhere=True)
+
+
+def _copying(app: App, add, savable) -> None:
+    """Register the actions that copy to the clipboard."""
+    model = app.model
+
+    def value():
+        at = model.pointing.pinned or model.pointing.inspection
+        return "" if at is None else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+
+    def numbers():
+        image, rectangle = model.contents.image(model.view.a), model.selection.rectangle
+        if rectangle is None or image is None or image.shape[:2] != model.contents.size[::-1]:
+            return "only of layers as large as the display"
+        return copying.numbers_of(image, rectangle)
+
+    def copy(text):
+        imgui.set_clipboard_text(text)
+        model.say(f"copied: {text}" if "\n" not in text else f"copied {text.count(chr(10)) + 1} rows of numbers")
+
+    add("copy_value", "Copy the value", "Find", "Ctrl+C", lambda: copy(value()),
+        lambda: None if value() else "point at a pixel, or pick one",
+        tooltip="Frame, layer, pixel and value")  # fmt: skip
+    add("copy_layer", "Copy the layer's numbers", "Find", "Ctrl+Alt+C", lambda: copy(numbers()),
+        lambda: None if model.selection.rectangle else "drag with Shift to draw a rectangle",
+        tooltip="Of the rectangle, row by row, for a table")  # fmt: skip
+    add("copy_picture", "Copy the picture", "File", "Ctrl+Shift+C", partial(model.save, copying.CopyWork), savable)
 
 
 def _comparing(app: App, add, opened) -> None:

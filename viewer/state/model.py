@@ -6,6 +6,7 @@ import itertools
 import math
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -49,11 +50,13 @@ from .settings import Settings
 from .studies import Here, Studies
 from .survey import Side, Survey
 from .timings import Timings
+from .undo import Undo
 from .viewport import Framing, Pointing, Screen
 from .wanting import Ahead, Needed, Picture, Showing
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
+_LOOK_FOR_PROGRAM = 2.0  # seconds between looks for a program that has ended
 BUILD_LETTERS = 6  # of the identity of a build
 
 
@@ -77,6 +80,7 @@ class Model:
         self.playback = Playback(n=n)
         self.ahead = Ahead(self.store, self.playback)
         self.parameters = Parameters(options, self.playback, window)
+        self.undo = Undo(self.parameters, self.playback)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
@@ -113,6 +117,7 @@ class Model:
         self.program: RunningProgram | None = None  # that was attached to
         self.recipe = self.engine.recipe(self.setup)
         self._target = ""
+        self._awaits_program, self._looked_for_program = False, 0.0  # which was followed when it ended
         self._flights = itertools.count(1)
         self.keep_place = False
         self._closed = False
@@ -138,6 +143,28 @@ class Model:
             make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
         )
         self.engine.open_source(make)
+
+    def attach_to(self, name: str) -> None:
+        """Follow the program attached as `name`, if there is one; else tell why not."""
+        before = self.program
+        try:
+            self.attach(name.strip())
+        except GffeError as error:
+            self.say(str(error), error=True)
+            return
+        if before is not None:
+            before.close()
+
+    def _attach_again(self, now: float) -> None:
+        """Follow a program that was followed when it ended, once it runs again."""
+        ended = self.program is not None and self.program.ended
+        if self._awaits_program and ended and now - self._looked_for_program > _LOOK_FOR_PROGRAM:
+            self._looked_for_program = now
+            assert self.program is not None  # it has ended
+            with suppress(GffeError):
+                self.attach(self.program.name, self.program.frames)
+                self._awaits_program = False
+                self.say(f"attached again to '{self.program.name}'")
 
     def attach(self, name: str, frames: int = FRAMES) -> None:
         """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
@@ -176,6 +203,7 @@ class Model:
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
+        self.undo.forget()
         self.notice, self.reload_fault, self._target = "", "", source.target
         for part in (
             self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
@@ -217,6 +245,8 @@ class Model:
         if self.previewer is not None and (preview := self.previewer.take()) is not None:
             self.preview = preview
             self.screen.preview(preview)
+        self.undo.update(now)
+        self._attach_again(now)
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -230,7 +260,9 @@ class Model:
         self.contents.cuts = self.engine.cuts.get(self.recipe, frozenset())
         result = self.contents.result
         ready = result.slot if result is not None and result.setup == self.setup else None
-        due = self._due(self.playback.tick(now, ready).request)
+        if ready == self.playback.shown_for(self.playback.slot):
+            ready = self.playback.slot
+        due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
         self._take_values()
         self.showing.update(due, self._passes, self.screen.ready or result is None)
         if self.follows and self.showing.shows_due:
@@ -394,6 +426,7 @@ class Model:
         ended."""
         if self.follows and (program := self.program) is not None:
             if program.ended:
+                self._awaits_program = True
                 self.freeze()
             self.parameters.take(program.options, None)
             self.source.flight += 1

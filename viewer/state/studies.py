@@ -185,8 +185,8 @@ class Studies:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference between a layer of A and of B. `pixels` of `of` differ, at most by `largest` (NaN where numbers of one are
-    none of the other, or where there are no numbers to subtract); `remark`: why they cannot be compared, if so."""
+    """Difference between a layer of A and of B. `pixels` of `of` differ, at most by `largest` (NaN where no numbers can
+    be subtracted); `remark`: why they cannot be compared, if so."""
 
     spec: LayerSpec
     pixels: int
