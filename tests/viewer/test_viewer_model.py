@@ -623,7 +623,7 @@ def test_only_generated_frames_are_shown_while_it_plays(session):
     model.playback.only_generated = True
     model.playback.mode = "every frame"
     model.playback.play()
-    session.until(lambda: shown.append(model.contents.result.slot) or shown.count(5) and shown[-1] == 1)
+    session.until(lambda: shown.append(model.contents.result.slot) or (shown.count(5) and shown[-1] == 1))
     assert set(shown) - {0} == {1, 3, 5} and 0 not in shown[shown.index(1) :], "0 was there before it played"
     model.playback.pause()
     model.playback.seek(2)
