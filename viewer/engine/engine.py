@@ -13,11 +13,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.opencl.device import Device
 from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
 from .reloading import WATCH_SECONDS, Kernels
@@ -25,6 +27,7 @@ from .slot_maker import SlotMaker, weights_of
 from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
 from .sources.source import FrameSource
+from .sources.stored import StoredSlots
 from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
@@ -76,6 +79,8 @@ class Engine:
         self._kernels: Kernels | None = None
         self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
         self._remote: RemoteSlots | None = None  # instead of them, of an attached program
+        self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
+        self._specs: dict[str, LayerSpec] = {}  # layers of the frame that was computed last
         self._opened = 0  # sources
 
     # ---- for the interface ---------------------------------------------------------------------------------
@@ -112,6 +117,12 @@ class Engine:
         """Open a source with `make` on the thread. Then it is `source`, and nothing of the one before is made any more.
         If it fails, the old source stays."""
         self._post("source", partial(self._do_source, make))
+
+    def take_kernels(self, folder: Path) -> str:
+        """Return what `Setup.kernels` calls those in another folder. Raises GffeError if it has none."""
+        if self._kernels is None:
+            raise GffeError(f"{folder}: kernels are built when the device is open")
+        return self._kernels.take(folder)
 
     def reload_kernels(self) -> None:
         """Rebuild the kernels if their text changed."""
@@ -186,7 +197,7 @@ class Engine:
         source = make(self._need_device())
         if self.source:
             self.source.close()
-        self._makers, self._remote, self.cuts = [], None, {}
+        self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
         if isinstance(source, AttachedSource):
             self._remote = RemoteSlots(source, self._check_while_waiting)
         with self._news:
@@ -231,11 +242,20 @@ class Engine:
         source.look_closer()
 
     def _made(self, want: Want) -> Frame:
+        if want.key.recipe.setup.place:
+            return self._read(want)
         frame = (self._remote or self._maker(want)).make(want.key, want.layers)
+        self._specs = frame.specs
         known = self.cuts.get(want.key.recipe, frozenset())
         if not frame.cuts <= known:
             self.cuts[want.key.recipe] = known | frame.cuts
         return frame
+
+    def _read(self, want: Want) -> Frame:
+        assert self.source is not None
+        if self._stored is None or self._stored.place != want.key.recipe.setup.place:
+            self._stored = StoredSlots(want.key.recipe.setup.place)
+        return self._stored.make(want.key, want.layers, self.source, self._specs)
 
     def _inspected(self, want: Want):
         assert want.pixel is not None

@@ -40,8 +40,10 @@ from .opening import Opening
 from .presets import Kept, KeptSettings, command_line, told
 from .saving import RecordingWork, Saving, Subject
 from .settings import Settings
+from .studies import Here, Studies
 from .survey import Side, Survey
 from .timings import Timings
+from .undo import Undo
 from .viewport import Framing, Pointing
 from .wanting import Ahead, Needed, Picture, Showing
 
@@ -66,6 +68,7 @@ class Model(Opening):
         if start:  # else there is no device, and nothing can be opened
             self.engine.start()
         self.ahead = Ahead(self.store, self.playback)
+        self.undo = Undo(self.parameters, self.playback)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
@@ -79,6 +82,7 @@ class Model(Opening):
         self.showing = Showing(self.store, self.contents, self._fail)
         self.measured = Measurements()
         self.survey = Survey(self.store, self.measured, self.playback)
+        self.studies = Studies(self.store, self.measured.background)
         self.pointing = Pointing(self.store)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
@@ -106,9 +110,11 @@ class Model(Opening):
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
+        self.undo.forget()
         self.notice, self.reload_fault, self._target = "", "", source.target
         for part in (
-            self.showing, self.ahead, self.measured, self.survey, self.walk, self.selection, self.disocclusions,
+            self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
+            self.disocclusions,
         ):  # fmt: skip
             part.forget()
         self.saving.cancel()
@@ -140,6 +146,8 @@ class Model(Opening):
         if self.previewer is not None and (preview := self.previewer.take()) is not None:
             self.preview = preview
             self.screen.preview(preview)
+        self.undo.update(now)
+        self._attach_again(now)
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -153,7 +161,9 @@ class Model(Opening):
         self.contents.cuts = self.engine.cuts.get(self.recipe, frozenset())
         result = self.contents.result
         ready = result.slot if result is not None and result.setup == self.setup else None
-        due = self._due(self.playback.tick(now, ready).request)
+        if ready == self.playback.shown_for(self.playback.slot):
+            ready = self.playback.slot
+        due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
         self._take_values()
         if self.showing.update(due, self._passes, self.screen.ready or result is None):
             self._shown()
@@ -218,15 +228,22 @@ class Model(Opening):
             wants += self.pointing.wants(awaited.a.key, self.follows)
         wants += showing.following
         result, beside = self.contents.result, not (self.flying or self.overview or self.saving.work or self.follows)
+        kept = self.kept.b
+        idle = not (self.flying or self.saving.work or self.playback.playing or self.follows) and not showing.is_waiting
+        a = Side(self.setup, self.recipe)
+        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
+        here = Here(
+            self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
+            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.engine.recipe,
+            self.contents.frame_info,
+        )  # fmt: skip
+        wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
             others = set() if awaited.b is None else {awaited.b.key.recipe}
             may_run = beside and showing.shows_due
             wants += self.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
-        kept = self.kept.b if self.comparison.by_settings else None
-        idle = not (self.flying or self.saving.work or self.playback.playing or self.follows) and not showing.is_waiting
         self.survey.resets = sorted({0, *self.contents.resets})
-        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
-        wants += self.survey.update(Side(self.setup, self.recipe), b, self.source.exposure, idle)
+        wants += self.survey.update(a, b if self.comparison.by_settings else None, self.source.exposure, idle)
         return wants
 
     def _take_values(self) -> None:
@@ -436,6 +453,22 @@ class Model(Opening):
         kept = self.kept.keep(self.setup, self.recipe.kernels)
         self.comparison.with_settings(kept.name)
         self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
+
+    def take_b_from(self, place: str) -> None:
+        """Compare with what is stored at `place`: kernels, with the present settings, or the pictures of a sequence."""
+        folder = Path(place).expanduser().absolute()
+        try:
+            if next(folder.glob("*.cl"), None) is not None:
+                kernels = self.engine.take_kernels(folder)
+                kept = self.kept.keep(self.setup, kernels, f"{told(self.setup)}, kernels of {folder.name}")
+            else:
+                kept = self.kept.keep_stored(str(folder), self.setup.options)
+        except (GffeError, OSError) as error:
+            self.say(str(error), error=True)
+            return
+        self.comparison.with_settings(kept.name)
+        if self.view.compare == "off":
+            self.comparison.set("split")
 
     def take_second(self) -> None:
         """Go on with B's settings as A."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from ..engine.engine import Engine, open_viewer_device
 from ..engine.sources.attached import AttachedSource, FrozenSource
@@ -16,6 +18,8 @@ from ..picture.current_frame import Contents
 from .captions import Message
 from .parameters import Parameters
 from .playback import Playback
+
+_LOOK_FOR_PROGRAM = 2.0  # seconds between looks for a program that has ended
 
 
 class Opening:
@@ -51,6 +55,7 @@ class Opening:
         self.failure: str | None = None  # why the requested picture is not there
         self.notice = self.reload_fault = self._target = ""
         self.keep_place = False
+        self._awaits_program, self._looked_for_program = False, 0.0  # which was followed when it ended
         self.messages: list[Message] = []
 
     @property
@@ -68,6 +73,28 @@ class Opening:
             make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
         )
         self.engine.open_source(make)
+
+    def attach_to(self, name: str) -> None:
+        """Follow the program attached as `name`, if there is one; else tell why not."""
+        before = self.program
+        try:
+            self.attach(name.strip())
+        except GffeError as error:
+            self.say(str(error), error=True)
+            return
+        if before is not None:
+            before.close()
+
+    def _attach_again(self, now: float) -> None:
+        """Follow a program that was followed when it ended, once it runs again."""
+        ended = self.program is not None and self.program.ended
+        if self._awaits_program and ended and now - self._looked_for_program > _LOOK_FOR_PROGRAM:
+            self._looked_for_program = now
+            assert self.program is not None  # it has ended
+            with suppress(GffeError):
+                self.attach(self.program.name, self.program.frames)
+                self._awaits_program = False
+                self.say(f"attached again to '{self.program.name}'")
 
     def attach(self, name: str, frames: int = FRAMES) -> None:
         """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
@@ -113,6 +140,7 @@ class Opening:
         ended."""
         if self.follows and (program := self.program) is not None:
             if program.ended:
+                self._awaits_program = True
                 self.freeze()
             self.parameters.take(program.options, None)
             self.source.flight += 1

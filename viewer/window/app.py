@@ -147,7 +147,7 @@ class App(Workspace):
             self.docks.show("Inspector")
         self._told = told
         at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
-        at_work |= model.survey.busy or not model.regions.ready or model.follows
+        at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
         assert self._params is not None and self._params.fps_idling is not None  # it runs
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 

@@ -54,6 +54,8 @@ class Interface:
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
+        self.row_canvas: Canvas | None = None  # of the panel that shows a row over time
+        self.lists_equal = False  # layers that do not differ, among those that do
         self._current_at = -math.inf  # clock, when the picture was the requested one
 
     def stale_for(self, seconds: float) -> bool:

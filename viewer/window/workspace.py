@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,40 +12,13 @@ from imgui_bundle import hello_imgui
 from imgui_bundle import portable_file_dialogs as dialogs
 
 from ..state.model import Model
-from . import (
-    compare,
-    doctor,
-    histogram,
-    inspector,
-    kernels,
-    layer_list,
-    modules,
-    picture,
-    plot,
-    regions,
-    timeline,
-    timings,
-    windows,
-)
+from . import windows
 from .docks import Docks
 from .interface import Interface
 from .palette import Palette
+from .table import PANELS
 from .window_stack import Stack
 
-_PANELS = {
-    "Picture": (picture.draw, "MainDockSpace"),
-    "Layers": (layer_list.draw, "Left"),
-    "Histogram": (histogram.draw, "Left"),
-    "Modules": (modules.draw, "Right"),
-    "Compare": (compare.draw, "Right"),
-    "Inspector": (inspector.draw, "RightBottom"),
-    "Regions": (regions.draw, "RightBottom"),
-    "Timings": (timings.draw, "RightBottom"),
-    "Kernels": (kernels.draw, "RightBottom"),
-    "Doctor": (doctor.draw, "Right"),
-    "Plot": (plot.draw, "Above"),
-    "Timeline": (timeline.draw, "Bottom"),
-}
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
 
 
@@ -59,11 +33,12 @@ class Workspace(Interface):
 
     def __init__(self, model: Model):
         super().__init__(model)
-        self.docks = Docks(self, _PANELS, lambda: self.scale)
+        self.docks = Docks(self, PANELS, lambda: self.scale)
         self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
         self.stack = Stack(self.palette, self.help, self.open_path)
         self._dropped: list[str] = []
         self._dialog: Any = None
+        self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
         self._params: hello_imgui.RunnerParams | None = None  # while the window is open
 
     def close(self) -> None:
@@ -106,12 +81,14 @@ class Workspace(Interface):
         self.model.examine()
         self.docks.show("Doctor")
 
-    def open_dialog(self) -> None:
-        """Open the system's folder dialog if there is one, else a field for the path."""
+    def open_dialog(self, title: str = "Open a sequence", use: Callable[[str], object] | None = None) -> None:
+        """Open the system's folder dialog if there is one, else a field for the path. `use` takes the path; None: it is
+        opened."""
+        self._chosen = use or self.model.open
         if has_dialogs():
-            self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
+            self._dialog = dialogs.select_folder(title, str(Path.cwd()))
         else:
-            self.open_path.open()
+            self.open_path.open(self._chosen, title)
 
     def _open_given(self) -> None:
         """Open what was dropped, or chosen in the dialog."""
@@ -122,4 +99,4 @@ class Workspace(Interface):
             chosen: Any = self._dialog.result()
             self._dialog = None
             if chosen:
-                self.model.open(chosen[0] if isinstance(chosen, list) else chosen)
+                self._chosen(chosen[0] if isinstance(chosen, list) else chosen)
