@@ -15,9 +15,8 @@ from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.store import Playhead, Store, Want
-from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.current_frame import Contents, Picture, Showing
 from gffe_cl.viewer.state.navigation import Flight
-from gffe_cl.viewer.state.wanting import Picture, Showing
 from gffe_cl.viewer.window.timeline import runs
 
 BYTES = 1000

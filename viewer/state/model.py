@@ -22,7 +22,7 @@ from ..engine.sources.attached import resolved
 from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Want
-from ..picture.current_frame import Screen
+from ..picture.current_frame import Picture, Screen, Showing
 from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
@@ -45,7 +45,7 @@ from .survey import Side, Survey
 from .timings import Timings
 from .undo import Undo
 from .viewport import Framing, Pointing
-from .wanting import Ahead, Needed, Picture, Showing
+from .wanting import Ahead, Needed
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
