@@ -68,6 +68,8 @@ class Engine:
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
     bandwidth : float or None
         GB/s of copying, once measured.
+    wake : callable
+        Called on the thread when files that are watched have changed.
     traffic : dict
         Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
@@ -81,6 +83,7 @@ class Engine:
         self.bandwidth: float | None = None
         self.traffic: dict[str, dict[str, float]] = {}
         self.cuts: dict[Recipe, frozenset[int]] = {}
+        self.wake: Callable[[], object] = lambda: None
         self._news = self.store.news
         self._orders: dict[str, Callable[[], None]] = {}
         self._failures: deque[Failure] = deque(maxlen=16)
@@ -90,6 +93,7 @@ class Engine:
         self._problem = ""  # of opening the device
         self._kernels: Kernels | None = None
         self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
+        self._maker_at_work: SlotMaker | None = None
         self._remote: RemoteSlots | None = None  # instead of them, of an attached program
         self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
         self._specs: dict[str, LayerSpec] = {}  # layers of the frame that was computed last
@@ -148,6 +152,11 @@ class Engine:
     def count_traffic(self, want: Want) -> None:
         """Count `traffic` for a slot; reads some layers back."""
         self._post("traffic", partial(self._do_traffic, want))
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return (0, 0) if self._maker_at_work is None else self._maker_at_work.progress
 
     def poll(self) -> Failure | None:
         """Return the oldest failure of anything but slots, once."""
@@ -218,6 +227,7 @@ class Engine:
         source = make(self._need_device())
         if self.source:
             self.source.close()
+        self._maker_at_work = None
         self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
         if isinstance(source, AttachedSource):
             self._remote = RemoteSlots(source, self._check_while_waiting)
@@ -229,10 +239,12 @@ class Engine:
     def _do_watch(self) -> None:
         if self._kernels is not None and self._kernels.have_changed():
             self._do_kernels()
+            self.wake()
         if self.source is None:
             return
         before = self.source.count
         if self.source.grow():
+            self.wake()
             del self._makers[1:]  # their sources are not the one that has grown
             self.store.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
 
@@ -311,7 +323,7 @@ class Engine:
             free = [SlotMaker(self._device, own, self._kernels, self._check)]
             self._makers += free
         maker = min(free, key=lambda maker: (maker.steps_to(want.key), maker.used_at))
-        maker.check = partial(self._check, want)
+        maker.check, self._maker_at_work = partial(self._check, want), maker
         return maker
 
     def _check(self, want: Want | None = None) -> None:

@@ -48,6 +48,11 @@ class SlotMaker:
         self.key: Key | None = None
         self.used_at = 0
 
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return self._seeker.progress
+
     def holds(self, key: Key) -> bool:
         """Return whether the pipeline's buffers are those of this slot."""
         return self._seeker.shot is not None and self.key == key

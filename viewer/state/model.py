@@ -117,6 +117,7 @@ class Model:
         self.program: RunningProgram | None = None  # that was attached to
         self.recipe = self.engine.recipe(self.setup)
         self._target = ""
+        self._stopped: Picture | None = None  # by the user, while it was made
         self._awaits_program, self._looked_for_program = False, 0.0  # which was followed when it ended
         self._flights = itertools.count(1)
         self.keep_place = False
@@ -325,6 +326,8 @@ class Model:
     def _wants(self, now: float) -> list[Want]:
         """Return everything that is wanted of the engine, the most urgent first."""
         showing, awaited = self.showing, self.showing.awaited
+        if self.stopped:
+            return []
         wants = list(showing.wants)
         if awaited is not None and self.inspects and not self.showing.failed:
             wants += self.pointing.wants(awaited.a.key, self.follows)
@@ -492,10 +495,27 @@ class Model:
         result = self.contents.result
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
+    def stop_computing(self) -> None:
+        """Give up the picture that is being made, until another one is due; a second call goes on with it."""
+        self._stopped = None if self.stopped else self.showing.awaited
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the user has given up the picture that is awaited."""
+        return self._stopped is not None and self._stopped == self.showing.awaited
+
+    @property
+    def waiting_text(self) -> str:
+        """Return what the picture waits for, in words."""
+        if self.stopped:
+            return "stopped: Ctrl+. goes on"
+        done, total = self.engine.progress
+        return f"rendered frame {done + 1} of {total} …" if done + 1 < total else "computing …"
+
     @property
     def busy(self) -> bool:
         """Whether the engine works on anything that the picture waits for, or that was asked for."""
-        return self.engine.busy or self.showing.is_waiting
+        return self.engine.busy or (self.showing.is_waiting and not self.stopped)
 
     @property
     def settled(self) -> bool:
