@@ -154,6 +154,11 @@ class Engine:
         self._post("traffic", partial(self._do_traffic, want))
 
     @property
+    def nbytes(self) -> int:
+        """Bytes that pipelines and sources hold, mostly on the device."""
+        return sum(maker.nbytes for maker in tuple(self._makers))
+
+    @property
     def progress(self) -> tuple[int, int]:
         """Rendered frames that are submitted for the slot under way, and all that are needed."""
         return (0, 0) if self._maker_at_work is None else self._maker_at_work.progress
@@ -317,6 +322,8 @@ class Engine:
         assert source is not None
         above = self.store.above(want) - {want.key}
         free = [maker for maker in self._makers if maker.key not in above]
+        if not free and len(self._makers) > 1 and 0 < self.store.most < self.nbytes:
+            free = self._makers[1:]  # what its last slot was is made again, if need be
         if not free:
             assert self._device is not None and self._kernels is not None
             own = source.sibling() if self._makers else source

@@ -269,6 +269,7 @@ class Model:
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
         self._derive(canvas)
+        self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))
         self.store.want(self._wants(now))
         if self.export is not None:
             self.advance_export(canvas)
@@ -503,6 +504,13 @@ class Model:
     def stopped(self) -> bool:
         """Whether the user has given up the picture that is awaited."""
         return self._stopped is not None and self._stopped == self.showing.awaited
+
+    @property
+    def held(self) -> dict[str, int]:
+        """Bytes that are held, by where."""
+        canvas = self.screen.canvas
+        textures = getattr(canvas, "nbytes", 0)
+        return {"frames": self.store.nbytes, "pipelines": self.engine.nbytes, "textures": textures}
 
     @property
     def waiting_text(self) -> str:
