@@ -407,7 +407,7 @@ def test_channel_of_a_vector_has_a_ramp():
         ("frame.dynamic", np.uint8(1), "yes"),
         ("frame.filled_by", np.uint8(254), "254: crack closing"),
         ("frame.filled_by", np.uint8(77), "77"),
-        ("connectivity.links", np.uint8(15), "15"),
+        ("connectivity.links", np.uint8(5), "5: right, left"),
         ("holes.downsampled_inverse_depth", 0.123456, "0.1235"),
     ],
 )
@@ -427,10 +427,3 @@ def test_every_buffer_of_the_stages_has_a_display_and_texts():
                 display = fitted(spec, array, replace(default_display(spec), channel=channel), FrameInfo((64, 48)))
                 assert legend(spec, display).kind in ("none", "ramp", "wheel")
             assert value_text(spec, array[:, 0, 0] if spec.planes > 1 else array[0, 0])
-
-
-def test_links_are_told_by_direction():
-    links = LayerSpec(names.LINKS, "Links", "connectivity", "label", bits=("right", "down", "left", "up"))
-    assert [value_text(links, [value]) for value in (0, 5, 15)] == [
-        "0: none", "5: right, left", "15: right, down, left, up",
-    ]  # fmt: skip
