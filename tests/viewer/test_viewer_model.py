@@ -118,7 +118,8 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
         session.model.update(time.perf_counter(), session.canvas)
         assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
     session.until(lambda: model.slot == 1)
-    assert model.current and not model.shows_values, "they are still those of slot 3"
+    of_slot_1 = model.pointing.inspection.slot == 1  # where both came at once
+    assert model.current and model.shows_values == of_slot_1, "they are still those of slot 3"
     session.until(lambda: model.shows_values)
     model.playback.n = 3
     assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
@@ -646,3 +647,20 @@ def test_values_stay_at_the_picked_pixel_and_are_copied(session):
     )
     image = np.arange(24.0).reshape(3, 4, 2)
     assert numbers_of(image, (1, 1, 3, 3)) == "10 11\t12 13\n18 19\t20 21"
+
+
+def test_a_picture_under_way_is_stopped_and_gone_on_with(session):
+    model = session.model
+    with session.engine_waiting():
+        model.playback.seek(5)
+        session.frame()
+        model.stop_computing()
+        session.frame()
+        assert model.store.next() is None and "stopped" in model.waiting_text
+    assert not model.busy
+    session.frame()
+    assert model.slot == 0
+    model.stop_computing()
+    session.settle()
+    assert model.slot == 5
+    assert model.engine.progress[0] == model.engine.progress[1] > 0

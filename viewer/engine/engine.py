@@ -60,6 +60,8 @@ class Engine:
         All that the compiler said of that, in its lines.
     cuts : dict
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
+    wake : callable
+        Called on the thread when files that are watched have changed.
     """
 
     def __init__(self, open_the_device: Callable[[], Device] = open_viewer_device, store: Store | None = None):
@@ -69,6 +71,7 @@ class Engine:
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error, self.build_log = 0, None, ""
         self.cuts: dict[Recipe, frozenset[int]] = {}
+        self.wake: Callable[[], object] = lambda: None
         self._news = self.store.news
         self._orders: dict[str, Callable[[], None]] = {}
         self._failures: deque[Failure] = deque(maxlen=16)
@@ -78,6 +81,7 @@ class Engine:
         self._problem = ""  # of opening the device
         self._kernels: Kernels | None = None
         self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
+        self._maker_at_work: SlotMaker | None = None
         self._remote: RemoteSlots | None = None  # instead of them, of an attached program
         self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
         self._specs: dict[str, LayerSpec] = {}  # layers of the frame that was computed last
@@ -127,6 +131,16 @@ class Engine:
     def reload_kernels(self) -> None:
         """Rebuild the kernels if their text changed."""
         self._post("kernels", self._do_kernels)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that pipelines and sources hold, mostly on the device."""
+        return sum(maker.nbytes for maker in tuple(self._makers))
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return (0, 0) if self._maker_at_work is None else self._maker_at_work.progress
 
     def poll(self) -> Failure | None:
         """Return the oldest failure of anything but slots, once."""
@@ -197,6 +211,7 @@ class Engine:
         source = make(self._need_device())
         if self.source:
             self.source.close()
+        self._maker_at_work = None
         self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
         if isinstance(source, AttachedSource):
             self._remote = RemoteSlots(source, self._check_while_waiting)
@@ -208,10 +223,12 @@ class Engine:
     def _do_watch(self) -> None:
         if self._kernels is not None and self._kernels.have_changed():
             self._do_kernels()
+            self.wake()
         if self.source is None:
             return
         before = self.source.count
         if self.source.grow():
+            self.wake()
             del self._makers[1:]  # their sources are not the one that has grown
             self.store.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
 
@@ -276,13 +293,15 @@ class Engine:
         assert source is not None
         above = self.store.above(want) - {want.key}
         free = [maker for maker in self._makers if maker.key not in above]
+        if not free and len(self._makers) > 1 and 0 < self.store.most < self.nbytes:
+            free = self._makers[1:]  # what its last slot was is made again, if need be
         if not free:
             assert self._device is not None and self._kernels is not None
             own = source.sibling() if self._makers else source
             free = [SlotMaker(self._device, own, self._kernels, self._check)]
             self._makers += free
         maker = min(free, key=lambda maker: (maker.steps_to(want.key), maker.used_at))
-        maker.check = partial(self._check, want)
+        maker.check, self._maker_at_work = partial(self._check, want), maker
         return maker
 
     def _check(self, want: Want | None = None) -> None:

@@ -41,6 +41,7 @@ from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
+from gffe_cl.engine.timing import traffic
 from .invalid import Invalid, fault_at, invalid_pixels, seen_at, seen_through
 from .messages import Frame, Interrupted, Key, Recipe
 from .reloading import Kernels
@@ -56,6 +57,7 @@ class Seeker:
     def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
         self.device, self.source, self._check = device, source, check
         self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
+        self.progress = 0, 0  # rendered frames of the last `go_to` that are submitted, and all of them
         self._options: Options | None = None
         self._versions = ("", "")  # of kernels and weights
         self._ring: list[DeviceFrame] = []  # buffers for host frames: the pipeline uses two in place
@@ -105,7 +107,8 @@ class Seeker:
             frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)
             self._restart()
         notes = []
-        for m in frames:
+        for done, m in enumerate(frames):
+            self.progress = done, len(frames)
             self._check()
             try:
                 self._submit(m, last=m == k)
@@ -114,6 +117,7 @@ class Seeker:
                     raise
                 notes.append(f"rendered frame {m} is left out: {error}")
                 self._restart()
+        self.progress = len(frames), len(frames)
         if frames:
             self._presented = self._running.present()
         return notes
@@ -213,6 +217,8 @@ class SlotMaker:
         The slot that was made last.
     used_at : int
         The number of slots made so far by all makers when this one was used last.
+    nbytes : int
+        What its pipeline has on the device, and its source.
     """
 
     _used = itertools.count(1)
@@ -221,7 +227,12 @@ class SlotMaker:
         self.source, self._kernels, self.check = source, kernels, check
         self._seeker = Seeker(device, source, lambda: self.check())
         self.key: Key | None = None
-        self.used_at = 0
+        self.used_at = self.nbytes = 0
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return self._seeker.progress
 
     def holds(self, key: Key) -> bool:
         """Return whether the pipeline's buffers are those of this slot."""
@@ -273,6 +284,7 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
+        self.nbytes = sum(traffic.memory(pipeline).values()) + source.nbytes
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3

@@ -99,6 +99,7 @@ class Model(Opening):
         self._inspection_fault = ""
         self.timings = Timings()
         self.recipe = self.engine.recipe(self.setup)
+        self._stopped: Picture | None = None  # by the user, while it was made
         self._closed = False
         self.playback.restore(settings.playback)
         self.parameters.restore(settings.options)
@@ -170,6 +171,7 @@ class Model(Opening):
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
         self._derive(canvas)
+        self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))
         self.store.want(self._wants(now))
         self.saving.advance(canvas)
 
@@ -223,6 +225,8 @@ class Model(Opening):
     def _wants(self, now: float) -> list[Want]:
         """Return everything that is wanted of the engine, the most urgent first."""
         showing, awaited = self.showing, self.showing.awaited
+        if self.stopped:
+            return []
         wants = list(showing.wants)
         if awaited is not None and self.inspects and not self.showing.failed:
             wants += self.pointing.wants(awaited.a.key, self.follows)
@@ -379,10 +383,34 @@ class Model(Opening):
         result = self.contents.result
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
+    def stop_computing(self) -> None:
+        """Give up the picture that is being made, until another one is due; a second call goes on with it."""
+        self._stopped = None if self.stopped else self.showing.awaited
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the user has given up the picture that is awaited."""
+        return self._stopped is not None and self._stopped == self.showing.awaited
+
+    @property
+    def held(self) -> dict[str, int]:
+        """Bytes that are held, by where."""
+        canvas = self.screen.canvas
+        textures = getattr(canvas, "nbytes", 0)
+        return {"frames": self.store.nbytes, "pipelines": self.engine.nbytes, "textures": textures}
+
+    @property
+    def waiting_text(self) -> str:
+        """Return what the picture waits for, in words."""
+        if self.stopped:
+            return "stopped: Ctrl+. goes on"
+        done, total = self.engine.progress
+        return f"rendered frame {done + 1} of {total} …" if done + 1 < total else "computing …"
+
     @property
     def busy(self) -> bool:
         """Whether the engine works on anything that the picture waits for, or that was asked for."""
-        return self.engine.busy or self.showing.is_waiting
+        return self.engine.busy or (self.showing.is_waiting and not self.stopped)
 
     @property
     def settled(self) -> bool:

@@ -20,6 +20,7 @@ from .workspace import Workspace
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5
+_IDLE_RATE = 0.7  # frames of the interface per second in which nothing changes, or less
 _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
 
@@ -51,6 +52,7 @@ class App(Workspace):
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
+        self.may_idle = True  # where nothing happens, frames are drawn seldom
         commands.register(self)
         self.picture_frames = PictureFrames(self)
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
@@ -63,7 +65,8 @@ class App(Workspace):
         ImGui's test engine."""
         params = hello_imgui.RunnerParams()
         size = _within_screen(size or self.model.settings.window_size)
-        self._params = params
+        self._params, self.may_idle = params, test is None
+        params.fps_idling.fps_idle = _IDLE_RATE
         params.app_window_params.window_title = _TITLE
         params.app_window_params.window_geometry.size = size
         params.app_window_params.restore_previous_geometry = False
@@ -121,6 +124,7 @@ class App(Workspace):
         window: Any = glfw_utils.glfw_window_hello_imgui()
         dropped: Any = lambda _window, paths: self.drop(paths)  # noqa: E731
         glfw.set_drop_callback(window, dropped)
+        self.model.engine.wake = glfw.post_empty_event
         implot.get_style().use_local_time = False
         implot.get_style().plot_min_size = ImVec2(40, 40)  # pixels: narrow panels show whole plots
 
@@ -149,12 +153,13 @@ class App(Workspace):
         at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
         at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
         assert self._params is not None and self._params.fps_idling is not None  # it runs
-        self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
+        self._params.fps_idling.enable_idling = self.may_idle and not at_work
 
     def _before_exit(self) -> None:
         import glfw
         from imgui_bundle import glfw_utils
 
+        self.model.engine.wake = lambda: None
         self.model.settings.panels = self.docks.remembered
         window: Any = glfw_utils.glfw_window_hello_imgui()
         width, height = (round(side / content_scale()) for side in glfw.get_window_size(window))

@@ -107,6 +107,9 @@ def register(app: Workspace) -> None:
         repeat=True)  # fmt: skip
     add("first", "First frame", "Playback", "Home", playback("home"), opened)
     add("last", "Last frame", "Playback", "End", playback("end"), opened)
+    add("stop", "Stop computing", "Playback", "Ctrl+.", model.stop_computing,
+        lambda: opened() or (None if model.stopped or model.showing.is_waiting else "nothing is being computed"),
+        tooltip="Gives the picture up that is being made; again: goes on")  # fmt: skip
     add("only_generated", "Only generated frames", "Playback", "Shift+G",
         lambda: setattr(model.playback, "only_generated", not model.playback.only_generated), opened,
         checked=lambda: model.playback.only_generated,
