@@ -215,7 +215,7 @@ class VideoWork(Work):
 
 
 class Saving:
-    """What is being saved of `subject`: one `work` at a time, None without one. `say` is given its outcome."""
+    """Saves `subject`, one `work` at a time, which is None when there is none. `say` is given its outcome."""
 
     def __init__(self, subject: Subject, say: Callable[[str, bool], None]):
         self.subject, self._say = subject, say

@@ -1,4 +1,4 @@
-"""What is in the window: panels, the palette, and windows over them; and what actions do with these."""
+"""Contents of the window: panels, the palette, and windows over them; and what actions do with these."""
 
 from __future__ import annotations
 
