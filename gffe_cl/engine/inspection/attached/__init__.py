@@ -1,1 +1,1 @@
-"""Attached programs: the side of the program, the side of the viewer, and their messages."""
+"""Attached programs: their own side, and the messages between them and a viewer."""
