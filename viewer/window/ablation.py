@@ -9,12 +9,12 @@ from imgui_bundle import hello_imgui, imgui
 from gffe_cl.engine.options import OPTIONS
 from ..engine.figures import REGIONS
 from ..engine.messages import Failure
-from ..state.captions import region_colors
 from ..state.model import Model
 from ..state.studies import ALL, without
 from . import widgets
 from .interface import Interface
 
+_SHORT = {"out of screen": "out", "disoccluded": "hole", "silhouettes": "edge", "dynamic": "mover"}  # headings
 _LEAST = 0.005  # dB: less is written as nothing
 
 
@@ -50,9 +50,7 @@ def _table(model: Model) -> None:
     imgui.table_next_row()
     for title in ("", ALL, *regions):
         imgui.table_next_column()
-        if title in REGIONS:
-            widgets.swatch(f"ablation {title}", region_colors()[title], 0.8)
-        imgui.text_disabled(title[:4] if title in REGIONS else title)
+        imgui.text_disabled(_SHORT.get(title, title))
         widgets.tooltip(f"{title}: {REGIONS[title]}" if title in REGIONS else "")
     for name, gains in found:
         imgui.table_next_row()

@@ -77,10 +77,6 @@ def register(app: Workspace) -> None:
     add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
         tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
-    add("undo", "Undo a setting", "Parameters", "Ctrl+Z", model.undo.undo,
-        lambda: None if model.undo.done else "no setting was changed")  # fmt: skip
-    add("redo", "Redo a setting", "Parameters", "Ctrl+Shift+Z", model.undo.redo,
-        lambda: None if model.undo.undone else "nothing was undone")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
     add(
@@ -147,6 +143,10 @@ def register(app: Workspace) -> None:
 
     for name, option in ALL.items():
         _register_parameter(app, name, option)
+    add("undo", "Undo a setting", "Parameters", "Ctrl+Z", model.undo.undo,
+        lambda: None if model.undo.done else "no setting was changed")  # fmt: skip
+    add("redo", "Redo a setting", "Parameters", "Ctrl+Shift+Z", model.undo.redo,
+        lambda: None if model.undo.undone else "nothing was undone")  # fmt: skip
 
     add("reload_kernels", "Reload kernels", "Tools", "F5", model.engine.reload_kernels)
     add("palette", "Command palette", "Tools", "Ctrl+P", app.palette.open)
@@ -189,10 +189,10 @@ def _copying(app: Workspace, add, savable) -> None:
         imgui.set_clipboard_text(text)
         model.say(f"copied: {text}" if "\n" not in text else f"copied {text.count(chr(10)) + 1} rows of numbers")
 
-    add("copy_value", "Copy the value", "Find", "Ctrl+C", lambda: copy(value()),
+    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: copy(value()),
         lambda: None if value() else "point at a pixel, or pick one",
         tooltip="Frame, layer, pixel and value")  # fmt: skip
-    add("copy_layer", "Copy the layer's numbers", "Find", "Ctrl+Alt+C", lambda: copy(numbers()),
+    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()),
         lambda: None if model.selection.rectangle else "drag with Shift to draw a rectangle",
         tooltip="Of the rectangle, row by row, for a table")  # fmt: skip
     add(

@@ -34,8 +34,14 @@ def floating() -> None:
 
 
 def tooltip(text: str) -> None:
-    """Show a tooltip for the last item, disabled or not."""
+    """Show a tooltip for the last item, disabled or not, on that side of it where the window has more room: it covers
+    no item below."""
     if text and imgui.is_item_hovered(_DISABLED_TOO):
+        first, last, view = imgui.get_item_rect_min(), imgui.get_item_rect_max(), imgui.get_main_viewport()
+        left, gap = first.x + last.x > 2 * view.get_center().x, hello_imgui.em_size(0.8)
+        if first.y < view.pos.y + view.size.y - 6 * gap:  # not of the status bar, which has room above it only
+            at = (first.x - gap if left else last.x + gap, first.y)
+            imgui.set_next_window_pos(at, imgui.Cond_.always.value, (1.0 if left else 0.0, 0.0))
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(hello_imgui.em_size(28))
         imgui.text_unformatted(text)
