@@ -399,7 +399,7 @@ def test_appearance(values):
     assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
     assert not values["layers when hidden"] and values["kernels stay closed"]
     assert values["default arrangement"]["width"] == pytest.approx(first, abs=8)
-    assert values["default arrangement"]["closed"] == ["Doctor", "Plot"]
+    assert values["default arrangement"]["closed"] == ["Doctor", "Differences", "Ablation", "Plot", "Over time"]
 
 
 def test_resizing(values):
@@ -443,7 +443,9 @@ def test_restart(values):
     assert values["options"] == [False, 1.5, True]
     assert values["playback"] == {"mode": "every frame", "speed": 0.5, "loop": False}
     assert values["compare"] == ["split", "frame.motion", 0.25]
-    assert [name for name, shown in values["panels"].items() if not shown] == ["Timings", "Doctor", "Plot"]
+    assert [name for name, shown in values["panels"].items() if not shown] == [
+        *("Timings", "Doctor", "Differences", "Ablation", "Plot", "Over time")
+    ]
     assert values["window"] == [1100, 700]
 
 

@@ -270,7 +270,7 @@ def leave_while_working(gui: Gui) -> None:
     gui.choose("//Timeline/###mode", "every frame")
     gui.choose("//Timeline/###speed", "0.5×")
     gui.click("//Timeline/loop")
-    model.view.b = "frame.motion"
+    model.comparison.with_layer("frame.motion")
     gui.key(KEY.w)
     model.view.split = 0.25
     app.docks.toggle("Timings")
