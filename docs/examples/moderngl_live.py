@@ -105,7 +105,9 @@ class Window:
         return glfw.get_framebuffer_size(self.window)
 
     def is_there(self):
-        return min(glfw.get_framebuffer_size(self.window)) > 0 and not glfw.get_window_attrib(self.window, glfw.ICONIFIED)
+        return min(glfw.get_framebuffer_size(self.window)) > 0 and not glfw.get_window_attrib(
+            self.window, glfw.ICONIFIED
+        )
 
     def make(self, pipeline, plan, size):
         if glfw.get_key(self.window, glfw.KEY_SPACE):
