@@ -52,7 +52,7 @@ def test_what_happens_to_programs_is_survived(device):
 
 def test_a_display_thread_that_is_too_slow_still_shows(device):
     """Frames come quicker than they can be taken: the renderer goes on, and its vectors lead to the last one taken."""
-    found, shown = two_threads.simulate(two_threads.Events(2, taking=0.04), device=device)
+    found, _ = two_threads.simulate(two_threads.Events(2, taking=0.04), device=device)
     assert found["shown"] > 15 and found["lost"] > 10 and found["age"] < 250
 
 
