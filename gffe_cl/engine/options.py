@@ -157,7 +157,7 @@ class Options:
     """
 
     def __new__(cls, *_: Any, **values: Any) -> Options:
-        """Refuse `preset`, which is no option."""
+        """Return options. Raises GffeError for `preset`, which is none of them."""
         if "preset" in values:
             raise GffeError(f"options: preset is no option (expected Options.preset({values['preset']!r}))")
         return super().__new__(cls)

@@ -38,7 +38,7 @@ class Choice:
 
     @property
     def sentence(self) -> str:
-        """Which options were chosen, and why."""
+        """The name of the options, their time, and why no better ones were chosen."""
         *others, (name, last) = self.milliseconds.items()
         better = "".join(f"; {name} takes {taken:.2f} ms" for name, taken in reversed(others))
         relation = "fits into" if self.fits else "takes the least, but does not fit into"
