@@ -182,7 +182,7 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
                                  .zoom = frame->zoom};
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
-    if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
+    if (bx >= source_blocks || by >= block_rows(source_height)) return;
     if (frame->stays && last_stir[by * source_blocks + bx] != frame->number) {
         smooth[by * source_blocks + bx] = RESTING;
         reach[by * source_blocks + bx] = (short4)(bx, by, bx, by);
