@@ -11,15 +11,18 @@
     INLINE F encode(const F c, const float offset) {                                                                   \
         const F size = fabs(c), root = roots(size);                                                                    \
         const float white_root = 2.0f * offset, below = (KNEE - 1.0f) * white_root * white_root;                       \
-        const F dark = 0.5f * size + offset * root, bright = KNEE * white_root * roots(white_root * root) - below;     \
-        return offset > 0.0f ? copysign(root > white_root ? bright : dark, c) : c;                                     \
+        F code = 0.5f * size + offset * root;                                                                          \
+        if (any(root > white_root))                                                                                    \
+            code = root > white_root ? KNEE * white_root * roots(white_root * root) - below : code;                    \
+        return offset > 0.0f ? copysign(code, c) : c;                                                                  \
     }                                                                                                                  \
     INLINE F decode(const F code, const float offset) {                                                                \
         const F size = fabs(code);                                                                                     \
         const float white_root = 2.0f * offset, white = white_root * white_root;                                       \
-        const F dark = roots(2.0f * size + offset * offset) - offset, sum = size + (KNEE - 1.0f) * white;              \
-        const F bright = sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root);                                 \
-        const F root = size > white ? bright : dark;                                                                   \
+        const F sum = size + (KNEE - 1.0f) * white;                                                                    \
+        F root = roots(2.0f * size + offset * offset) - offset;                                                        \
+        if (any(size > white))                                                                                         \
+            root = size > white ? sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root) : root;                 \
         return offset > 0.0f ? copysign(root * root, code) : code;                                                     \
     }
 
