@@ -30,7 +30,7 @@ DEFINE_ROOT(float3, roots)
 DEFINE_COLOR_CODE(float3, roots, encode_color, decode_color)
 
 /* The code of pixel i of the codes that are stored (color_code.cl), which are finite. */
-INLINE float3 stored_code(__global const half *codes, const int i) { return vload_half4(i, codes).xyz; }
+INLINE float3 stored_code(__global const half *codes, const int i) { return load_texel(i, codes).xyz; }
 
 /* The code of a pixel of an image in linear light. */
 INLINE float3 load_code(__global const half *color, const int i, const float offset) {

@@ -22,7 +22,7 @@ __kernel void leave_out_fixed(__constant Frame *restrict frame, __global const f
 
 /* A texel of a layer; NaN is transparent. */
 INLINE float4 load_layer(__global const half *layer, const int i) {
-    const float4 c = vload_half4(i, layer);
+    const float4 c = load_texel(i, layer);
     return (float4)(load_color(layer, i), isnan(c.w) ? 0.0f : clamp(c.w, 0.0f, 1.0f));
 }
 

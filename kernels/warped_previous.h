@@ -159,7 +159,7 @@ INLINE int3 of_surface(__global const float *depth, const int tap, const float n
 
 /* Colors between three texels of a row from index `tap` on: of the left and of the right pixel. */
 INLINE float8 between_texels(__global const half *color, const int tap, const float u) {
-    const float8 left = vload_half8(0, color + 4 * tap), right = vload_half8(0, color + 4 * (tap + 1));
+    const float8 left = load_two_texels(tap, color), right = load_two_texels(tap + 1, color);
     return left + u * (right - left);
 }
 
@@ -168,7 +168,7 @@ INLINE float8 between_some(__global const half *color, const int tap, const floa
     const float3 is = same ? (float3)(1.0f) : (float3)(0.0f);
     const float8 left = (1.0f - u) * (float8)(is.xxxx, is.yyyy), right = u * (float8)(is.yyyy, is.zzzz);
     *weight = left + right;
-    return left * vload_half8(0, color + 4 * tap) + right * vload_half8(0, color + 4 * (tap + 1));
+    return left * load_two_texels(tap, color) + right * load_two_texels(tap + 1, color);
 }
 
 /* I^w of a row of a quad, between rows of texels; where they hardly show its surface the GAE colors from `dst` on. */
@@ -178,5 +178,5 @@ INLINE float8 mean_of_some(const Frames *f, const int dst, const float v, const 
     const int8 shown = weight >= LEAST_WEIGHT;
     const float8 mean = sum / (shown ? weight : (float8)(1.0f));
     if (all(shown)) return mean;
-    return shown ? mean : vload_half8(0, f->color + 4 * dst);
+    return shown ? mean : load_two_texels(dst, f->color);
 }
