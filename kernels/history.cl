@@ -394,12 +394,14 @@ INLINE void find_history(const int src_x, const int src_y, __constant Frame *fra
         int nearest = 0;
         /* At the depth of a static or sideways moving point; else at its own, as of objects that travel with the
            camera. */
-        float z_prev = px_static.z > 0.0f ? depth_met(px_prev, px_static.z, tolerance, source_width,
-                                                      frame->source_height, f.depth_prev, &nearest)
-                                          : -1.0f;
-        if (frame->camera_fixed && !(z_prev > 0.0f))
-            z_prev =
-                depth_met(px_prev, z, DEPTH_TOLERANCE * z, source_width, frame->source_height, f.depth_prev, &nearest);
+        float z_prev = -1.0f;
+#pragma unroll 1
+        for (int own = 0; own <= frame->camera_fixed && !(z_prev > 0.0f); ++own) {
+            const float expected = own ? z : px_static.z;
+            if (expected > 0.0f)
+                z_prev = depth_met(px_prev, expected, own ? DEPTH_TOLERANCE * z : tolerance, source_width,
+                                   frame->source_height, f.depth_prev, &nearest);
+        }
         if (z_prev > 0.0f) f.met_depth[src] = z_prev;
         if (z_prev > 0.0f && positions > 2) {
             const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
@@ -478,12 +480,15 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
     Ints moves = 0, may_stay = 0, stirs = 0;
+    Floats z = 0.0f, mv_x = 0.0f, mv_y = 0.0f;
+    if (has_previous) { /* before colors are encoded, so that GPUs need not wait for both */
+        z = load_some_floats(count, depth + src);
+        mv_x = load_some_xy(count, motion + src, &mv_y);
+    }
     if (frame->coded) encode_run(count, src, frame->code_offset, color, codes);
     if (has_previous) {
         const Floats px_x = row_centers(src_x);
         const float px_y = (float)src_y + 0.5f;
-        Floats mv_y;
-        const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
         stirs = !(z > 0.0f);
         if (frame->rests) {
             const Floats z_prev = load_some_floats(count, depth_prev + src);
