@@ -8,7 +8,7 @@
 
 #include "frame.h"
 
-#define APPROACHES 3  /* of the effects' position to where they come from */
+#define EFFECT_APPROACHES 3  /* of the effects' position to where they come from */
 
 /* Depth without overlays that stay in place: no stage splats, collects or meets them. */
 __kernel void leave_out_fixed(__constant Frame *restrict frame, __global const float *depth,
@@ -44,7 +44,7 @@ INLINE float3 over(const float4 layer, const float3 picture) { return layer.xyz 
 INLINE float2 effects_origin(const float2 px, const float alpha, __global const float2 *motion, const int width,
                              const int height) {
     float2 origin = px;
-    for (int k = 0; k < APPROACHES; ++k) {
+    for (int k = 0; k < EFFECT_APPROACHES; ++k) {
         const float2 place = floor(origin);
         if (!holds(width, height, place)) break;
         const float2 moved = alpha * motion[(int)place.y * width + (int)place.x];

@@ -13,7 +13,7 @@
 #define LARGE_STEP 0.032f /* ... and a depth step above this and, next to a small one, above SURFACE_CURVATURE */
 
 #define GROW 2 /* px around dynamic or nearer fragments where colors may be mixed with theirs */
-#define NEARER 0.9f
+#define MIXES_IN 0.9f
 
 #define REACH 2 /* px around a pixel that are looked at: GROW, and 2 for links */
 #define GROUP 128 /* work-items of a work-group */
@@ -225,7 +225,7 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     Floats nearest;
     const bool still = look_around(p, &nearest);
     const Ints settled = (z > 0.0f) & (still ? ALL_LANES : nothing_moves(p));
-    const Ints clean = settled & !(nearest < z * NEARER);
+    const Ints clean = settled & !(nearest < z * MIXES_IN);
     Ints linked = links_by_depth(p);
     if (!still) linked &= links_by_motion(p);
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);

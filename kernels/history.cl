@@ -6,6 +6,7 @@
 #include "blocks.h"
 #include "encode.h"
 #include "scene_cuts.h"
+#include "thresholds.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
@@ -13,7 +14,7 @@
 #define THRESHOLD_HIGH 4.0f
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
-#define GROUP 64                 /* work-items per work-group that counts: a row of SAMPLES_X samples */
+#define COUNT_GROUP 64                 /* work-items per work-group that counts: a row of SAMPLES_X samples */
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 #define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
@@ -31,7 +32,6 @@
 #define STIR_REACH 2 /* px: as far as kernels that skip blocks look around a pixel */
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
-#define DEPTH_PER_MOTION 2.0f /* ... and the addition per unit of its sideways motion */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
 /* DEPTH_CHANGE_MOST: relative change within an interval of a surface that fills the neighborhood of x' */
@@ -171,7 +171,7 @@ INLINE Floats beyond(const Floats residual, const Floats mv, const float times, 
 
 /* The groups that count in rows of sampled pixels. */
 INLINE int counting_groups(const int width, const int height) {
-    const int samples_x = RESIDUAL_STRIDE * LANES * GROUP, samples_y = RESIDUAL_STRIDE * RESIDUAL_ROWS;
+    const int samples_x = RESIDUAL_STRIDE * LANES * COUNT_GROUP, samples_y = RESIDUAL_STRIDE * RESIDUAL_ROWS;
     return ((width + samples_x - 1) / samples_x) * ((height + samples_y - 1) / samples_y);
 }
 
@@ -185,7 +185,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     if (item == 0) *is_last = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
 #pragma unroll 1
-    for (int b = item; b < count; b += GROUP)
+    for (int b = item; b < count; b += COUNT_GROUP)
         if (counts[b]) before |= atomic_add(pending + b, counts[b]);
     if (before < 0) *is_last = 1;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -193,7 +193,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     barrier(CLK_LOCAL_MEM_FENCE);
     if (!*is_last) return false;
 #pragma unroll 1
-    for (int b = item; b < count; b += GROUP) counts[b] = atomic_xchg(pending + b, 0);
+    for (int b = item; b < count; b += COUNT_GROUP) counts[b] = atomic_xchg(pending + b, 0);
     if (item == 0) atomic_xchg(pending + ARRIVED, 0);
     barrier(CLK_LOCAL_MEM_FENCE);
     return true;
@@ -204,7 +204,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
    The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
    distance, and, of every fourth of their pixels, of the steps of motion over that distance. From them the last
    work-group finds the threshold, and the steps of quantized motion. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
 measure_samples(const Frame given, __global Frame *frame, __global const half *color, __global const float *depth,
                 __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
                 __global int *cut_counts, __global int *pending, __global int *histogram,
@@ -217,7 +217,7 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
         return;
     }
     if (row < 0 ? !given.detects || get_group_id(0) > 0 : !given.automatic) return;
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (row < 0) {
         count_sample(item, row + SAMPLES_Y, width, height, given.camera_step, given.to_previous, color, depth, motion,
@@ -244,7 +244,7 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
     }
     if (!add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, counting_groups(width, height), &is_last, pending)) return;
 #pragma unroll 1
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
+    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) histogram[b] = counts[b];
     if (item) return;
     const float found = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
     *threshold_squared = found;
@@ -270,7 +270,7 @@ INLINE float excess_threshold_squared(__local const int *histogram) {
 /* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that
    brings more than a fortieth of the pixels within the errors. From histograms of the squared excess of residuals over
    errors of quantization, of one and of two vectors, by the last work-group. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
 refine_threshold(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
                  __global const float *motion_steps, __global int *pending, __global float *threshold_squared,
                  __global float *quantization_error) {
@@ -283,7 +283,7 @@ refine_threshold(__constant Frame *restrict frame, __global const float *depth, 
         if (first == 0 && get_global_id(0) < STEP_CLASSES) quantization_error[get_global_id(0)] = 0.0f;
         return;
     }
-    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, mv_x, mv_y;

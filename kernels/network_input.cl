@@ -9,7 +9,7 @@
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768       /* SCANNERS * SCANNED */
 #define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
-#define STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
+#define COUNTED_STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
 #define READ_AT_ONCE 4    /* counted rows that are read before any is counted */
 #define COUNTERS 128      /* work-items of a group of depth_histogram ... */
 #define NEAR_BINS 1024    /* ... which counts so many bins, eight powers of two around the last median, by itself */
@@ -60,8 +60,8 @@ WIDE __kernel __attribute__((reqd_work_group_size(COUNTERS, 1, 1))) void
 depth_histogram(__constant Frame *restrict frame, __global const float *depth, __global const float *median_depth,
                 __global uint *histogram) {
     const int target_width = frame->target_width, target_height = frame->target_height, item = get_local_id(0);
-    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
-    const int rows = dst_x < target_width ? min(STRIP, target_height - first) : 0;
+    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * COUNTED_STRIP, count = target_width - dst_x;
+    const int rows = dst_x < target_width ? min(COUNTED_STRIP, target_height - first) : 0;
     __local uint near[NEAR_BINS];
     const Counts counts = {(as_int(*median_depth) >> BIN_BITS) - NEAR_BINS / 2, near, histogram};
     for (int b = item; b < NEAR_BINS; b += COUNTERS) near[b] = 0;

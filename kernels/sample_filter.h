@@ -1,11 +1,11 @@
 /* Weighted sums of the 3x3 rendered samples around pixels of the display (upscaling.cl). */
 
-#define REACH 1.2f            /* display pixels: from where on a sample does not count */
+#define FILTER_REACH 1.2f            /* display pixels: from where on a sample does not count */
 
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
 INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     for (int k = 0; k < 3; ++k) {
-        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH),
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / FILTER_REACH),
                      left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left * left;
     }

@@ -3,10 +3,8 @@
 
 #include "common.h"
 #include "simd_rgb.h"
+#include "thresholds.h"
 
-/* SAME_SURFACE: relative depth within which the surface met in the previous frame is the fragment's ... */
-#define SAME_SURFACE 0.03f
-#define DEPTH_PER_MOTION 2.0f /* ... and an addition per unit of its sideways motion, as in history tracking */
 #define LEAST_WEIGHT 0.25f /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f

@@ -45,7 +45,7 @@ class NetworkInput(Stage):
                 "histogram": "network_input.histogram",
             },
             {"histogram": "network_input.histogram"},
-            step=("LANES", "STRIP"),
+            step=("LANES", "COUNTED_STRIP"),
             group="COUNTERS",
         ),
         Kernel(
