@@ -14,6 +14,8 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
+/* What set the thresholds: docs/deviations.md, "Fragments must be deeper by a margin (case 2)", "Background texels
+   cover what they map to". */
 #define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to a REMEMBERED fragment, not to a SHOWN one */
 #define SAME_LEVEL 0.02f   /* relative depth within which two fragments may be of the same surface */
 
@@ -485,12 +487,13 @@ SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const i
         const float z_source = levels_depth[texel];
         const float2 px = px_of(texels, texel, in_level % width, in_level / width, false);
         const float3 there = reproject(px, z_source, frame->to_target);
-        if (!(there.z > 0.0f && there.x > -TEXEL_REACH && there.y > -TEXEL_REACH && there.x < (float)target_width + TEXEL_REACH
-              && there.y < (float)target_height + TEXEL_REACH))
+        if (!(there.z > 0.0f && there.x > -TEXEL_REACH && there.y > -TEXEL_REACH
+              && there.x < (float)target_width + TEXEL_REACH && there.y < (float)target_height + TEXEL_REACH))
             continue;
         const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
         const float side = TEXEL_HALF * (float)(1 << level) * nearer;
-        const float half_x = fmin(fmax(side * zoom.x, 0.5f), TEXEL_REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), TEXEL_REACH);
+        const float half_x = fmin(fmax(side * zoom.x, 0.5f), TEXEL_REACH),
+                    half_y = fmin(fmax(side * zoom.y, 0.5f), TEXEL_REACH);
         offer_to_pixels(max((int)ceil(there.x - half_x - 0.5f), 0), max((int)ceil(there.y - half_y - 0.5f), 0),
                         min((int)floor(there.x + half_x - 0.5f), target_width - 1),
                         min((int)floor(there.y + half_y - 0.5f), target_height - 1), there.z, (uint)texel, to);

@@ -11,6 +11,7 @@
 #include "blocks.h"
 #include "nearest.h"
 
+/* What set the thresholds: docs/deviations.md, "Blocks where nothing moves apart are warped backward". */
 #define FAR_OFF 0x3FFFFFFF        /* more than any block's coordinate */
 #define MARGIN 2                  /* px around a block that must be linear, too: the taps of cubic resampling */
 #define COLUMNS_MOST 3            /* of source blocks that reach a target block which is warped backward */

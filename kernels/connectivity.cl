@@ -7,6 +7,8 @@
 #include "nearest.h"
 #include "blocks.h"
 
+/* What set the thresholds: docs/deviations.md, "Fragments cover what their pixel maps to", "Nothing is collected
+   beside movers and nearer surfaces". */
 #define SURFACE_STEP 0.02f /* relative step of inverse depth between neighbors of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
 #define SMALL_STEP 0.0199f /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */

@@ -8,6 +8,8 @@
 #include "sampling.h"
 #include "simd_rgb.h"
 
+/* What set the thresholds: docs/deviations.md, "The mask minimizes the error of the final frame", "Flickering light is
+   left alone". */
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 #define FLOW_UNIT 4.0f       /* pixels of a quarter of the resolution, of the network's own flow */
 #define DETAIL 4             /* channels at half resolution, of which the network gives four pixels each */
@@ -108,8 +110,8 @@ INLINE Floats load_detail(__global const float *planes, const int plane, const i
 #endif
 }
 
-/* The difference between `now`, moved from a place along the flow, and the color here, within CHANGE_MARGIN times the change
-   from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
+/* The difference between `now`, moved from a place along the flow, and the color here, within CHANGE_MARGIN times the
+   change from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
    stays. */
 INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
                           const Floats before, const SampleRuns *along) {

@@ -19,6 +19,8 @@
 #include "lists.h"
 #include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Hidden parts of movers", "Parts that the frame before showed
+   reappear". */
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
 /* NEARER: times the depth of a mover: its parts are looked for behind static pixels nearer than that */

@@ -8,6 +8,8 @@
 #include "scene_cuts.h"
 #include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Quantized motion is measured", "The surface met at x' is checked",
+   "Camera-fixed objects stay in place in view space". */
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
 #define THRESHOLD_LOW 0.25f      /* px: the least and the greatest threshold that is found */

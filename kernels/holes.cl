@@ -7,6 +7,8 @@
 #include "directional_search.h"
 #include "lists.h"
 
+/* What set the thresholds: docs/deviations.md, "Holes continue their far side", "Holes continue surfaces that can be
+   there", "What lies beyond the image has no far side". */
 #define LEAST_REACH 16 /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10 /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
@@ -198,7 +200,8 @@ INLINE Lines lines_at(const float along, const bool horizontal, const int first,
     float across = 0.0f, both = 0.0f, inward = 0.0f;
     for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
         const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
-        const float window = fmax(1.0f - part * part, 0.0f), weight = divide(window * window, 1.0f + CLOSE_COUNTS * off * off);
+        const float window = fmax(1.0f - part * part, 0.0f),
+                    weight = divide(window * window, 1.0f + CLOSE_COUNTS * off * off);
         const int cell = first + k * step;
         across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
         both += weight * border_lines[plane + cell];

@@ -9,12 +9,12 @@
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768       /* SCANNERS * SCANNED */
 #define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
-#define COUNTED_STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
-#define READ_AT_ONCE 4    /* counted rows that are read before any is counted */
-#define COUNTERS 128      /* work-items of a group of depth_histogram ... */
-#define NEAR_BINS 1024    /* ... which counts so many bins, eight powers of two around the last median, by itself */
-#define SCANNERS 256      /* work-items of find_median */
-#define SCANNED 128       /* bins of each */
+#define COUNTED_STRIP 128 /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
+#define READ_AT_ONCE 4 /* counted rows that are read before any is counted */
+#define COUNTERS 128 /* work-items of a group of depth_histogram ... */
+#define NEAR_BINS 1024 /* ... which counts so many bins, eight powers of two around the last median, by itself */
+#define SCANNERS 256 /* work-items of find_median */
+#define SCANNED 128 /* bins of each */
 #define MAX_INVERSE_DEPTH 8.0f
 
 /* Where depths are counted: bins from `first` on in the group's own memory, others in everyone's. */

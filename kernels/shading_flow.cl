@@ -8,6 +8,7 @@
 #include "doubling.h"
 #include "sampling.h"
 
+/* What set the thresholds: docs/deviations.md, "Texture stays whatever the network says". */
 #define FLOW_LEVELS 3
 #define FLOW_STEPS 2
 #define FLAT 0.0001f      /* squared gradient of encoded color below which nothing moves */
@@ -182,8 +183,8 @@ INLINE Floats mean_around(__local const float *sums, const int width, const int 
 /* Makes a step of the flow at `level`, by least squares, from the flow `begun`, or, if it `doubles`, from that of the
    level below. */
 WIDE TILED __kernel void step_flow(__constant Frame *restrict frame, const int level, const int doubles,
-                                  __global const float *restrict brightness, __global const float *restrict begun,
-                                  __global float *restrict flow) {
+                                   __global const float *restrict brightness, __global const float *restrict begun,
+                                   __global float *restrict flow) {
     /* both: sum of both images of which the flow is sought; rest: four times their difference */
     __local float near[2 * FLOW_PLANE], both[PIXELS], rest[PIXELS], products[PRODUCTS * SUM_PLANE];
     const int fine = frame->network_width >> level, fine_height = frame->network_height >> level;
@@ -255,8 +256,8 @@ WIDE TILED __kernel void step_flow(__constant Frame *restrict frame, const int l
 /* Makes mean squared differences nearby, at level 2: means over 2x2 pixels of level 1 of the brightness of both frames,
    in place and along the flow; and of its change from the previous interval's, in place and along the flow. */
 WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __global const float *restrict brightness,
-                                         __global const float *restrict coarser, __global const float *restrict flow,
-                                         __global const float *restrict trends, __global float *restrict differences) {
+                                          __global const float *restrict coarser, __global const float *restrict flow,
+                                          __global const float *restrict trends, __global float *restrict differences) {
     __local float near[2 * FLOW_PLANE], still[PIXELS], along[PIXELS], squares[DIFFERENCES * SUM_PLANE];
     const int fine = frame->network_width / 2, fine_height = frame->network_height / 2;
     const int width = fine / 2, height = fine_height / 2, plane = width * height;

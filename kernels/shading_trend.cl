@@ -8,6 +8,7 @@
 #include "simd_rgb.h"
 #include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Flickering light is left alone". */
 /* TREND_REACH_SHARE: rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
 #define TREND_REACH_SHARE 120
 #define CELL 8

@@ -12,6 +12,7 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
+/* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
@@ -473,8 +474,8 @@ INLINE Ints find_soft(const int dst_x, const int dst_y, const Source s, const La
 }
 
 #if LANES == 1
-/* The group's pixels, a block after the other, so that one without a mark costs nothing; then those that are soft, which
-   are gathered in `held`: (the near layer's place and depth, its far one << SOFT_BITS | number of the pixel). */
+/* The group's pixels, a block after the other, so that one without a mark costs nothing; then those that are soft,
+   which are gathered in `held`: (the near layer's place and depth, its far one << SOFT_BITS | number of the pixel). */
 #define SOFT_BITS 7 /* of the number of a work-item of a group, of 16x8 */
 INLINE void soften_group(const Source s, const Layers l, const Shown f, __global const uchar *marked,
                          __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,

@@ -9,9 +9,10 @@
 #include "logarithm.h"
 #include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Dilated vectors are undone", "Depth and motion may be smaller than
+   color". */
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
-
 
 /* Of dilated motion. */
 #define SQUARE 5      /* samples, the side of the square that is looked at */
@@ -471,7 +472,8 @@ INLINE float3 geometry_at_edge(__constant Frame *frame, __global const half *col
         const float other_z = depths[indices[tap]];
         const bool near = is_same_surface(other_z, z, SAME_SURFACE * z);
         const float2 other = vectors[indices[tap]];
-        if (!near || !(fabs(other.x - motion.x) <= ALIKE_MOTION) || !(fabs(other.y - motion.y) <= ALIKE_MOTION)) continue;
+        if (!near || !(fabs(other.x - motion.x) <= ALIKE_MOTION) || !(fabs(other.y - motion.y) <= ALIKE_MOTION))
+            continue;
         const float weight = bilinear_weight(tap, u, v);
         sum += weight;
         sum_z += weight * other_z;

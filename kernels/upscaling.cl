@@ -223,7 +223,8 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
     const Floats missed = wide_greater(
         (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
-    const Floats error = wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
+    const Floats error =
+        wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
     const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
     const Wide4 deviation = {wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift};
     store_channels(of_mean, count, out_mean + 4 * i);
@@ -239,8 +240,8 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
     before.x *= gain;
     before.y *= gain;
     before.z *= gain;
-    const Floats room = COMPRESSED_NOISE + more_room, room_x = DEVIATIONS * around.x + room, room_y = DEVIATIONS * around.y + room,
-                 room_z = DEVIATIONS * around.z + room;
+    const Floats room = COMPRESSED_NOISE + more_room, room_x = DEVIATIONS * around.x + room,
+                 room_y = DEVIATIONS * around.y + room, room_z = DEVIATIONS * around.z + room;
     const Wide4 past = {wide_lesser(wide_greater(before.x, mean.x - room_x), mean.x + room_x),
                         wide_lesser(wide_greater(before.y, mean.y - room_y), mean.y + room_y),
                         wide_lesser(wide_greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
@@ -283,8 +284,8 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
     const Ints rests = known & (motion < AT_REST);
     r->locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
     const Ints thin = r->locked > (float)LOCK_FRAMES;
-    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SHARP_SLOPE, past.history), middle,
-                       around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
+    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SHARP_SLOPE, past.history),
+                       middle, around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
     r->believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
     r->held = wide_lesser(r->color.w * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
 }

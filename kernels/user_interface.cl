@@ -64,7 +64,8 @@ SPARSE __kernel void count_evidence(__constant Frame *restrict frame, __global c
         stays = !is_within(exposed(color_prev, from, exposure), c, CLEAR);
     if (!stays && to >= 0 && is_one_surface(z, depth[to])) {
         const float2 apart = fabs(motion[to] - mv);
-        if (fmax(apart.x, apart.y) <= STAYING_MOTION * length) stays = !is_within(exposed(color, to, exposure), c, CLEAR);
+        if (fmax(apart.x, apart.y) <= STAYING_MOTION * length)
+            stays = !is_within(exposed(color, to, exposure), c, CLEAR);
     }
     if (stays) ++evidence[i];
 }

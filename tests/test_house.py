@@ -332,3 +332,12 @@ def several_values(files):
         for name, value in re.findall(r"^[ \t]*#define (\w+)[ \t]+([^\n\\]+)$", text, re.M):
             found.setdefault(name, {}).setdefault(file, set()).add(value.strip())
     return {name for name, by_file in found.items() if len(set(map(frozenset, by_file.values()))) > 1}
+
+
+def test_thresholds_name_what_set_them():
+    page = (Path(__file__).parents[1] / "docs/deviations.md").read_text("utf-8")
+    texts = [path.read_text("utf-8") for path in kernel_folder().glob("*.*")]
+    told = re.findall(r"What\s+set\s+[^:]*: docs/deviations\.md,(.*?)\*/", "".join(texts), re.DOTALL)
+    assert len(told) > 10
+    for name in re.findall(r'"(.*?)"', " ".join(" ".join(told).split())):
+        assert f"- **{name}" in page, f"docs/deviations.md has no point '{name}'"

@@ -125,8 +125,8 @@ INLINE int surface_key(const World w, const Hit hit, const float3 o, const float
     make_world(frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count,           \
                light_count)
 
-/* Objects that may be seen in each tile of SHADED_TILE x SHADED_TILE pixels, in the given order. One work item per tile;
-   tiles: (count, objects ...) per tile, `tile_stride` wide. */
+/* Objects that may be seen in each tile of SHADED_TILE x SHADED_TILE pixels, in the given order. One work item per
+   tile; tiles: (count, objects ...) per tile, `tile_stride` wide. */
 __kernel void bin(__global const float4 *frame, __global const float4 *objects, __global const int *order,
                   const int object_count, __global int *tiles, const int tile_stride, const int width,
                   const int height) {
