@@ -145,7 +145,9 @@ def memory_of_kernels(name, *options):
              re.findall(r"^@(\w+)\.\S+ = .*addrspace\(3\) global (.*?) undef", code, re.M)]  # fmt: skip
     found = {}
     for head, kernel, body in re.findall(r"^define ([^\n]*?)@(\w+)\([^\n]*\{\n(.*?)^\}", code, re.M | re.S):
-        allocated = re.findall(r"= alloca (.*), align \d+$", body, re.M)
+        # Texels in i64, whose address vload_half4 takes, are in registers once that is inlined: the vendors' compilers
+        # tell so (Cost.private).
+        allocated = re.findall(r"= alloca (?!i64,)(.*), align \d+$", body, re.M)
         assert "spir_kernel" in head or not allocated, f"{name}, {kernel}: not inlined"
         found[kernel] = (
             sum(size for owner, size in local if owner == kernel),
