@@ -500,11 +500,13 @@ INLINE void soften_group(const Source s, const Layers l, const Shown f, __global
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     const bool is_held = item < (int)shared[0];
-    const int4 own = is_held ? held[item] : (int4)(0);
-    const int soft_x = group_x + (own.w & 15), soft_y = group_y + (own.w >> 4 & 7), dst = soft_y * f.width + soft_x;
     barrier(CLK_LOCAL_MEM_FENCE);
     uchar covered = 0;
+    int dst = 0;
     if (is_held) {
+        const int4 own = held[item];
+        const int soft_x = group_x + (own.w & 15), soft_y = group_y + (own.w >> 4 & 7);
+        dst = soft_y * f.width + soft_x;
         covered = soften_pixel(s, l, f, soft_x, soft_y, as_float4(own).xyz, own.w >> SOFT_BITS, softened);
         coverage[dst] = covered;
     }

@@ -321,7 +321,6 @@ _SCENES = "one large function; only test scenes use it"
 # exception, if it is one alone.
 EXCESSES = {
     ("upscaling.accumulate", "dg2-g10", "SIMD8"): ("16 taps of four channels; not among the defaults", "libigc1"),
-    ("silhouettes.soften", "dg2-g10", "SIMD8"): ("layers and coverage of a neighborhood", "libigc1"),
     ("background.fill_from_levels", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
