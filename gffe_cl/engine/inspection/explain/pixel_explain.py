@@ -41,7 +41,7 @@ from gffe_cl.engine.stages.buffers import (
 )
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 
-_MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
+_MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within which texels of a level are mixed
 
 
 def pixel_story(
