@@ -1,7 +1,5 @@
 """Twin of hidden_parts.cl."""
 
-import itertools
-
 import numpy as np
 
 from twins.common import COMMON, F, centers, decode_color, kernel_constants, reproject
@@ -59,17 +57,19 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         rows, columns = depth.shape
         from_x, from_y, border = min(x, columns - 1 - x), min(y, rows - 1 - y), columns // HIDDEN.BORDER_SHARE
         ways = [(from_x, (1 if 2 * x < columns else -1, 0)), (from_y, (0, 1 if 2 * y < rows else -1))]
-        met_at = border
+        most = border
         for away, d in sorted(ways, key=lambda way: way[0]):
+            shown = [m for m in march(y, x, d, most, depth.shape) if not holes[m[1]]]
             if away >= border:
                 return None
-            steps = itertools.takewhile(lambda m: m[0] <= met_at, march(y, x, d, border, depth.shape))
-            distance, q = next(((distance, q) for distance, q in steps if not holes[q]), (met_at + 1, None))
-            if q and dynamic[q]:
+            if not shown:
+                continue
+            distance, q = shown[0]
+            if dynamic[q]:
                 px = moves_along(q, y, x)[0 if d[0] else 1]
                 if px < 0 if sum(d) > 0 else px >= (width if d[0] else height):
                     return q
-            met_at = distance - 1
+            most = distance - 1
         return None
 
     def same(a, b):
