@@ -37,6 +37,7 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
+#define PAST_SHARE 4 /* part of the reach within which directions look past what they have met */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
 
 /* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
@@ -410,7 +411,8 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
     const int2 d = direction(k);
     const int offset = d.y * width + d.x, steps = steps_within(reach, d, dst_x, dst_y, width, frame->target_height);
     float before = side->is_of_mover ? 0.0f : f.depth[side->px]; /* depth of the last surface that cannot be there */
-    for (int t = (side->px - dst) / offset + 1; t <= steps; ++t) {
+    const int met = (side->px - dst) / offset, last = min(steps, met + reach / PAST_SHARE);
+    for (int t = met + 1; t <= last; ++t) {
         const int px = dst + t * offset;
         const float z = f.depth[px];
         if (!(z > before) || f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue;

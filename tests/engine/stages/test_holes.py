@@ -117,7 +117,7 @@ def test_holes_below_the_horizon_are_not_sky(device):
 
 def test_slit_between_a_bar_and_a_mover_shows_what_is_behind_them(device):
     """The hole between them meets nothing else: it is the wall's, which is seen beyond them."""
-    bar, mover = Rect((-0.2, 0, 4), (0.2, 3)), Rect((-0.4, 0, 5), (0.2, 3), velocity=(9, 0, 0))
+    bar, mover = Rect((-0.1, 0, 4), (0.1, 3)), Rect((-0.4, 0, 5), (0.2, 3), velocity=(9, 0, 0))
     options = Options(levels=0, hidden_parts=False, reappearing=False)
     still, pipeline = camera(W, H), Pipeline(device, W, H, options)
     submit(pipeline, Rects([Rect((0, 0, 10)), bar, mover]), [still] * 3, [0, 1 / 30, 2 / 30])

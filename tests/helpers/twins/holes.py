@@ -177,7 +177,14 @@ def continued_surface(warped, y, x, reach, to_source, source_color, source_depth
     def behind(way):
         """Return the first pixel of `way` that can be there; else the first of all, unless it was made up."""
         before = F(0)
+
+        def steps(q):
+            return max(abs(q[0] - y), abs(q[1] - x))
+
+        last = steps(way[0][1]) + reach // HOLES.PAST_SHARE
         for distance, q in way:
+            if steps(q) > last:
+                break
             if is_of_mover(q) or not depth[q] > before:
                 continue
             if can_be_there(q):
