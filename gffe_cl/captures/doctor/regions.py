@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, IN_PART, NOTE, SEVERAL_VIEWS, Finding
-from gffe_cl.captures.doctor.hypotheses import motions
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.motions import motion_readings
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search
@@ -67,14 +66,10 @@ def region_findings(search: Search, reading: Reading) -> list[Finding]:
     where = part.in_words(bench.looks[0].size)
     named = _convention(search, reading, inside, near)
     if named:
-        return [Finding(FAULT, "motion", IN_PART, f"in {where}, and only there: {named}", figures=part._asdict())]
+        return [finding("motion: partly another convention", part._asdict(), part=where, convention=named)]
     if not _fits_another_camera(search, reading, part, inside, near):
         return []
-    sentence = (
-        f"{where} fits another camera than the rest: one picture of several views? (expected one sequence, and one"
-    )
-    sentence += " pipeline, for each)"
-    return [Finding(NOTE, "frames", SEVERAL_VIEWS, sentence, figures=part._asdict())]
+    return [finding("frames: several views", part._asdict(), part=where)]
 
 
 def _part(at: np.ndarray, off: np.ndarray) -> Part | None:
@@ -127,7 +122,7 @@ def _convention(search: Search, reading: Reading, inside: np.ndarray, near: floa
     best = max(share, key=lambda motion: share[motion] - 0.01 * len(motion.parts))
     if not share[best] > max(_FITS, share[reading.motion] + _BETTER):
         return ""
-    return "; ".join(motions.SENTENCES[name] for name in best.parts)
+    return "; ".join(finding(f"motion: {part}").sentence for part in best.parts)
 
 
 def _fits_another_camera(search: Search, reading: Reading, part: Part, inside: np.ndarray, near: float) -> bool:
