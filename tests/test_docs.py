@@ -148,11 +148,13 @@ def test_tables_are_up_to_date():
 
 
 def test_tables_of_performance_are_those_of_the_records():
-    from make_performance import TABLES, methods_plot, with_tables
+    from make_performance import TABLES, methods_plot, with_tables, with_times
 
     assert methods_plot() == (ROOT / "docs" / "pictures" / "methods.svg").read_text()
     page = TEXTS["docs/performance.md"]
     assert with_tables(page) == page, "run python docs/tools/make_performance.py"
+    readme = TEXTS["README.md"]
+    assert with_times(readme) == readme != readme.replace("times:begin", ""), "run python docs/tools/make_performance.py"
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
 
 
