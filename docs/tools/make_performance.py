@@ -23,7 +23,7 @@ from pages import DOCS, MEASURED, PICTURES, REPOSITORY, recorded, table, with_al
 from scatter import Point, scatter
 
 PAGE, README = DOCS / "performance.md", REPOSITORY / "README.md"
-LINE = 120  # characters of a line of text
+LINE, README_LINE = 120, 240  # characters of a line of text
 REMAP = "remap-bilinear"  # the simplest method that uses motion vectors
 PEER = "dilate-splat"  # the cheapest one with a depth test, on the same runtimes
 OURS = ("gffe", "no-scn", "quality", "performance")
@@ -167,20 +167,22 @@ def times_text() -> str:
     """Return the times of a frame of 1920×1080, for the README."""
     default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
     gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
-    full, without, performance, peer = (_method(name) for name in ("gffe", "no-scn", "performance", PEER))
-    computed = gpu_model.on_the_gpu("GAE")
+    wall, preset, computed = default["wall"], fast["milliseconds"]["GAE"], gpu_model.on_the_gpu("GAE")
+    rows = {name: _method(name) for name in ("gffe", "no-scn", "performance", PEER)}
+    of_full, of_gae, of_preset, of_peer = (_milliseconds(row["milliseconds"]) for row in rows.values())
+    less = {name: rows["gffe"]["psnr"] - row["psnr"] for name, row in rows.items()}
     text = (
         f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
-        f" ({default['wall']:.2f} ms by wall time), {gae:.2f} ms without it, and {fast['milliseconds']['GAE']:.2f} ms with"
-        " `--preset performance` ([by stage](docs/performance.md#gpus-measured)). On two cores of an AMD EPYC"
-        f" {_milliseconds(full['milliseconds'])} ms with the network, {_milliseconds(without['milliseconds'])} ms without"
-        f" it, and {_milliseconds(performance['milliseconds'])} ms with `--preset performance`, which gives"
-        f" {full['psnr'] - performance['psnr']:.1f} dB less than the default on `plaza`. The cheapest"
-        f" [other method](docs/performance.md#other-methods) takes {_milliseconds(peer['milliseconds'])} ms, with"
-        f" {full['psnr'] - peer['psnr']:.1f} dB less there. Computed for a GeForce RTX 4070 Ti Super"
+        f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
+        f" ([by stage](docs/performance.md#gpus-measured)). On two cores of an AMD EPYC {of_full} ms with the network,"
+        f" {of_gae} ms without it, and {of_preset} ms with `--preset performance`, which gives"
+        f" {less['performance']:.1f} dB less than the default on `plaza`. The cheapest"
+        f" [other method](docs/performance.md#other-methods) takes {of_peer} ms, with"
+        f" {less[PEER]:.1f} dB less there. Computed for a GeForce RTX 4070 Ti Super"
         f" ([the model](docs/performance.md#gpus-a-model)): {computed} ms of kernels without the network."
+        " `gffe bench --device gpu` measures yours."
     )
-    return "\n".join(textwrap.wrap(text, LINE, break_long_words=False, break_on_hyphens=False))
+    return "\n".join(textwrap.wrap(text, README_LINE, break_long_words=False, break_on_hyphens=False))
 
 
 def methods_plot() -> str:
