@@ -30,7 +30,7 @@ from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_cam
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
 from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Look, take_looks, with_rows
-from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, color_gain, frame_offsets
+from gffe_cl.captures.doctor.hypotheses.scoring import ResidualChange, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
 from gffe_cl.captures.doctor.hypotheses.world_shift import Shift, world_shift
@@ -355,7 +355,7 @@ def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) 
     before, after = search_of(()), search_of(reading.rows)
     given, read = before.motions(Reading(), before.full), after.motions(reading, after.full)
     solid = before.full.solid
-    compared = [Comparison.of(given, read, part, before.step) for part in before.full.parts(solid)]
+    compared = [ResidualChange.of(given, read, part, before.step) for part in before.full.parts(solid)]
     telling = [one for one in compared if one is not None]
     if telling and 2 * sum(one.is_better for one in telling) <= len(telling):
         return False

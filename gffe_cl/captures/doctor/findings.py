@@ -268,11 +268,11 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
     },
 }
 _ALWAYS_FIXED = "camera: transposed", "camera: scaled"  # without that nothing can be opened
-_ENTRIES = {name: (kind, fix, sentence) for (kind, fix), group in _TABLE.items() for name, sentence in group.items()}
+ENTRIES = {name: (kind, fix, sentence) for (kind, fix), group in _TABLE.items() for name, sentence in group.items()}
 FIXABLE = list(
     dict.fromkeys(
         finding_id(*name.partition("/")[0].split(": "))
-        for name, (_, fix, _) in _ENTRIES.items()
+        for name, (_, fix, _) in ENTRIES.items()
         if fix and name not in _ALWAYS_FIXED
     )
 )
@@ -280,7 +280,7 @@ FIXABLE = list(
 
 def finding(entry: str, figures: dict | None = None, **values) -> Finding:
     """Return the finding of that `entry` of the table, such as "motion: y flipped", with `values` in its sentence."""
-    kind, fix, sentence = _ENTRIES[entry]
+    kind, fix, sentence = ENTRIES[entry]
     about, name = entry.partition("/")[0].split(": ")
     return Finding(kind, about, name, sentence.format(**values), fix, figures or {})
 

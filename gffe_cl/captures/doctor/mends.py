@@ -94,7 +94,7 @@ class OtherFrame:
 
 
 @dataclass(frozen=True)
-class Jitter:
+class JitterMend:
     """Jitter of the cameras that motion vectors have not, or otherwise: `finding`, and the `change` that mends it."""
 
     finding: Finding
@@ -243,17 +243,17 @@ def _jitter(looks: dict[int, Look], deep: list[int], center: np.ndarray, step: f
         if colors != NONE:
             return None
         fault = finding("camera: jitter not removed/color")
-        return Jitter(fault, JitterChange(middle, camera=NONE, motion=(-1.0, -1.0)))
+        return JitterMend(fault, JitterChange(middle, camera=NONE, motion=(-1.0, -1.0)))
     difference = OTHERS[vectors]
     if colors == SAME:
         fault = finding(f"motion: {NO_JITTER if vectors == NONE else f'jitter {difference}'}")
-        return Jitter(fault, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1])))
+        return JitterMend(fault, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1])))
     if colors == vectors:
         fault = finding(f"camera: {JITTER if vectors == NONE else f'jitter {INVERSE[difference]}'}")
     else:
         known = "colors are not jittered" if colors == NONE else "colors do not tell which of them is right"
         fault = finding("camera: jitter differs/known", change=difference, colors=known)
-    return Jitter(fault, JitterChange(middle, camera=vectors))
+    return JitterMend(fault, JitterChange(middle, camera=vectors))
 
 
 def _from_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, Look]:
