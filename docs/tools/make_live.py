@@ -1,4 +1,4 @@
-"""Make the film, the picture and the tables of quality and of mistakes in docs/tutorial_live.md, of the Panda3D example.
+"""Make the film, the picture and the tables of docs/tutorial_live.md, of the live Panda3D example.
 
     python docs/tools/make_live.py [quality] [mistakes] [film]     all, if none is named; needs the extra `examples`
 
