@@ -67,7 +67,6 @@ _SAME_SHOT = 0.7  # of the usual color score along depth and cameras
 _STRETCHED = 0.5  # pixels: least motion by depth and cameras with which vectors are compared in length
 _MOST_GAPS = 12  # frames at which gaps are told from cuts
 _SKY_STILL = 0.05  # pixels
-_UNEXPLAINED_FAULT = f"frames: {UNEXPLAINED}"
 _LATE, _STEADY = 1.5, 0.9  # of the usual interval: frames after more are late; share of frames that come as usual
 
 
@@ -306,7 +305,7 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
         found.best, found.reading, mirrored = found.given, Reading(), None
     found.findings += faults_of(found.reading, stored)
     if unexplained and left is None:
-        found.findings.append(finding(_UNEXPLAINED_FAULT))
+        found.findings.append(finding("frames: unexplained"))
     if found.reading.jitter and not whose:
         _doubt_jitter(found)
     if mirrored is not None:
@@ -429,7 +428,7 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
     explained = any(fault.name in (UNEXPLAINED, NO_LAW) for fault in found.faults)
     if (off <= roughly).mean() < _UNEXPLAINED and not explained:
-        found.findings.append(finding(_UNEXPLAINED_FAULT))
+        found.findings.append(finding("frames: unexplained"))
 
 
 def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | Shift | None]:
