@@ -32,9 +32,8 @@ INLINE void wide_without_corners(Floats *wx, const Floats *wy) {
 /* Cubic interpolation of the 4x4 taps from index `first` on, but for the corners, clamped to the four inner ones. Of
    finite numbers. */
 INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
-    __global const half *p = image + 4 * first;
-    const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
-    const float8 a = vload_half8(0, p + 4), d = vload_half8(0, p + 12 * width + 4);
+    const float16 b = load_four_texels(first + width, image), c = load_four_texels(first + 2 * width, image);
+    const float8 a = load_two_texels(first + 1, image), d = load_two_texels(first + 3 * width + 1, image);
     const float16 columns = wy.y * b + wy.z * c;
     const float8 inner = columns.s456789ab + (wy.x * a + wy.w * d);
     const float4 sum = wx.x * columns.s0123 + wx.y * inner.lo + wx.z * inner.hi + wx.w * columns.scdef;

@@ -17,15 +17,17 @@
 #include "blocks.h"
 #include "flow.h"
 #include "lists.h"
+#include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Hidden parts of movers", "Parts that the frame before showed
+   reappear". */
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
-/* STANDS_BEFORE: times the depth of a mover: its parts are looked for behind static pixels nearer than that */
-#define STANDS_BEFORE 0.97f
+/* NEARER: times the depth of a mover: its parts are looked for behind static pixels nearer than that */
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 
-#define LEAST_REACH 8     /* px, in which movers are looked for ... */
-#define REACH_SHARE 48    /* ... or this part of the target's width */
+#define MOVER_REACH 8     /* px, in which movers are looked for ... */
+#define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
 #define BORDER_SHARE 8    /* part of the target's width: holes no wider may be those of movers that enter */
 
 /* The new frame, the depth of the rendered one and of the one before it, and the motion between these. */
@@ -39,7 +41,7 @@ typedef struct {
     __global uchar *filled_by;
 } Images;
 
-INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
+INLINE int reach_of(__constant Frame *frame) { return max(MOVER_REACH, frame->target_width / MOVER_REACH_SHARE); }
 
 /* The position where the pixel (dst_x, dst_y) was in the rendered image if it moves as the mover at (x, y) does. */
 INLINE float2 moves_along(const int x, const int y, const int dst_x, const int dst_y, __constant Frame *frame,
@@ -73,7 +75,7 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     for (int first = 1; first < t; first += AT_ONCE) {
         uint shown = others_from(first, t - 1, dst, offset, f.disoccluded, 1);
         for (; shown; shown &= shown - 1)
-            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * STANDS_BEFORE)) return 0;
+            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * NEARER)) return 0;
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);

@@ -7,6 +7,8 @@
 #include "directional_search.h"
 #include "lists.h"
 
+/* What set the thresholds: docs/deviations.md, "Holes continue their far side", "Holes continue surfaces that can be
+   there", "What lies beyond the image has no far side". */
 #define LEAST_REACH 16 /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10 /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
@@ -134,11 +136,11 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 /* ---- lines at the image's border --------------------------------------------------------------------------------- */
 
 #define CELL 8 /* px each way, of the grid "cells" */
-#define SAMPLE_STRIDE 2 /* px between its samples */
+#define LINE_STRIDE 2 /* px between its samples */
 #define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
-#define NEAR 4.0f /* ... those close by count most: one a cell away 1 / (1 + NEAR) */
+#define CLOSE_COUNTS 4.0f /* ... those close by count most: one a cell away 1 / (1 + CLOSE_COUNTS) */
 #define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
-#define NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
+#define CELL_NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
 #define APPROACHES 2 /* of the place where a line leaves the image */
 #define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
 
@@ -149,8 +151,8 @@ INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *fra
     const int first_x = max(min(cell_x * CELL, width - CELL), 0) + 1,
               first_y = max(min(cell_y * CELL, height - CELL), 0) + 1;
     float xx = 0.0f, xy = 0.0f, yy = 0.0f;
-    for (int y = first_y; y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
-        for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += SAMPLE_STRIDE) {
+    for (int y = first_y; y < min(first_y + CELL - 1, height - 1); y += LINE_STRIDE)
+        for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += LINE_STRIDE) {
             const int src = y * width + x;
             const float3 dx = 0.5f * (stored_code(codes, src + 1) - stored_code(codes, src - 1));
             const float3 dy = 0.5f * (stored_code(codes, src + width) - stored_code(codes, src - width));
@@ -198,14 +200,15 @@ INLINE Lines lines_at(const float along, const bool horizontal, const int first,
     float across = 0.0f, both = 0.0f, inward = 0.0f;
     for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
         const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
-        const float window = fmax(1.0f - part * part, 0.0f), weight = divide(window * window, 1.0f + NEAR * off * off);
+        const float window = fmax(1.0f - part * part, 0.0f),
+                    weight = divide(window * window, 1.0f + CLOSE_COUNTS * off * off);
         const int cell = first + k * step;
         across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
         both += weight * border_lines[plane + cell];
         inward += weight * border_lines[(horizontal ? 2 * plane : 0) + cell];
     }
     const float white = frame->code_offset > 0.0f ? 4.0f * frame->code_offset * frame->code_offset : 1.0f;
-    const float sure = across + NOISE * white * white;
+    const float sure = across + CELL_NOISE * white * white;
     Lines lines;
     lines.slope = clamp(-divide(both, sure), -STEEPEST, STEEPEST);
     const float unexplained = inward + lines.slope * (2.0f * both + lines.slope * across);
@@ -419,7 +422,7 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
 #define TILE 4 /* texels along the side of a work-group's area: it needs those around them, too */
 #define RING (TILE + 2)
 #define GROUP 128 /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
-#define STRIP 8 /* rows of a texel that one work-item sums up */
+#define SUMMED_ROWS 8 /* rows of a texel that one work-item sums up */
 
 /* The TILE x TILE texels that a work-group fills from, and the ring around them, whose first texel is (ring_x,
    ring_y). */
@@ -448,7 +451,7 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
     return (texel_y - tile.ring_y) * RING + texel_x - tile.ring_x;
 }
 
-/* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the
+/* Weighted sums, (color, 1) and inverse depth, over SUMMED_ROWS rows of a column: of valid pixels, and a little of the
    rendered frame. */
 INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f,
                         float *inverse_sum) {
@@ -457,7 +460,7 @@ INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *fr
     float4 sum = (float4)(0.0f);
     *inverse_sum = 0.0f;
     if (dst_x >= target_width) return sum;
-    for (int dst_y = first_y; dst_y < min(first_y + STRIP, target_height); ++dst_y) {
+    for (int dst_y = first_y; dst_y < min(first_y + SUMMED_ROWS, target_height); ++dst_y) {
         const int dst = dst_y * target_width + dst_x;
         if (f.filled_by[dst] != BY_HOLE_FILLING)
             add(&sum, inverse_sum, 1.0f, frame->exposure, load_color(f.color, dst), f.depth[dst]);
@@ -567,7 +570,7 @@ fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side
         if (!asked[k]) continue;
         float inverse_sum;
         strip_sums[lane] = sum_strip((tile.ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
-                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, frame,
+                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * SUMMED_ROWS, frame,
                                      images, &inverse_sum);
         strip_inverse_sums[lane] = inverse_sum;
         barrier(CLK_LOCAL_MEM_FENCE);

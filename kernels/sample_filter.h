@@ -1,11 +1,11 @@
 /* Weighted sums of the 3x3 rendered samples around pixels of the display (upscaling.cl). */
 
-#define REACH 1.2f            /* display pixels: from where on a sample does not count */
+#define FILTER_REACH 1.2f            /* display pixels: from where on a sample does not count */
 
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
 INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     for (int k = 0; k < 3; ++k) {
-        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH),
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / FILTER_REACH),
                      left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left * left;
     }
@@ -100,9 +100,9 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const We
 #pragma unroll 1
     for (int k = 0; k < 3; ++k) {  /* near_x.x and far_x.x are the weights of this column */
         const int column = clamp(x + k - 1, 0, width - 1);
-        const float4 above = vload_half4(clamp(y - 1, 0, height - 1) * width + column, compressed);
-        const float4 here = vload_half4(y * width + column, compressed);
-        const float4 below = vload_half4(clamp(y + 1, 0, height - 1) * width + column, compressed);
+        const float4 above = load_texel(clamp(y - 1, 0, height - 1) * width + column, compressed);
+        const float4 here = load_texel(y * width + column, compressed);
+        const float4 below = load_texel(clamp(y + 1, 0, height - 1) * width + column, compressed);
         const float4 a = near_x.x * (near.y.x * above + near.y.y * here + near.y.z * below);
         const float4 b = far_x.x * (far.y.x * above + far.y.y * here + far.y.z * below);
         near_all = k == 0 ? a : near_all + a;

@@ -29,7 +29,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
             if not dynamic[q]:
                 before += [] if holes[q] else [depth[q]]
                 continue
-            if any(not z < depth[q] * HIDDEN.STANDS_BEFORE for z in before):
+            if any(not z < depth[q] * HIDDEN.NEARER for z in before):
                 return None
             px = moves_along(q, y, x)
             if not (0 <= px[0] < width and 0 <= px[1] < height):

@@ -79,8 +79,8 @@ def border_lines(codes):
         if 0 < y < found.shape[1] - 1 and 0 < x < found.shape[2] - 1:
             continue
         first = [max(min(k * cell, side - cell), 0) + 1 for k, side in ((y, height), (x, width))]
-        for sy in range(first[0], min(first[0] + cell - 1, height - 1), HOLES.SAMPLE_STRIDE):
-            for sx in range(first[1], min(first[1] + cell - 1, width - 1), HOLES.SAMPLE_STRIDE):
+        for sy in range(first[0], min(first[0] + cell - 1, height - 1), HOLES.LINE_STRIDE):
+            for sx in range(first[1], min(first[1] + cell - 1, width - 1), HOLES.LINE_STRIDE):
                 dx = (codes[sy, sx + 1] - codes[sy, sx - 1]) / 2
                 dy = (codes[sy + 1, sx] - codes[sy - 1, sx]) / 2
                 found[:, y, x] += dx @ dx, dx @ dy, dy @ dy
@@ -95,9 +95,9 @@ def _lines_at(along, cells, side):
     around = HOLES.CELLS_AROUND
     k = k[(k > np.floor(at) - around) & (k <= np.floor(at) + around)]
     off = at - k
-    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.NEAR * off**2)
+    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.CLOSE_COUNTS * off**2)
     across, both, inward = (cells[:, k] * weight).sum(1)
-    sure = across + HOLES.NOISE
+    sure = across + HOLES.CELL_NOISE
     slope = np.clip(-both / sure, -HOLES.STEEPEST, HOLES.STEEPEST)
     return slope, np.sqrt(max(inward + slope * (2 * both + slope * across), 0) / sure)
 
