@@ -23,7 +23,7 @@ from pages import DOCS, MEASURED, PICTURES, REPOSITORY, recorded, table, with_al
 from scatter import Point, scatter
 
 PAGE, README = DOCS / "performance.md", REPOSITORY / "README.md"
-LINE, README_LINE = 120, 240  # characters of a line of text
+LINE = 120  # characters of a line of text
 REMAP = "remap-bilinear"  # the simplest method that uses motion vectors
 PEER = "dilate-splat"  # the cheapest one with a depth test, on the same runtimes
 OURS = ("gffe", "no-scn", "quality", "performance")
@@ -171,7 +171,7 @@ def times_text() -> str:
     rows = {name: _method(name) for name in ("gffe", "no-scn", "performance", PEER)}
     of_full, of_gae, of_preset, of_peer = (_milliseconds(row["milliseconds"]) for row in rows.values())
     less = {name: rows["gffe"]["psnr"] - row["psnr"] for name, row in rows.items()}
-    text = (
+    return (
         f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
         f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
         f" ([by stage](docs/performance.md#gpus-measured)). On two cores of an AMD EPYC {of_full} ms with the network,"
@@ -182,7 +182,6 @@ def times_text() -> str:
         f" ([the model](docs/performance.md#gpus-a-model)): {computed} ms of kernels without the network."
         " `gffe bench --device gpu` measures yours."
     )
-    return "\n".join(textwrap.wrap(text, README_LINE, break_long_words=False, break_on_hyphens=False))
 
 
 def methods_plot() -> str:
