@@ -147,6 +147,11 @@ def model_table() -> str:
     return table(heads, rows)
 
 
+def on_the_gpu(group: str) -> str:
+    """Return the range of milliseconds on the first GPU."""
+    return _range(model(GPUS[0], assumed, group).gpu for assumed in (KIND, HARSH))
+
+
 def assumptions_table() -> str:
     said = {
         "machine": "instructions of sm_86 for one of LLVM",

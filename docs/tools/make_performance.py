@@ -1,4 +1,4 @@
-"""Writes the tables of docs/performance.md and the plot of methods, from the figures in docs/measured/.
+"""Writes the tables of docs/performance.md, the times in the README and the plot of methods, from docs/measured/.
 
     python docs/tools/make_performance.py                              the tables, from what is recorded
     python docs/tools/make_performance.py --measure [--sequence DIR]   counts first what must move, on plaza, forest
@@ -19,10 +19,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gpu_model
-from pages import DOCS, MEASURED, PICTURES, recorded, table, with_all
+from pages import DOCS, MEASURED, PICTURES, REPOSITORY, recorded, table, with_all
 from scatter import Point, scatter
 
-PAGE = DOCS / "performance.md"
+PAGE, README = DOCS / "performance.md", REPOSITORY / "README.md"
 LINE = 120  # characters of a line of text
 REMAP = "remap-bilinear"  # the simplest method that uses motion vectors
 PEER = "dilate-splat"  # the cheapest one with a depth test, on the same runtimes
@@ -163,6 +163,27 @@ def methods_text() -> str:
     return "\n".join(textwrap.wrap(text, LINE, break_on_hyphens=False))
 
 
+def times_text() -> str:
+    """Return the times of a frame of 1920×1080, for the README."""
+    default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
+    gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
+    wall, preset, computed = default["wall"], fast["milliseconds"]["GAE"], gpu_model.on_the_gpu("GAE")
+    rows = {name: _method(name) for name in ("gffe", "no-scn", "performance", PEER)}
+    of_full, of_gae, of_preset, of_peer = (_milliseconds(row["milliseconds"]) for row in rows.values())
+    less = {name: rows["gffe"]["psnr"] - row["psnr"] for name, row in rows.items()}
+    return (
+        f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
+        f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
+        f" ([by stage](docs/performance.md#gpus-measured)). On two cores of an AMD EPYC {of_full} ms with the network,"
+        f" {of_gae} ms without it, and {of_preset} ms with `--preset performance`, which gives"
+        f" {less['performance']:.1f} dB less than the default on `plaza`. The cheapest"
+        f" [other method](docs/performance.md#other-methods) takes {of_peer} ms, with"
+        f" {less[PEER]:.1f} dB less there. Computed for a GeForce RTX 4070 Ti Super"
+        f" ([the model](docs/performance.md#gpus-a-model)): {computed} ms of kernels without the network."
+        " `gffe bench --device gpu` measures yours."
+    )
+
+
 def methods_plot() -> str:
     points = [
         Point(row["milliseconds"], row["psnr"], _label(row), "#2f6fde" if row["method"] in OURS else "#d98b1f")
@@ -189,6 +210,11 @@ TABLES: dict[str, Callable[[], str]] = {
 def with_tables(text: str) -> str:
     """Return the page with all its tables as the records have them now."""
     return with_all(text, {name: make() for name, make in TABLES.items()})
+
+
+def with_times(text: str) -> str:
+    """Return the README with the times as the records have them now."""
+    return with_all(text, {"times": times_text()})
 
 
 def measure(sequence: Path | None, device: str | None) -> None:
@@ -279,6 +305,7 @@ def main() -> None:
     if asked.measure:
         measure(asked.sequence, asked.device)
     PAGE.write_text(with_tables(PAGE.read_text()))
+    README.write_text(with_times(README.read_text()))
     (PICTURES / "methods.svg").write_text(methods_plot())
 
 
