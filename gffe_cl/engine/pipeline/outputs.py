@@ -48,6 +48,7 @@ class Outputs:
 
     def choose(self, wanted: set[str] | None) -> None:
         """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""
+        self._board.scripts.clear()
         for stage in self._stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}

@@ -304,6 +304,9 @@ class Pipeline:
         frames = self.frames
         given = frames.rest.copy()
         step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self.exposure, given=given)
+        self.board.perform(step, self._render, ())
+
+    def _render(self, step: Step) -> None:
         for stage in self.stages.values():
             stage.rendered(step)
 
@@ -437,14 +440,13 @@ class Pipeline:
         )  # fmt: skip
         self._finish()
         self._wait(events)
-        correction, kept = self._correction, self._outputs.kept
-        works_beside = correction and frames.previous and correction.works_beside
-        for stage in self.stages.values():
-            if works_beside and isinstance(stage, (*INPUTS, ShadingCorrection)):
-                continue
-            stage.extrapolated(step)
-            if stage.name in kept:
-                kept[stage.name].keep(self.board.frame.buffer)
+        correction, is_special = self._correction, target_position is not None or geometry or self._outputs.kept
+        works_beside = bool(correction and frames.previous and correction.works_beside)
+        if correction:
+            is_special |= not correction.runs_on_device
+        circumstances = None if is_special else (given["coded"], correction and correction.asked)
+        without = (*INPUTS, ShadingCorrection) if works_beside else ()
+        self.board.perform(step, partial(self._make, without=without), circumstances)
         frames.rest["coded"] |= not given["stays"]
         if works_beside and correction:
             correction.begin(step)
@@ -471,6 +473,16 @@ class Pipeline:
         if self.watcher:
             self.watcher.extrapolated(self, frame)
         return frame
+
+    def _make(self, step: Step, without: tuple[type, ...] = ()) -> None:
+        """Enqueue the stages' work on a new frame."""
+        kept = self._outputs.kept
+        for stage in self.stages.values():
+            if isinstance(stage, without):
+                continue
+            stage.extrapolated(step)
+            if stage.name in kept:
+                kept[stage.name].keep(self.board.frame.buffer)
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:

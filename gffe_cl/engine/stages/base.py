@@ -19,7 +19,7 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import Program, build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
-from gffe_cl.engine.stages.commands import Commands, Launch
+from gffe_cl.engine.stages.commands import Commands, Launch, Script
 from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
 from gffe_cl.engine.stages.memory import LentMemory
 
@@ -159,6 +159,7 @@ class Board:
         self._alike = False  # whether the rendered frame has the buffers of the frame two before it
         self._shown = [object(), object()]  # by the rendered frames' bit in `turn`
         self.commands = Commands(device)
+        self.scripts: dict[tuple, Script] = {}  # by what they depend on
         self.blocks = FrameBlocks(self)
 
     @cached_property
@@ -185,6 +186,26 @@ class Board:
             self._shown[self.turn & 1] = object()
         self.rendered, self.previous, self.shown = frame, previous or frame, self._shown[self.turn & 1]
 
+    def perform(self, step: Step, work: Callable[[Step], None], circumstances: tuple | None) -> None:
+        """Do the `work` of stages on a step. What they enqueue depends on the `circumstances` alone, besides `turn` and
+        whether there is a previous frame: it is enqueued again while these and the rendered frames' buffers are the
+        same. None: it depends on more."""
+        if circumstances is None or not self.commands.repeats:
+            work(step)
+            return
+        key = self.turn, step.slot, step.previous is None, *circumstances
+        script = self.scripts.get(key)
+        if script and script.shown is self.shown:
+            self.blocks.held[step.slot] = step.key
+            self.commands.repeat(script, step.block(self))
+            return
+        self.commands.script = script = Script(self.shown)
+        try:
+            work(step)
+            self.scripts[key] = script
+        finally:
+            self.commands.script = None
+
     def __del__(self):
         self.let_go()
 
@@ -194,6 +215,7 @@ class Board:
         for stage in self.stages.values():
             stage.let_go()
         self.stages.clear()
+        self.scripts.clear()
         with self.device.opened.lock:
             self.memory.let_go()
         self.__dict__.pop("blocks", None)
@@ -253,12 +275,8 @@ class Stage(Owner):
             name: {argument.name for argument in arguments if not argument.is_number}
             for name, arguments in self.program.arguments.items()
         }
-        # The argument by which a kernel brings the frame block.
-        self._brought = {
-            name: argument.name
-            for name, arguments in self.program.arguments.items()
-            for argument in arguments
-            if argument.brings_frame
+        self._bringing = {
+            name for name, arguments in self.program.arguments.items() if any(a.brings_frame for a in arguments)
         }
         self._check()
 
@@ -305,8 +323,8 @@ class Stage(Owner):
         board, slot = self.board, None
         if step is not None:
             slot = step.slot
-            if brought := self._brought.get(name):
-                given[brought], board.blocks.held[slot] = step.block(board), step.key
+            if name in self._bringing:
+                board.blocks.held[slot] = step.key
             elif board.blocks.held.get(slot) is not step.key:
                 board.blocks.set(step)
         key = board.turn, name, slot
@@ -325,6 +343,9 @@ class Stage(Owner):
             launch.shown = board.shown
         for set_arg, index, argument in launch.given:
             set_arg(index, given[argument])
+        if launch.block and step is not None:
+            set_arg, index = launch.block
+            set_arg(index, step.block(board))
         board.commands.launch(self, launch, given)
 
     def let_go(self) -> None:
@@ -350,11 +371,14 @@ class Stage(Owner):
             if slot and argument.is_frame_block:
                 made.set_arg(index, self.board.blocks.buffer[slot])
                 continue
+            # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
+            set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
+            if argument.brings_frame:
+                launch.block = set_arg, index
+                continue
             if argument.name not in given and argument.name not in declared:
                 raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
             owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
-            # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
-            set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
             if argument.is_number:
                 made.set_arg(index, argument.packed(given[argument.name]))
             elif argument.name in given:

@@ -123,11 +123,10 @@ class HiddenParts(NearestStage):
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        before = step.previous or step.frame
-        self.launch("fill_hidden_parts", step, depth_prev=before.depth)
+        self.launch("fill_hidden_parts", step)
         if not self.board.options.reappearing:
             return
         self.launch("list_edges", step)
         for offer_pass in self.passes:
-            self.launch("offer_reappearing", step, depth_prev=before.depth, **{"pass": offer_pass})
-        self.launch("fill_reappearing", step, depth_prev=before.depth, color_prev=before.color)
+            self.launch("offer_reappearing", step, **{"pass": offer_pass})
+        self.launch("fill_reappearing", step)

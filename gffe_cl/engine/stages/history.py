@@ -146,8 +146,8 @@ class HistoryTracking(Stage):
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
                 "depth_prev": Access("previous.depth", DYNAMIC_PIXELS),
-                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS, planes=0),
-                "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=0),
+                "dynamic_prev": Access("history.dynamic_mask", planes=0),
+                "history_prev": Access("history.history", planes=0),
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
                 "color": Access("rendered.color", CODED_AT_ONCE),
@@ -172,10 +172,11 @@ class HistoryTracking(Stage):
             self.kernels = (replace(measure, writes={**measure.writes, **nothing}), *others)
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             *others, track = self.kernels
-            planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
-            declared: Any = track.reads  # these two are no plain names
-            reads = {name: replace(declared[name], planes=count) for name, count in planes.items()}
-            self.kernels = (*others, replace(track, reads={**track.reads, **reads}))
+            kept = {
+                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS),
+                "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=self.positions - 2),
+            }
+            self.kernels = (*others, replace(track, reads={**track.reads, **kept}))
             changes: dict[str, dict[str, Any]] = {
                 "dynamic_mask": {"kept": True},
                 "history": {"kept": True, "planes": self.positions - 1},
@@ -199,16 +200,7 @@ class HistoryTracking(Stage):
 
     def rendered(self, step: Step) -> None:
         """Run Algorithm 1. Without a previous frame, or without motion estimation, everything is static."""
-        previous = step.previous if self.board.options.motion else None
-        before = previous or step.frame
-        if self.automatic and previous is not None:
+        if self.automatic and step.previous is not None:
             self.measure(step)
             self.launch("refine_threshold", step)
-        kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
-        self.launch(
-            "track_history",
-            step,
-            depth_prev=before.depth,
-            dynamic_prev=self.own("dynamic_mask" + kept),
-            history_prev=self.own("history" + kept),
-        )
+        self.launch("track_history", step)

@@ -134,8 +134,7 @@ class ShadingTrend(Stage):
 
     def rendered(self, step: Step) -> None:
         """Find the trend, and whether any light changes. After a reset there is none."""
-        self._known = []
-        self._changed.close()
+        self.board.commands.call(self._close)
         if step.previous is None:
             self.fill("trend", 0)
             self.fill("changes", 0)
@@ -144,9 +143,16 @@ class ShadingTrend(Stage):
         self.launch("find_change", step)
         options = self.board.options
         if self.host_decides and options.corrects_shading and options.focus_mask:
-            self._known = self._changed.open()
+            self.board.commands.call(self._open)
         self.launch("blur_rows", step, planes=_CHANGES)
         self.launch("find_trend", step)
+
+    def _close(self) -> None:
+        self._known = []
+        self._changed.close()
+
+    def _open(self) -> None:
+        self._known = self._changed.open()
 
     def extrapolated(self, step: Step) -> None:
         """Carry both trends to the new frame, unless there is nothing to correct."""

@@ -50,6 +50,8 @@ Launches = dict[str, list[tuple[Kernel, Mapping[str, Any]]]]  # by stage: kernel
 class CountingCommands(Commands):
     """Commands that are counted: `launches` are those of the pipeline's stages since they were last taken."""
 
+    repeats = False
+
     def __init__(self, pipeline: Pipeline):
         super().__init__(pipeline.device)
         self._stages = (pipeline.board.blocks.name, *pipeline.stages)
