@@ -35,6 +35,8 @@ def adopted(value: Any, kind: type[Kind], what: str) -> Any:
 def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event]:
     """Return events to wait for, given as pyopencl's or as handles. Raises GffeError unless all are of `context`, and
     none has failed."""
+    if isinstance(values, tuple) and not values:  # mostly
+        return []
     try:
         listed = [None] if isinstance(values, str | bytes) else list(values)
     except TypeError:

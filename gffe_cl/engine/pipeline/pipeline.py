@@ -36,13 +36,11 @@ from gffe_cl.engine.pipeline.watching import Watcher
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, DeviceFrame, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
-from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.intake import Intake, prepare
 from gffe_cl.engine.stages.memory_budget import footprint, require_room
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
-from gffe_cl.engine.stages.user_interface import UserInterface
 
 
 class Pipeline:
@@ -130,8 +128,8 @@ class Pipeline:
         self.board, self._nbytes = self._allocate(self.sizes, options)
         self.options = options
         self.stages: dict[str, Any] = dict(self.board.stages)
+        self._swapping = [stage for stage in self.stages.values() if stage.before]
         self.presentation: Presentation | None = None  # made with the first windowed frame
-        self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs = Outputs(self.board, self.stages)
         copies = bool(self.board.facts.get("copies")) and self.sizes.source == self.sizes.target
         self.frames = RenderedFrames(options, self.fps, copies)
@@ -266,11 +264,10 @@ class Pipeline:
         self._wait(events)
         board, frames = self.board, self.frames
         before = frames.previous, frames.current
-        layers = self._layers(frame)
-        shown_before = None if frame.reset else frames.shown
-        shown = self.intake.take(prepared, None if frame.reset else frames.current, frames.times)
-        frames.take(self._without_overlays(layers, shown, shown_before), shown, frame.reset)
-        for stage in self.stages.values():
+        last = (None, frames.times, None) if frame.reset else (frames.current, frames.times, frames.shown)
+        taken, shown = self.intake.take(prepared, *last, self.exposure)
+        frames.take(taken, shown, frame.reset)
+        for stage in self._swapping:
             stage.swap()
         board.show(frames.needed, frames.previous)
         board.memory.place(board.turn)
@@ -285,19 +282,6 @@ class Pipeline:
         if self.watcher:
             self.watcher.submitted(self, frame, shown)
         return done
-
-    def _layers(self, frame: RenderedFrame) -> dict[str, Any]:
-        """Return the overlays that the frame brings, checked. Raises GffeError for wrong shapes."""
-        overlays = frame.overlays if self.options.overlays else None
-        if self.composition is None and (overlays or UserInterface.name in self.stages):
-            self.composition = Composition(self.board)
-        return self.composition.prepared(overlays) if self.composition else {}
-
-    def _without_overlays(self, layers: dict[str, Any], frame: DeviceFrame, before: DeviceFrame | None) -> DeviceFrame:
-        """Return the frame for the stages, without what keeps its place; `before`: the one before it, shown whole."""
-        if detection := self.stages.get(UserInterface.name):
-            layers = detection.found(layers, frame, before, self.exposure)
-        return self.composition.take(layers, frame) if self.composition else frame
 
     def _take_rendered(self) -> None:
         """Enqueue the stages' work on the current frame."""
@@ -347,7 +331,7 @@ class Pipeline:
         else:
             color, depth, motion = frame.buffers
         color = picture or color
-        if composition := self._overlaid:
+        if composition := self.intake.overlaid:
             color = composition.compose(color, 0.0, rendered=True)
         where = self.device, self.sizes.target
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, _event=self._done())
@@ -367,10 +351,6 @@ class Pipeline:
     def shown_camera(self) -> Camera:
         """The display camera of the last submitted frame. Raises GffeError before the first `submit`."""
         return self.frames.needed.display_camera
-
-    @property
-    def _overlaid(self) -> Composition | None:
-        return self.composition if self.composition and self.composition.active else None
 
     @property
     def _needs_presentation(self) -> bool:
@@ -440,10 +420,10 @@ class Pipeline:
         )  # fmt: skip
         self._finish()
         self._wait(events)
-        correction, is_special = self._correction, target_position is not None or geometry or self._outputs.kept
+        correction = self._correction
         works_beside = bool(correction and frames.previous and correction.works_beside)
-        if correction:
-            is_special |= not correction.runs_on_device
+        is_decided_here = correction and not correction.runs_on_device  # whether a frame is still
+        is_special = target_position is not None or geometry or self._outputs.kept or is_decided_here
         circumstances = None if is_special else (given["coded"], correction and correction.asked)
         without = (*INPUTS, ShadingCorrection) if works_beside else ()
         self.board.perform(step, partial(self._make, without=without), circumstances)
@@ -452,7 +432,7 @@ class Pipeline:
             correction.begin(step)
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
-        if composition := self._overlaid:
+        if composition := self.intake.overlaid:
             self._finish()
             color = composition.compose(color, alpha)
         frame = ExtrapolatedFrame(
@@ -527,7 +507,7 @@ class Pipeline:
                 held += ((output, output.spec(name)) for name in output.buffer)
         if self.presentation and self._needs_presentation:
             held += ((self.presentation, spec) for spec in self.presentation.buffers)
-        if composition := self._overlaid:
+        if composition := self.intake.overlaid:
             held += ((composition, spec) for spec in composition.held())
         return iter(held)
 
@@ -573,7 +553,7 @@ class Pipeline:
         self._finish()
         self.device.queue.finish()
         taken, correction = milliseconds_of(self.board.commands.take_events()), self._correction
-        stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
+        stages = [*self.stages.values(), *filter(None, (self.presentation, self.intake.composition))]
         timings = {stage.name: taken.get(stage.name, {}) for stage in stages}
         network = correction.take_network_milliseconds() if correction else {}
         return timings | {name: {name: ms} for name, ms in network.items()}

@@ -6,6 +6,7 @@ of stages and memory, and the bytes per pixel that must move (`gffe bench`).
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -130,8 +131,8 @@ class Step:
         self.slot = "rendered" if self.camera is None else "new"  # of `FrameBlocks`
         self.key = object()  # known by: who keeps it keeps no buffers
 
-    def block(self, board: Board) -> np.ndarray:
-        """Return the frame block of frame.h, as bytes, for the stages on `board`."""
+    def block(self, board: Board) -> array[float]:
+        """Return the frame block of frame.h, as words, for the stages on `board`."""
         rendered = self.frame, self.previous, self.times, self.exposure
         return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays, self.given)
 

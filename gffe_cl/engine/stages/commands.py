@@ -4,12 +4,12 @@ them instead."""
 from __future__ import annotations
 
 import math
+from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.opencl.device import Device
@@ -63,7 +63,7 @@ class Commands:
         self.events: deque[tuple[str, str, cl.Event]] = deque(maxlen=_EVENTS)
         self.script: Script | None = None
 
-    def repeat(self, script: Script, block: np.ndarray) -> None:
+    def repeat(self, script: Script, block: array[float]) -> None:
         """Enqueue the commands of a script with another frame block."""
         for set_arg, index in script.blocks:
             set_arg(index, block)
