@@ -11,7 +11,7 @@ import pyopencl as cl
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
-from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes
+from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes, grid_of
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
 from gffe_cl.engine.stages.warp import DISOCCLUDED, HOLES, MIXED, OPEN_LIST
 
@@ -188,7 +188,7 @@ class Background(NearestStage):
                 continue
             whole, start = spec.part_of, places.get(spec.name, 0)
             if spec.name not in places:
-                start = self.starts[int(spec.grid.removeprefix("level"))] * spec.bytes_per_pixel
+                start = self.starts[grid_of(spec.grid).level] * spec.bytes_per_pixel
                 if whole in places:
                     whole, start = "memory", start + places[whole]
             made[spec.name] = self.board.memory.part(made[whole], start, spec.nbytes(self.sizes))
