@@ -1,13 +1,13 @@
 """Contract of a stage, which declares its buffers and the buffers that each of its kernels reads and writes.
 
 From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
-of stages and memory, and the bytes per pixel that must move (`gffe bench`).
+of stages and memory.
 """
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -30,64 +30,31 @@ _TILE, _ROW = (16, 8), (128, 1)
 
 
 @dataclass(frozen=True)
-class Share:
-    """A share of the pixels: its name in tables, and a function that counts it in the present frame, 0 to 1."""
-
-    name: str
-    count: Callable[[Board], float]
-
-
-def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambda values: values != 0) -> Share:
-    """Return the share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
-
-    def count(board: Board) -> float:
-        owner, _, own = buffer.partition(".")
-        found: Any = board.frame if owner == "frame" else board.stages.get(owner)
-        there = found and any(spec.name == own for spec in found.buffers)
-        return float(counts(found.read(own)).mean()) if there else 0.0
-
-    return Share(name, count)
-
-
-@dataclass(frozen=True)
-class Access:
-    """Access of a kernel through one argument.
-
-    `buffer` is its name; {…} in it are given at the launch. `share` is the accessed share of the buffer's pixels, a
-    number or counted in the frame; `planes` is the number of accessed planes, None for all.
-    """
-
-    buffer: str
-    share: Share | float = 1.0
-    planes: int | None = None
-
-
-@dataclass(frozen=True)
 class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
     `group` of them, in a row, make a work-group, with `group_rows` rows (None: as suits the device). `repeats` is the
-    name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` go
-    by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer
+    name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` are
+    names of buffers, by the names of its arguments; {…} in them are given at the launch. Buffers that are both read and
+    written are in both. A launch may give another buffer
     than the declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
     """
 
     name: str
     grid: str
-    reads: Mapping[str, Access | str] = field(default_factory=dict)
-    writes: Mapping[str, Access | str] = field(default_factory=dict)
+    reads: Mapping[str, str] = field(default_factory=dict)
+    writes: Mapping[str, str] = field(default_factory=dict)
     step: tuple[int | str, int | str] = (1, 1)
     group: int | str | None = None
     group_rows: int | str = 1
     repeats: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def accesses(self) -> Iterator[tuple[str, str, Access]]:
-        """Yield ("reads" or "writes", argument, access) of each access."""
-        for kind in ("reads", "writes"):
-            for argument, access in getattr(self, kind).items():
-                yield kind, argument, access if isinstance(access, Access) else Access(access)
+    @property
+    def buffers(self) -> dict[str, str]:
+        """Names of the buffers that it reads or writes, by argument."""
+        return {**self.reads, **self.writes}
 
 
 @dataclass
@@ -191,7 +158,7 @@ class Board:
         """Do the `work` of stages on a step. What they enqueue depends on the `circumstances` alone, besides `turn` and
         whether there is a previous frame: it is enqueued again while these and the rendered frames' buffers are the
         same. None: it depends on more."""
-        if circumstances is None or not self.commands.repeats:
+        if circumstances is None:
             work(step)
             return
         key = self.turn, step.slot, step.previous is None, *circumstances
@@ -299,7 +266,7 @@ class Stage(Owner):
     @classmethod
     def outputs(cls) -> tuple[str, ...]:
         """Return the names of the buffers of the extrapolated frame that the stage writes."""
-        written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
+        written = (name for kernel in cls.kernels for name in kernel.writes.values())
         return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
 
     def own(self, name: str) -> cl.Buffer:
@@ -367,7 +334,7 @@ class Stage(Owner):
             items, group = (*items, given[kernel.repeats]), (*group, 1)
         made = self.program.kernel(kernel.name)
         launch = Launch(kernel, slot, made, items, group)
-        declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
+        declared = kernel.buffers
         for index, argument in enumerate(self.program.arguments[kernel.name]):
             if slot and argument.is_frame_block:
                 made.set_arg(index, self.board.blocks.buffer[slot])
@@ -394,8 +361,8 @@ class Stage(Owner):
         """Return the values of a kernel's arguments, by name, in a launch with the arguments in `given` and the frame
         block `slot`."""
         values = {**given, "frame": self.board.blocks.buffer[slot]} if slot else dict(given)
-        declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in values}
-        return values | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
+        declared = kernel.buffers
+        return {name: self._buffer(declared[name], given) for name in declared.keys() - values.keys()} | values
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""

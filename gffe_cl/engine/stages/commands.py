@@ -1,5 +1,4 @@
-"""Commands of stages: enqueued on the device's queue, or also timed. `traffic` counts them, and `recording` records
-them instead."""
+"""Commands of stages: enqueued on the device's queue, or also timed. `recording` records them instead."""
 
 from __future__ import annotations
 
@@ -55,8 +54,6 @@ class Commands:
 
     On a queue with profiling, `events` are those of the latest commands: name of the stage, of the kernel, and event.
     """
-
-    repeats = True  # whether scripts may be enqueued
 
     def __init__(self, device: Device):
         self._queue, self._profiles = device.queue, device.profiles

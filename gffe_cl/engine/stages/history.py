@@ -8,20 +8,13 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step, share_of
-from gffe_cl.engine.stages.buffers import CUT_SAMPLES, RESIDUAL_STRIDE, BufferSpec
-from gffe_cl.engine.stages.color_code import CODED_AT_ONCE
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
 
 _CONSTANTS = constants("history.cl")
-_SAMPLED = RESIDUAL_STRIDE**-2
-_CUTS = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
 _CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
-
-
-DYNAMIC_PIXELS = share_of("dynamic", "history.dynamic_mask")
-QUANTIZED_SAMPLES = share_of("quantized", "history.motion_steps", lambda steps: np.any(steps) * _SAMPLED)
 
 
 class HistoryTracking(Stage):
@@ -105,11 +98,11 @@ class HistoryTracking(Stage):
             "measure_samples",
             "measures",
             {
-                "color": Access("rendered.color", 4 * _CUTS),
-                "depth": Access("rendered.depth", _SAMPLED + _CUTS),
-                "motion": Access("rendered.motion", _SAMPLED + _CUTS),
-                "color_prev": Access("previous.color", 4 * _CUTS),
-                "depth_prev": Access("previous.depth", 4 * _CUTS),
+                "color": "rendered.color",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
                 "pending": "history.pending",
             },
             {
@@ -126,8 +119,8 @@ class HistoryTracking(Stage):
             "refine_threshold",
             "residuals",
             {
-                "depth": Access("rendered.depth", QUANTIZED_SAMPLES),
-                "motion": Access("rendered.motion", QUANTIZED_SAMPLES),
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
                 "pending": "history.pending",
                 "motion_steps": "history.motion_steps",
             },
@@ -145,19 +138,19 @@ class HistoryTracking(Stage):
             {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
-                "depth_prev": Access("previous.depth", DYNAMIC_PIXELS),
-                "dynamic_prev": Access("history.dynamic_mask", planes=0),
-                "history_prev": Access("history.history", planes=0),
+                "depth_prev": "previous.depth",
+                "dynamic_prev": "history.dynamic_mask",
+                "history_prev": "history.history",
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
-                "color": Access("rendered.color", CODED_AT_ONCE),
+                "color": "rendered.color",
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
-                "history": Access("history.history", DYNAMIC_PIXELS),
-                "last_stir": Access("history.last_stir", DYNAMIC_PIXELS),
-                "codes": Access("color_code.codes", CODED_AT_ONCE),
+                "met_depth": "history.met_depth",
+                "history": "history.history",
+                "last_stir": "history.last_stir",
+                "codes": "color_code.codes",
             },
             step=("LANES", 1),
         ),
@@ -168,13 +161,13 @@ class HistoryTracking(Stage):
         self.detects = board.facts["detects"] = SceneCuts.name in board.stages
         if not self.detects:  # it counts nothing for them
             measure, *others = self.kernels
-            nothing: dict[str, Any] = {"cut_counts": Access("history.pending", planes=0)}
+            nothing: dict[str, Any] = {"cut_counts": "history.pending"}
             self.kernels = (replace(measure, writes={**measure.writes, **nothing}), *others)
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             *others, track = self.kernels
             kept = {
-                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS),
-                "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=self.positions - 2),
+                "dynamic_prev": "history.dynamic_mask'",
+                "history_prev": "history.history'",
             }
             self.kernels = (*others, replace(track, reads={**track.reads, **kept}))
             changes: dict[str, dict[str, Any]] = {

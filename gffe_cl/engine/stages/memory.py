@@ -98,7 +98,7 @@ class LentMemory:
         """
         name, used = f"{stage.name}.{spec.name}", []
         for number, other in enumerate(self._stages.values()):
-            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
+            names_it = any(name in kernel.buffers.values() for kernel in other.kernels)
             if names_it or other is stage or (used and not spec.scratch):
                 used.append(number)
         start = 0 if spec.fleeting else _EXTRAPOLATE

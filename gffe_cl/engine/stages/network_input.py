@@ -7,7 +7,7 @@ import numpy as np
 from gffe_cl.engine.inference.model_interface import INPUT_PLANES
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.shading import SEEN
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
@@ -39,7 +39,7 @@ class NetworkInput(Stage):
         Kernel(
             "depth_histogram",
             "target",
-            {"depth": Access("frame.depth", 1 / 8), "histogram": "network_input.histogram"},
+            {"depth": "frame.depth", "histogram": "network_input.histogram"},
             {"histogram": "network_input.histogram"},
             step=("LANES", "STRIP"),
         ),
