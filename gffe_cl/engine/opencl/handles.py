@@ -52,3 +52,16 @@ def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event
         if status < 0:
             raise GffeError(f"{what}[{number}] has failed (OpenCL error {status})")
     return events
+
+
+def wait_for_all(queue: cl.CommandQueue, events: list[cl.Event]) -> None:
+    """Make all later commands of the queue wait for `events`."""
+    if events:
+        cl.enqueue_barrier(queue, wait_for=events)
+
+
+def marker(queue: cl.CommandQueue) -> cl.Event:
+    """Return an event that is complete when all work enqueued so far is; other queues can wait for it."""
+    event = cl.enqueue_marker(queue)
+    queue.flush()
+    return event

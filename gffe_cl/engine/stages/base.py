@@ -7,7 +7,7 @@ of stages and memory.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -154,25 +154,34 @@ class Board:
             self._shown[self.turn & 1] = object()
         self.rendered, self.previous, self.shown = frame, previous or frame, self._shown[self.turn & 1]
 
-    def perform(self, step: Step, work: Callable[[Step], None], circumstances: tuple | None) -> None:
-        """Do the `work` of stages on a step. What they enqueue depends on the `circumstances` alone, besides `turn` and
-        whether there is a previous frame: it is enqueued again while these and the rendered frames' buffers are the
-        same. None: it depends on more."""
-        if circumstances is None:
-            work(step)
-            return
-        key = self.turn, step.slot, step.previous is None, *circumstances
-        script = self.scripts.get(key)
-        if script and script.shown is self.shown:
-            self.blocks.held[step.slot] = step.key
-            self.commands.repeat(script, step.block(self))
-            return
-        self.commands.script = script = Script(self.shown)
+    def perform(
+        self, step: Step, stages: Iterable[Any], circumstances: tuple | None, after: Callable[[Any], None] | None = None
+    ) -> None:
+        """Do the work of `stages` on a step, and call `after` with each. What they enqueue depends on the
+        `circumstances` alone, besides `turn` and whether there is a previous frame: it is enqueued again while these
+        and the rendered frames' buffers are the same. None: it depends on more."""
+        key, script = (), None
+        if circumstances is not None:
+            key = self.turn, step.slot, step.previous is None, *circumstances
+            script = self.scripts.get(key)
+            if script and script.shown is self.shown:
+                self.blocks.held[step.slot] = step.key
+                self.commands.repeat(script, step.block(self))
+                return
+            script = Script(self.shown)
+        self.commands.script = script
         try:
-            work(step)
-            self.scripts[key] = script
+            for stage in stages:
+                if step.slot == "rendered":
+                    stage.rendered(step)
+                else:
+                    stage.extrapolated(step)
+                if after:
+                    after(stage)
         finally:
             self.commands.script = None
+        if script:
+            self.scripts[key] = script
 
     def __del__(self):
         self.let_go()

@@ -192,6 +192,7 @@ class Intake:
         self._slots: list[DeviceFrame] = []
         self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
         self.composition: Composition | None = None
+        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
 
     def begin(self, board: Board) -> None:
         """Work for the stages on `board` from now on. Counts go on."""
@@ -228,6 +229,12 @@ class Intake:
         if detection:
             layers = detection.found(layers, shown, before, exposure)
         return (self.composition.take(layers, shown) if self.composition else shown), shown
+
+    def leave(self, done: cl.Event, frames: Any) -> None:
+        """Keep `frames` until `done` is complete."""
+        complete = cl.command_execution_status.COMPLETE
+        self._leaving = [one for one in self._leaving if one[0].command_execution_status > complete]
+        self._leaving.append((done, frames))
 
     @property
     def overlaid(self) -> Composition | None:
