@@ -260,21 +260,21 @@ class Pipeline:
             stage.swap()
         board.show(frames.needed, frames.previous)
         board.memory.place(board.turn)
-        self._take_rendered()
+        worked = self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and frames.previous else False
         self.display.prepare()
-        done = marker(self.device.queue)
+        done = worked or marker(self.device.queue)
         self.intake.leave(done, before)
         if self.watcher:
             self.watcher.submitted(self, frame, shown)
         return done
 
-    def _take_rendered(self) -> None:
-        """Enqueue the stages' work on the current frame."""
+    def _take_rendered(self) -> cl.Event | None:
+        """Enqueue the stages' work on the current frame. Returns the event of `Board.perform`."""
         frames = self.frames
         rest = frames.rest.copy()
         step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self.exposure, given=rest)
-        self.board.perform(step, self.stages.values(), ())
+        return self.board.perform(step, self.stages.values(), ())
 
     def _decide_cut(self) -> None:
         """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
@@ -378,7 +378,7 @@ class Pipeline:
         stages: Iterable[Any] = self.stages.values()
         if works_beside:
             stages = [stage for stage in stages if not isinstance(stage, (*INPUTS, ShadingCorrection))]
-        self.board.perform(step, stages, circumstances, self._outputs.keep if self._outputs.kept else None)
+        worked = self.board.perform(step, stages, circumstances, self._outputs.keep if self._outputs.kept else None)
         frames.rest["coded"] |= not step.given["stays"]
         if works_beside and correction:
             correction.begin(step)
@@ -386,7 +386,7 @@ class Pipeline:
         color = self._outputs.picture("extrapolated") or made["color"]
         if composition := self.intake.overlaid:
             self._finish()
-            color = composition.compose(color, step.alpha)
+            color, worked = composition.compose(color, step.alpha), None
         shown = color, made["depth"], made["motion"], self.device, self.sizes.target
         frame = ExtrapolatedFrame(
             given["camera"],
@@ -397,7 +397,7 @@ class Pipeline:
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
             _finish=self._unfinished,
-            _event=marker(self.device.queue),
+            _event=worked or marker(self.device.queue),
         )
         if self.watcher:
             self.watcher.extrapolated(self, frame)

@@ -156,18 +156,18 @@ class Board:
 
     def perform(
         self, step: Step, stages: Iterable[Any], circumstances: tuple | None, after: Callable[[Any], None] | None = None
-    ) -> None:
+    ) -> cl.Event | None:
         """Do the work of `stages` on a step, and call `after` with each. What they enqueue depends on the
         `circumstances` alone, besides `turn` and whether there is a previous frame: it is enqueued again while these
-        and the rendered frames' buffers are the same. None: it depends on more."""
+        and the rendered frames' buffers are the same. None: it depends on more. Returns the event with which all work
+        is complete, if there is one already."""
         key, script = (), None
         if circumstances is not None:
             key = self.turn, step.slot, step.previous is None, *circumstances
             script = self.scripts.get(key)
             if script and script.shown is self.shown:
                 self.blocks.held[step.slot] = step.key
-                self.commands.repeat(script, step.block(self))
-                return
+                return self.commands.repeat(script, step.block(self))
             script = Script(self.shown)
         self.commands.script = script
         try:
@@ -182,6 +182,7 @@ class Board:
             self.commands.script = None
         if script:
             self.scripts[key] = script
+        return None
 
     def __del__(self):
         self.let_go()

@@ -60,14 +60,18 @@ class Commands:
         self.events: deque[tuple[str, str, cl.Event]] = deque(maxlen=_EVENTS)
         self.script: Script | None = None
 
-    def repeat(self, script: Script, block: array[float]) -> None:
-        """Enqueue the commands of a script with another frame block."""
+    def repeat(self, script: Script, block: array[float]) -> cl.Event | None:
+        """Enqueue the commands of a script with another frame block. Returns the event of the last one, with which all
+        work enqueued so far is complete, because the queue works in order; None if the host worked last."""
         for set_arg, index in script.blocks:
             set_arg(index, block)
+        event, name = None, ""
         for call, arguments, stage, name in script.calls:
             event = call(*arguments)
             if self._profiles and name:
                 self.events.append((stage, name, event))
+        self._queue.flush()
+        return event if name else None
 
     def call(self, function: Callable[[], Any]) -> None:
         """Call a function of a stage that works on the host, now and whenever the script is repeated."""
