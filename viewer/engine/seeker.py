@@ -160,7 +160,6 @@ class Seeker:
         pipeline = self._running
         if last:
             pipeline.take_timings()  # of the warm-up: not this slot's
-            self._count_launches()
         pipeline.exposure = self.source.exposure
         pipeline.submit(self.stored or frame)
         if self.stored:  # the pipeline has converted it
