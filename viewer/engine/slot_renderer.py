@@ -14,6 +14,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
+from gffe_cl.engine.timing.parts import memory
 from . import names
 from .buffers import Shot, device_layers, moved, pixel_values, read_layers, source_position
 from .description import changed_motion, in_words
@@ -37,6 +38,8 @@ class SlotMaker:
         The slot that was made last.
     used_at : int
         The number of slots made so far by all makers when this one was used last.
+    nbytes : int
+        What its pipeline has on the device, and its source.
     """
 
     _used = itertools.count(1)
@@ -45,7 +48,12 @@ class SlotMaker:
         self.source, self._kernels, self.check = source, kernels, check
         self._seeker = Seeker(device, source, lambda: self.check())
         self.key: Key | None = None
-        self.used_at = 0
+        self.used_at = self.nbytes = 0
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return self._seeker.progress
 
     def holds(self, key: Key) -> bool:
         """Return whether the pipeline's buffers are those of this slot."""
@@ -97,6 +105,7 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
+        self.nbytes = sum(memory(pipeline).values()) + source.nbytes
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3

@@ -85,8 +85,8 @@ def test_arrays_are_copied_without_waiting(device, seen, monkeypatch):
 
 
 def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
-    """Validation is entered once for each array, and for buffers never. Buffers that come in turns are arguments of kernels already, whatever the
-    order of others before; the bits are those of buffers that are new each time."""
+    """Validation is entered once for each array, and for buffers never. Buffers that come in turns are arguments of
+    kernels already, whatever the order of others before; the bits are those of buffers that are new each time."""
     options = Options(shading_correction=False, cut_detection=False)
     again, anew, arrays = (Pipeline(device, *SIZE, options) for _ in range(3))
     sets = [on(device, seen[k]) for k in range(3)]
