@@ -139,8 +139,8 @@ class HistoryTracking(Stage):
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
                 "depth_prev": "previous.depth",
-                "dynamic_prev": "history.dynamic_mask",
-                "history_prev": "history.history",
+                "dynamic_prev": "history.dynamic_mask'",
+                "history_prev": "history.history'",
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
                 "color": "rendered.color",
@@ -163,18 +163,16 @@ class HistoryTracking(Stage):
             measure, *others = self.kernels
             nothing: dict[str, Any] = {"cut_counts": "history.pending"}
             self.kernels = (replace(measure, writes={**measure.writes, **nothing}), *others)
+        changes: dict[str, dict[str, Any]]
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
-            *others, track = self.kernels
-            kept = {
-                "dynamic_prev": "history.dynamic_mask'",
-                "history_prev": "history.history'",
-            }
-            self.kernels = (*others, replace(track, reads={**track.reads, **kept}))
-            changes: dict[str, dict[str, Any]] = {
+            changes = {
                 "dynamic_mask": {"kept": True},
                 "history": {"kept": True, "planes": self.positions - 1},
             }
-        else:
+        else:  # it reads nothing of them
+            *others, track = self.kernels
+            nothing = {"dynamic_prev": "history.dynamic_mask", "history_prev": "history.history"}
+            self.kernels = (*others, replace(track, reads={**track.reads, **nothing}))
             changes = {"history": {"grid": "once", "scratch": True, "known_where": None}}
         self.buffers = tuple(replace(spec, **changes.get(spec.name, {})) for spec in self.buffers)
         super().__init__(board)
