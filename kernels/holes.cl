@@ -39,16 +39,31 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
+#define PAST_SHARE 4 /* part of the reach within which directions look past what they have met */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
 
 /* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
-   and 1 / distance (1/px); continued to the hole, whether it lies outside of the rendered image, and whether it can be
-   there as a static surface. */
+   and 1 / distance (1/px); whether it is a mover's; continued to the hole, whether it lies outside of the rendered
+   image, and whether it can be there as a static surface. */
 typedef struct {
-    bool meets, is_outside, can_be_there;
+    bool meets, is_of_mover, is_outside, can_be_there;
     int px;
     float closeness, inverse, code_x, code_y, code_z;
 } Side;
+
+/* Lets a direction from the hole `dst` meet a pixel, t steps of d away. */
+INLINE void meet(Side *side, const int dst, const int t, const int2 d, __constant Frame *frame,
+                 __global const float *depth, __global const half *color) {
+    const int px = dst + t * (d.y * frame->target_width + d.x);
+    const float z = depth[px];
+    const float3 code = load_code(color, px, frame->code_offset);
+    side->px = px;
+    side->closeness = divide(1.0f, (float)t * step_length(d));
+    side->inverse = isinf(z) ? 0.0f : divide(1.0f, z);
+    side->code_x = code.x;
+    side->code_y = code.y;
+    side->code_z = code.z;
+}
 
 /* Looks in direction k from a hole, up to `reach` px away, for a pixel that `mask` does not call a `hole`. */
 INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
@@ -59,15 +74,8 @@ INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach,
     const int offset = d.y * width + d.x;
     const int t =
         first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
-    Side side = {t != 0, false, false, dst + t * offset, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
-    if (t == 0) return side;
-    const float z = depth[side.px];
-    const float3 code = load_code(color, side.px, frame->code_offset);
-    side.closeness = divide(1.0f, (float)t * step_length(d));
-    side.inverse = isinf(z) ? 0.0f : divide(1.0f, z);
-    side.code_x = code.x;
-    side.code_y = code.y;
-    side.code_z = code.z;
+    Side side = {t != 0, false, false, false, dst, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
+    if (t != 0) meet(&side, dst, t, d, frame, depth, color);
     return side;
 }
 
@@ -376,6 +384,56 @@ INLINE bool is_unfilled(const uint entry, __global const uchar *filled_by) {
     return entry < MIXED_FLAG && filled_by[entry] == BY_HOLE_FILLING;
 }
 
+/* Whether a pixel of the new frame shows a mover, or what was made up for one. */
+INLINE bool is_of_mover(const int dst, const Images f) { return f.is_dynamic[dst] || IS_OF_MOVER(f.filled_by[dst]); }
+
+/* Whether the surface of inverse depth `inverse` can be static at a hole. */
+INLINE bool can_be_behind(const int dst_x, const int dst_y, const float inverse, __constant Frame *frame,
+                          const Images f, bool *is_outside) {
+    const float3 px_source = static_source(dst_x, dst_y, inverse, frame->to_source);
+    *is_outside = is_out_of_screen(px_source, frame);
+    return !*is_outside && can_be_at(px_source, frame, f.source_depth);
+}
+
+/* Whether something beside a hole is static, and nothing out of screen: then it is neither inside a mover nor beyond
+   the image. */
+INLINE bool may_look_past(__local const Side *sides) {
+    bool any_is_static = false, any_is_outside = false;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        any_is_static |= sides[k].meets && !sides[k].is_of_mover;
+        any_is_outside |= sides[k].is_outside;
+    }
+    return any_is_static && !any_is_outside;
+}
+
+/* Looks on in direction k, past the mover or the surface before the hole (a bar, say) that it has met, for a static
+   surface that can be there. Without any, what was made up for a mover does not count either. */
+INLINE void look_past(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
+                      const Images f, __local Side *side) {
+    const int width = frame->target_width, dst = dst_y * width + dst_x;
+    const int2 d = direction(k);
+    const int offset = d.y * width + d.x, steps = steps_within(reach, d, dst_x, dst_y, width, frame->target_height);
+    float before = side->is_of_mover ? 0.0f : f.depth[side->px]; /* depth of the last surface that cannot be there */
+    const int met = (side->px - dst) / offset, last = min(steps, met + reach / PAST_SHARE);
+    for (int t = met + 1; t <= last; ++t) {
+        const int px = dst + t * offset;
+        const float z = f.depth[px];
+        if (!(z > before) || f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue;
+        bool is_outside;
+        if (can_be_behind(dst_x, dst_y, isinf(z) ? 0.0f : divide(1.0f, z), frame, f, &is_outside)) {
+            Side found = *side;
+            meet(&found, dst, t, d, frame, f.depth, f.color);
+            found.can_be_there = true;
+            *side = found;
+            return;
+        }
+        before = z;
+    }
+    if (!IS_OF_MOVER(f.filled_by[side->px])) return;
+    side->meets = false;
+    side->inverse = INFINITY;
+}
+
 /* Fills pixels that are still invalid from the far side, a team of work-items for each. */
 WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
@@ -383,8 +441,14 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                                  __global const float *border_lines, __global half *color, __global float *depth,
                                  __global float2 *motion, __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
-    const Images images = {
-        .codes = codes, .border_lines = border_lines, .color = color, .depth = depth, .motion = motion};
+    const Images images = {.filled_by = filled_by,
+                           .codes = codes,
+                           .source_depth = source_depth,
+                           .is_dynamic = is_dynamic,
+                           .border_lines = border_lines,
+                           .color = color,
+                           .depth = depth,
+                           .motion = motion};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     const int reach = max(LEAST_REACH, width / REACH_SHARE);
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
@@ -394,13 +458,18 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
         for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM) {
             Side s = look(hole_x, hole_y, k, reach, frame, filled_by, BY_HOLE_FILLING, depth, color);
             if (s.meets) {
-                const float3 px_source = static_source(hole_x, hole_y, s.inverse, frame->to_source);
-                s.is_outside = is_out_of_screen(px_source, frame);
-                s.can_be_there = !s.is_outside && can_be_at(px_source, frame, source_depth) && is_dynamic[s.px] == 0
-                                 && filled_by[s.px] != BY_HIDDEN_PART;
+                s.is_of_mover = is_of_mover(s.px, images);
+                s.can_be_there =
+                    can_be_behind(hole_x, hole_y, s.inverse, frame, images, &s.is_outside) && !s.is_of_mover;
             }
             sides[team][k] = s;
         }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const bool looks_past = is_open && may_look_past(sides[team]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
+            if (sides[team][k].meets && !sides[team][k].can_be_there)
+                look_past(hole_x, hole_y, k, reach, frame, images, &sides[team][k]);
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
         if (is_unfilled(own, filled_by)) {

@@ -41,7 +41,7 @@ from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
-from gffe_cl.engine.timing import traffic
+from gffe_cl.engine.timing.parts import memory
 from .invalid import Invalid, fault_at, invalid_pixels, seen_at, seen_through
 from .messages import Frame, Interrupted, Key, Recipe
 from .reloading import Kernels
@@ -284,7 +284,7 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
-        self.nbytes = sum(traffic.memory(pipeline).values()) + source.nbytes
+        self.nbytes = sum(memory(pipeline).values()) + source.nbytes
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3

@@ -17,7 +17,7 @@ import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
-from gffe_cl.engine.stages.buffers import lies_on_source
+from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.engine.stages.frame_block import reprojection
 from . import colors, differences
 from .colors import Rgb
@@ -405,11 +405,11 @@ class Canvas:
             "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
             "tint": display.tint,
             "label_flip": colors.label_flip(spec),
-            "mask_area": frame.source_area if lies_on_source(spec.grid) else frame.target_area,
+            "mask_area": frame.source_area if grid_of(spec.grid).lies_on_source else frame.target_area,
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
         variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
-        mask = "" if frame.is_true(spec) else INVALID_RENDERED if lies_on_source(spec.grid) else INVALID_SHOWN
+        mask = "" if frame.is_true(spec) else INVALID_RENDERED if grid_of(spec.grid).lies_on_source else INVALID_SHOWN
         return _Shown(layer, variant, uniforms, mask)
 
 
