@@ -72,7 +72,7 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
     if (x >= target_width || y >= target_height) return;
     const Rendered shown = {
         .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
-    const Uints word = load_words(count, keys, winners, dst);
+    const Uints word = load_some_winners(count, keys, winners, dst);
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);
     if (!ALL(reached)) {

@@ -117,11 +117,3 @@ INLINE uint nearest_beside(__global const Key *keys, __global const uint *winner
             }
     return word;
 }
-
-/* The vectors that reached LANES pixels from index i on, `count` of which are left of their row. */
-INLINE Uints load_words(const int count, __global const Key *keys, __global const uint *winners, const int i) {
-    if (IS_WHOLE(count)) return load_winners(keys, winners, i);
-    uint lane_word[LANES];
-    for (int k = 0; k < LANES; ++k) lane_word[k] = winner_of(keys, winners, i + min(k, count - 1));
-    return load_uints(0, lane_word);
-}

@@ -514,13 +514,8 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
         soften_run(dst_x, dst_y, count, s, l, f, softened, own);
         store_some_bytes(load_bytes(0, own), count, coverage + dst);
     }
-#if LANES == 1
     __local uint shared[2];
-    append_of_group(own[0] != 0, (uint)dst, soft, shared);
-#else
-    for (int k = 0; k < count; ++k)
-        if (own[k]) append((uint)(dst + k), soft);
-#endif
+    append_lanes(to_ints(load_bytes(0, own)) != 0, to_uints(dst + LANE_NUMBERS), soft, shared);
 }
 
 /* The new colors go to the frame. */
