@@ -256,38 +256,19 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
                            .fill_winners = fill_winners,
                            .push_winners = push_winners};
 
-    /* The last texels of a row, one by one. */
-    const int count = min(LANES, level_width - texel_x);
-    if (count < LANES) {
-        const Texels old = {.depth = old_depth,
-                            .frame_depth = frame_depth,
-                            .px = old_px,
-                            .state = old_state,
-                            .level = level,
-                            .width = level_width};
-        for (int k = 0; k < count; ++k) {
-            const int i = texel + k;
-            const bool shown = old_state[i] == SHOWN;
-            if (!shown && old_state[i] != REMEMBERED) continue;
-            const float2 px = px_of(old, i, texel_x + k, texel_y, shown);
-            const float3 now = reproject(px, depth_of(old, i, shown), to_current);
-            offer_fragment(now, (uint)i | (shown ? 0u : FROM_MEMORY), to);
-        }
-        return;
-    }
-
     /* LANES texels at once: what the frame before shows there, or what they remember. */
-    const Ints state = to_ints(load_bytes(0, old_state + texel));
-    const Ints remembered = state == REMEMBERED, held = (state == SHOWN) | remembered;
+    const int count = level_width - texel_x;
+    const Ints state = to_ints(load_some_bytes(count, old_state + texel));
+    const Ints remembered = state == REMEMBERED, held = ((state == SHOWN) | remembered) & (LANE_NUMBERS < count);
     if (!ANY(held)) return;
     const float side = (float)(1 << level);
     Floats px_x = row_centers(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
-    Floats z = load_floats(0, frame_depth + texel);
+    Floats z = load_some_floats(count, frame_depth + texel);
     if (ANY(remembered)) {
-        const Ints packed = remembered ? load_ints(0, old_px + texel) : (Ints)(0);
+        const Ints packed = remembered ? load_some_ints(count, old_px + texel) : (Ints)(0);
         px_x += unpack_x(packed, level);
         px_y += unpack_y(packed, level);
-        z = remembered ? load_floats(0, old_depth + texel) : z;
+        z = remembered ? load_some_floats(count, old_depth + texel) : z;
     }
 
     /* Most only meet the surface that they are of; a rough position tells. */

@@ -132,6 +132,10 @@ INLINE Floats load_some_floats(const int count, __global const float *p) {
     return gather_floats(p, i);
 }
 
+INLINE Ints load_some_ints(const int count, __global const int *p) {
+    return floats_as_ints(load_some_floats(count, (__global const float *)p));
+}
+
 INLINE Bytes load_some_bytes(const int count, __global const uchar *p) {
     if (IS_WHOLE(count)) return load_bytes(0, p);
     const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
