@@ -58,34 +58,13 @@ INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
 }
 
-#if LANES == 8
-/* LANES quads of 2x2 pixels that follow one another, from `top` and `bottom` on: upper left and right, lower left and
-   right. */
-INLINE void load_whole_quads(__global const float *top, __global const float *bottom, Floats *part) {
-    const float16 a = vload16(0, top), b = vload16(0, bottom);
-    part[0] = a.even;
-    part[1] = a.odd;
-    part[2] = b.even;
-    part[3] = b.odd;
-}
-#endif
-
-/* The 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image of half
-   the size has `count`: upper left and right, lower left and right. */
+/* The 2x2 pixels of a plane `width` pixels wide, which is even, for LANES pixels of a row from (x, y) on, of which the
+   image of half the size has `count`: upper left and right, lower left and right. */
 INLINE void load_quads(__global const float *plane, const int width, const int x, const int y, const int count,
                        Floats *part) {
-    __global const float *top = plane + 2 * y * width + 2 * x, *bottom = top + width;
-#if LANES == 8
-    if (count >= LANES) {
-        load_whole_quads(top, bottom, part);
-        return;
-    }
-#endif
-    const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    part[0] = gather_floats(top, i);
-    part[1] = gather_floats(top, i + 1);
-    part[2] = gather_floats(bottom, i);
-    part[3] = gather_floats(bottom, i + 1);
+    __global const float *top = plane + 2 * y * width + 2 * x;
+    part[0] = load_some_xy(count, (__global const float2 *)top, &part[1]);
+    part[2] = load_some_xy(count, (__global const float2 *)(top + width), &part[3]);
 }
 
 INLINE Floats mean_of_quad(const Floats *part) { return 0.25f * ((part[0] + part[1]) + (part[2] + part[3])); }

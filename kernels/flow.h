@@ -1,6 +1,8 @@
 /* Flow, which is where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), of LANES
    fragments at once. */
 
+#include "places.h"
+
 #define FOOTPRINT_HALF 0.65f /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8 /* px: the most that a fragment covers to each side */
 #define STRETCH_MOST 4.0f /* a footprint stretched by more than this over the one by depth is not trusted */
@@ -19,43 +21,6 @@ typedef struct {
     int target_width, target_height;
     float2 zoom; /* target pixels per source pixel of points equally far from both cameras */
 } Fragments;
-
-/* Pixels of LANES fragments, in an image of `pixels`: `one` run from `first` on, or `two`, of which one ends with
-   `last`, or anywhere. */
-typedef struct {
-    Ints at, of_last;
-    int first, last, pixels;
-    bool one, two;
-} Places;
-
-/* `margin`: the number of pixels before and after a run that are read with it. */
-INLINE void find_places(const Ints at, const int margin, const int pixels, Places *p) {
-    p->at = at;
-    p->pixels = pixels;
-    p->first = FIRST_LANE(at);
-    p->last = LAST_LANE(at) - (LANES - 1);
-    const Ints of_first = at == p->first + LANE_NUMBERS;
-    p->of_last = at == p->last + LANE_NUMBERS;
-    const bool within =
-        LANES > 1 && min(p->first, p->last) >= margin && max(p->first, p->last) + margin + LANES <= pixels;
-    p->one = within && ALL(of_first);
-    p->two = within && ALL(of_first | p->of_last);
-}
-
-/* The pixels `step` after these; any of the image where that leaves it. */
-INLINE Ints stepped(const Places p, const int step) { return clamp(p.at + step, (Ints)(0), (Ints)(p.pixels - 1)); }
-
-INLINE Floats floats_beside(__global const float *plane, const Places p, const int step) {
-    if (p.one) return load_floats(0, plane + (p.first + step));
-    if (p.two) return p.of_last ? load_floats(0, plane + (p.last + step)) : load_floats(0, plane + (p.first + step));
-    return gather_floats(plane, stepped(p, step));
-}
-
-INLINE Floats floats_at(__global const float *plane, const Places p) { return floats_beside(plane, p, 0); }
-
-INLINE Bytes bytes_at(__global const uchar *plane, const Places p) {
-    return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);
-}
 
 /* The values of one plane at LANES fragments and at their neighbors. */
 typedef struct {

@@ -153,18 +153,6 @@ INLINE void load_both(__global const float *brightness, __local const float *nea
     *moved = sampled(brightness + width * height, &there);
 }
 
-/* LANES pairs of pixels that follow one another. */
-INLINE void load_pairs(__local const float *p, Floats *left, Floats *right) {
-#if LANES == 8
-    const float16 pairs = vload16(0, p);
-    *left = pairs.even;
-    *right = pairs.odd;
-#else
-    *left = p[0];
-    *right = p[1];
-#endif
-}
-
 /* Mean over the 3x3 pixels around those of the tile from (x, y) on, or over those of them that there are. */
 INLINE Floats mean_around(__local const float *sums, const int width, const int height, const int x, const int y) {
     const int top = max(y, 1 - TILE_Y), bottom = min(y + 2, height - TILE_Y);
@@ -213,15 +201,15 @@ WIDE TILE __kernel void step_flow(__constant Frame *restrict frame, const int le
             const int y = 2 * (TILE_Y - 1 + row) + part;
             const int at = (y - 2 * TILE_Y + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
             __local const float *here = both + at;
-            Floats before, left, right, after, top[2], bottom[2], difference[2];
-            load_pairs(here - 1, &before, &left);
-            load_pairs(here + 1, &right, &after);
-            load_pairs(here - (y > 0 ? PIXEL_PITCH : 0), &top[0], &top[1]);
-            load_pairs(here + (y < fine_height - 1 ? PIXEL_PITCH : 0), &bottom[0], &bottom[1]);
-            load_pairs(rest + at, &difference[0], &difference[1]);
-            const Floats gradient[2] = {right - (x == 0 ? left : before), (x == width - 1 ? right : after) - left};
+            const Pairs left = load_pairs(here - 1), right = load_pairs(here + 1);
+            const Pairs top = load_pairs(here - (y > 0 ? PIXEL_PITCH : 0)),
+                        bottom = load_pairs(here + (y < fine_height - 1 ? PIXEL_PITCH : 0));
+            const Pairs differences = load_pairs(rest + at), down = bottom - top;
+            const Floats gradient[2] = {right.even - (x == 0 ? left.odd : left.even),
+                                        (x == width - 1 ? right.even : right.odd) - left.odd};
+            const Floats gradients_y[2] = {down.even, down.odd}, difference[2] = {differences.even, differences.odd};
             for (int side = 0; side < 2; ++side) {
-                const Floats gradient_y = bottom[side] - top[side];
+                const Floats gradient_y = gradients_y[side];
                 sums[0] += gradient[side] * gradient[side];
                 sums[1] += gradient[side] * gradient_y;
                 sums[2] += gradient_y * gradient_y;
@@ -282,11 +270,9 @@ WIDE TILE __kernel void find_differences(__constant Frame *restrict frame, __glo
         if (y < 0 || y >= height) continue;
         const Ints x = clamp(TILE_X - 1 + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1)), at = y * width + x;
         const int first = (2 * row - 2 + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
-        Floats of_still[4], of_along[4], of_repeated[4];
-        for (int part = 0; part < 2; ++part) {
-            load_pairs(still + first + part * PIXEL_PITCH, &of_still[2 * part], &of_still[2 * part + 1]);
-            load_pairs(along + first + part * PIXEL_PITCH, &of_along[2 * part], &of_along[2 * part + 1]);
-        }
+        const Pairs still_top = load_pairs(still + first), still_bottom = load_pairs(still + first + PIXEL_PITCH);
+        const Pairs along_top = load_pairs(along + first), along_bottom = load_pairs(along + first + PIXEL_PITCH);
+        Floats of_repeated[4];
         for (int part = 0; part < 4; ++part)
             of_repeated[part] = gather_floats(repeated, (2 * y + (part >> 1)) * fine + 2 * x + (part & 1));
         __local const float *here = near + (row - 1 + AROUND) * FLOW_PITCH + column - 1 + AROUND;
@@ -296,8 +282,9 @@ WIDE TILE __kernel void find_differences(__constant Frame *restrict frame, __glo
         const Floats changed = gather_floats(coarser, at) - gather_floats(coarser + plane, at);
         const Floats again = changed - mean_of_quad(of_repeated), again_along = changed - sampled(repeated, &there);
         __local float *out = squares + row * SUM_PITCH + column;
-        store_floats(0.25f * (of_still[0] + of_still[1] + of_still[2] + of_still[3]), 0, out);
-        store_floats(0.25f * (of_along[0] + of_along[1] + of_along[2] + of_along[3]), 0, out + SUM_PLANE);
+        store_floats(0.25f * (still_top.even + still_top.odd + still_bottom.even + still_bottom.odd), 0, out);
+        store_floats(0.25f * (along_top.even + along_top.odd + along_bottom.even + along_bottom.odd), 0,
+                     out + SUM_PLANE);
         store_floats(again * again, 0, out + 2 * SUM_PLANE);
         store_floats(again_along * again_along, 0, out + 3 * SUM_PLANE);
     }

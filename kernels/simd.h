@@ -33,6 +33,9 @@ typedef uchar8 Bytes;
 #define to_bytes convert_uchar8
 #define ints_as_floats as_float8
 #define floats_as_ints as_int8
+typedef float16 Pairs;       /* of numbers that follow one another: its .even and .odd are Floats */
+typedef uchar16 BytePairs;
+#define load_pairs(p) vload16(0, p)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
 #define FIRST_LANE(v) ((v).s0)
@@ -81,6 +84,9 @@ typedef uchar Bytes;
 #define to_bytes convert_uchar
 #define ints_as_floats as_float
 #define floats_as_ints as_int
+typedef float2 Pairs;
+typedef uchar2 BytePairs;
+#define load_pairs(p) vload2(0, p)
 #define LANE_NUMBERS 0
 #define ALL_LANES 1
 #define FIRST_LANE(v) (v)

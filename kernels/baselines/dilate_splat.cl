@@ -24,7 +24,7 @@ WIDE __kernel void splat(const int width, const int height, const float alpha, c
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
     Ints nearest;
-    const Floats z = wide_find_nearest(depth, x, y, width, height, &nearest);
+    const Floats z = find_nearest(depth, x, y, width, height, &nearest);
     Floats motion_y;
     const Floats motion_x = gather_xy(motion, nearest, &motion_y);
     const Floats move_x = -alpha * motion_x, move_y = -alpha * motion_y;
