@@ -178,19 +178,6 @@ INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
         is_run ? load_floats(0, to.level_depth + first) : gather_floats(to.level_depth, cell_x + (first - first_x));
     return !ANY(now.z * BEHIND > z);
 }
-
-/* The least state of the texels that LANES fragments touch, which land in one row from texel `first` on, side by
-   side. */
-INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left, const Ints up,
-                                __global const uchar *taken) {
-    __global const uchar *p = taken + first, *above = p - row, *below = p + row;
-    const char8 is_left = convert_char8(left), is_up = convert_char8(up);
-    const Bytes beside = is_left ? load_bytes(0, p - 1) : load_bytes(0, p + 1);
-    const Bytes next = is_up ? load_bytes(0, above) : load_bytes(0, below);
-    const Bytes next_above = is_left ? load_bytes(0, above - 1) : load_bytes(0, above + 1);
-    const Bytes next_below = is_left ? load_bytes(0, below - 1) : load_bytes(0, below + 1);
-    return min(min(load_bytes(0, p), beside), min(next, is_up ? next_above : next_below));
-}
 #endif
 
 /* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own
@@ -205,14 +192,6 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
     const Ints left = x - to_floats(cell_x) < 0.5f, up = y - to_floats(cell_y) < 0.5f;
     const Floats most = now.z * BEHIND;
     const bool last = level == to.last_level;
-#if LANES > 1
-    const int first = cell_y.s0 * row + cell_x.s0;
-    if (first > row && first + row + RUN <= row * rows
-        && ALL((cell_y == cell_y.s0) & (cell_x == cell_x.s0 + LANE_NUMBERS)))
-        return in
-               & ((to_ints(least_taken_of_run(first, row, left, up, to.taken)) == EMPTY)
-                  | (last ? (Ints)(0) : most > load_floats(0, to.level_depth + first)));
-#endif
     const Ints beside = clamp(cell_x + (left ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(row - 1));
     const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row,
                own = cell_y * row;
