@@ -27,9 +27,15 @@ INLINE void find_places(const Ints at, const int margin, const int pixels, Place
 /* The pixels `step` after these; any of the image where that leaves it. */
 INLINE Ints stepped(const Places p, const int step) { return clamp(p.at + step, (Ints)(0), (Ints)(p.pixels - 1)); }
 
+/* Values of `one` or `two` runs, `step` after these pixels; and of any. */
+INLINE Floats floats_of_runs(__global const float *plane, const Places p, const int step) {
+    const Floats first = load_floats(0, plane + (p.first + step));
+    return p.of_last ? load_floats(0, plane + (p.last + step)) : first;
+}
+
 INLINE Floats floats_beside(__global const float *plane, const Places p, const int step) {
     if (p.one) return load_floats(0, plane + (p.first + step));
-    if (p.two) return p.of_last ? load_floats(0, plane + (p.last + step)) : load_floats(0, plane + (p.first + step));
+    if (p.two) return floats_of_runs(plane, p, step);
     return gather_floats(plane, stepped(p, step));
 }
 

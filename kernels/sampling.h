@@ -51,7 +51,7 @@ INLINE void find_sample_runs(const Floats x, const Floats y, const int width, co
 
 INLINE Floats sampled_by_runs(__global const float *plane, const SampleRuns *s) {
     if (!s->in_runs) return sampled(plane, &s->sample);
-    const Floats a = floats_beside(plane, s->taps, 0), b = floats_beside(plane, s->taps, 1);
-    const Floats c = floats_beside(plane, s->taps, s->width), d = floats_beside(plane, s->taps, s->width + 1);
+    const Floats a = floats_of_runs(plane, s->taps, 0), b = floats_of_runs(plane, s->taps, 1);
+    const Floats c = floats_of_runs(plane, s->taps, s->width), d = floats_of_runs(plane, s->taps, s->width + 1);
     return between_taps(a, b, c, d, &s->sample);
 }

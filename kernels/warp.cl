@@ -170,7 +170,6 @@ typedef struct {
     Ints x, y; /* in the rendered frame; of lanes that none won, anywhere in it */
     Ints exist; /* lanes that one won */
     Ints smooth; /* those in a block where nothing moves apart, and all taps around are in the image */
-    bool strict; /* whether all are in such blocks of one surface */
 } Found;
 
 /* px by which fragments at (dx, dy) from the winners deviate from the motion of the winners' surroundings. */
@@ -179,21 +178,6 @@ INLINE Floats deviation(const Floats there_x, const Floats there_y, const Floats
     const Floats ex = fabs(there_x - at.x.here - f.xx * dx - f.yx * dy),
                  ey = fabs(there_y - at.y.here - f.xy * dx - f.yy * dy);
     return ex > ey ? ex : ey;
-}
-
-/* The flow of fragments within one smooth surface: nothing to check. */
-INLINE void smooth_flow(const Positions at, WideFlow *flow) {
-    const Cross x = at.x, y = at.y, z = at.z;
-    WideFlow f;
-    f.xx = ((x.right - x.here) + (x.here - x.left)) * 0.5f;
-    f.xy = ((y.right - y.here) + (y.here - y.left)) * 0.5f;
-    f.yx = ((x.down - x.here) + (x.here - x.up)) * 0.5f;
-    f.yy = ((y.down - y.here) + (y.here - y.up)) * 0.5f;
-    const Ints sky = isinf(z.here);
-    f.xz = sky ? (Floats)(0.0f) : ((z.right - z.here) + (z.here - z.left)) * 0.5f;
-    f.yz = sky ? (Floats)(0.0f) : ((z.down - z.here) + (z.here - z.up)) * 0.5f;
-    f.det = f.xx * f.yy - f.yx * f.xy;
-    *flow = f;
 }
 
 /* A pixel beside a nearer surface that moves away has a mixture of both colors. Gives the step, in source pixels, to
@@ -274,16 +258,12 @@ INLINE Uints resolve_found(const Fragments from, const Rendered shown, const Fou
     find_places(src, from.width + 1, from.plane, &places);
     Positions at;
     load_positions(from, places, &at);
+    Cross depth;
+    load_cross(from.depth, from.width, places, &depth);
     WideFlow f;
-    Ints step_x = (Ints)(0), step_y = step_x;
-    if (won.strict) {
-        smooth_flow(at, &f);
-    } else {
-        Cross depth;
-        load_cross(from.depth, from.width, places, &depth);
-        wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
-        step_off_silhouettes(from, won, places, at, depth, f, &step_x, &step_y);
-    }
+    wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
+    Ints step_x, step_y;
+    step_off_silhouettes(from, won, places, at, depth, f, &step_x, &step_y);
 
     /* The place within each fragment that lands on the pixel's center. */
     const Floats ex = center_x - at.x.here, ey = center_y - at.y.here, z = at.z.here;
@@ -324,7 +304,6 @@ INLINE void found_in_block(const Fragments from, const float8 source, const int 
     won->x = clamp(to_ints(floor(px_x)), (Ints)(2), (Ints)(from.width - 3));
     won->y = clamp(to_ints(floor(px_y)), (Ints)(2), (Ints)(from.height - 3));
     won->exist = won->smooth = ALL_LANES;
-    won->strict = source.s7 == FLOW_SMOOTH;
 }
 
 /* The fragments that were splatted nearest. A block at the image's border may only be smooth if it is RESTING. */
@@ -341,7 +320,6 @@ INLINE void found_by_splatting(const Fragments from, const Winners winners, __gl
     won->y = y;
     won->exist = exist;
     won->smooth = exist & (smooth != 0) & ((smooth != RESTING) | inner);
-    won->strict = ALL(exist & (smooth == STRICT));
 }
 
 /* LANES pixels, but for their color, of a block in which that is exact. */
