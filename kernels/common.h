@@ -150,7 +150,7 @@ DEFINE_FINITE(float4, finite_texel)
 /* Linear RGB of pixel i. */
 INLINE float3 load_color(__global const half *color, const int i) { return finite_texel(vload_half4(i, color)).xyz; }
 
-/* Every image of colors is stored by these two, and by store_texels and store_rgb_run of simd_rgb.h. */
+/* Every image of colors is stored by these two, and by store_texels of simd_rgb.h. */
 INLINE void store_texel(const float4 c, const int i, __global half *color) {
     vstore_half4_rte(finite_texel(c), i, color);
 }

@@ -32,22 +32,19 @@ INLINE void taps_of(const Ints columns, const int y, const int width, const int 
 INLINE void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
     taps_of(x + LANE_NUMBERS, y, width, height, t);
     t->first = (x >> 1) - 1;
-    t->inner = t->first >= 0 && t->first + 8 <= width;
+    t->inner = LANES > 1 && t->first >= 0 && t->first + LANES <= width;
 }
 
 /* Bilinear interpolation of a plane. */
 INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     Floats a, b, c, d;
-#if LANES == 8
     if (t->inner) {
-        const float8 top = vload8(0, plane + t->top + t->first), bottom = vload8(0, plane + t->bottom + t->first);
-        a = top.s01122334;
-        b = top.s12233445;
-        c = bottom.s01122334;
-        d = bottom.s12233445;
-    } else
-#endif
-    {
+        __global const float *top = plane + t->top + t->first, *bottom = plane + t->bottom + t->first;
+        a = load_left_taps(top);
+        b = load_right_taps(top);
+        c = load_left_taps(bottom);
+        d = load_right_taps(bottom);
+    } else {
         a = gather_floats(plane + t->top, t->left);
         b = gather_floats(plane + t->top, t->right);
         c = gather_floats(plane + t->bottom, t->left);

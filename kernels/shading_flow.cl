@@ -126,15 +126,11 @@ INLINE void load_flow(__global const float *flow, const bool doubles, const int 
 
 /* One plane of the flow, interpolated at pixels from (x, y) on; x is even with several lanes. */
 INLINE Floats flow_at(__local const float *near, const int x, const int y) {
-    __local const float *top = near + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH - TILE_X + AROUND;
+    __local const float *top =
+        near + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH + ((x - 1) >> 1) - TILE_X + AROUND;
     __local const float *bottom = top + FLOW_PITCH;
-#if LANES == 8
-    const float8 above = vload8(0, top + (x >> 1) - 1), below = vload8(0, bottom + (x >> 1) - 1);
-    const float8 a = above.s01122334, b = above.s12233445, c = below.s01122334, d = below.s12233445;
-#else
-    const int left = (x - 1) >> 1;
-    const float a = top[left], b = top[left + 1], c = bottom[left], d = bottom[left + 1];
-#endif
+    const Floats a = load_left_taps(top), b = load_right_taps(top);
+    const Floats c = load_left_taps(bottom), d = load_right_taps(bottom);
     const Floats u = ((x + LANE_NUMBERS) & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
     const float v = (y & 1) ? 0.25f : 0.75f;
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;

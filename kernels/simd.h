@@ -36,6 +36,9 @@ typedef uchar8 Bytes;
 typedef float16 Pairs;       /* of numbers that follow one another: its .even and .odd are Floats */
 typedef uchar16 BytePairs;
 #define load_pairs(p) vload16(0, p)
+/* The left and the right taps of LANES pixels in an image of half the size, from the first left one on. */
+#define load_left_taps(p) (vload8(0, p).s01122334)
+#define load_right_taps(p) (vload8(0, p).s12233445)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
 #define FIRST_LANE(v) ((v).s0)
@@ -87,6 +90,8 @@ typedef uchar Bytes;
 typedef float2 Pairs;
 typedef uchar2 BytePairs;
 #define load_pairs(p) vload2(0, p)
+#define load_left_taps(p) ((p)[0])
+#define load_right_taps(p) ((p)[1])
 #define LANE_NUMBERS 0
 #define ALL_LANES 1
 #define FIRST_LANE(v) (v)
