@@ -8,6 +8,7 @@ import json
 import math
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, overload
 
@@ -173,10 +174,7 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
     """Return `value` as an array of real numbers (of the `kinds` of NumPy's types). Raises GffeError unless it has the
     `shape`: for each axis its length, several lengths, or None for any. With an ellipsis in front, only the last axes
     are checked."""
-    try:
-        array = np.asarray(value)
-    except (ValueError, TypeError, RuntimeError):  # rows of several lengths, or no array at all
-        array = None
+    array = _as_array(value)
     if array is None or array.dtype.kind not in "biufc":
         raise GffeError(f"{what} must be an array of numbers, got {shown(value)}")
     lengths = shape[1:] if shape[:1] == (...,) else shape
@@ -191,6 +189,19 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
         expected = {"f": "floating point", "iuf": "real numbers"}.get(kinds, "numbers or truth values")
         raise GffeError(f"{what} must be {expected}, got {array.dtype}")
     return array
+
+
+def _as_array(value: Any) -> np.ndarray | None:
+    """Return `value` as an array, None if it is not one. Tensors that only DLPack hands over, as those in a GPU's
+    memory, are copied into host memory once."""
+    with suppress(ValueError, TypeError, RuntimeError):  # rows of several lengths, or no array at all
+        array = np.asarray(value)
+        if array.dtype != object:
+            return array
+    if hasattr(value, "__dlpack__"):
+        with suppress(Exception):  # each library has its own for what it cannot hand over
+            return np.from_dlpack(value, device="cpu")
+    return None
 
 
 def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:

@@ -97,8 +97,9 @@ class RenderedFrame:
 
     Notes
     -----
-    With a `FrameFormat` arrays and buffers are as that describes them. The fields are checked where the frame is used:
-    `Pipeline.submit` and `present` raise GffeError.
+    Arrays are NumPy's or whatever it can read in place; tensors that DLPack hands over, such as a GPU's, are copied to
+    the host. With a `FrameFormat` arrays and buffers are as that describes them. The fields are checked where the frame
+    is used: `Pipeline.submit` and `present` raise GffeError.
     """
 
     color: Any
