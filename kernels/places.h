@@ -2,8 +2,7 @@
 
 #include "simd.h"
 
-/* In an image of `pixels`: `one` run from `first` on, or `two`, of which one ends with
-   `last`, or anywhere. */
+/* In an image of `pixels`: `one` run from `first` on, or `two`, of which the other begins at `last`, or anywhere. */
 typedef struct {
     Ints at, of_last;
     int first, last, pixels;

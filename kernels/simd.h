@@ -7,7 +7,7 @@
    - The last work-item of a row may have fewer pixels: load_some_... and store_some_... take their `count`. Loads
      repeat the last pixel, stores skip the rest.
    - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes
-     through the function of one pixel, lane by lane, or takes all lanes, as in `flow_at`.
+     through the function of one pixel, lane by lane.
    - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
 
 #if LANES == 8
