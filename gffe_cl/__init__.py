@@ -40,6 +40,7 @@ _HOME = {
     "ExtrapolatedFrame": "engine.pipeline.made_frame",
     "Options": "engine.options",
     "OPTIONS": "engine.options",
+    "choose_options": "engine.timing.choice",
     "Pipeline": "engine.pipeline.pipeline",
     "PresentedFrame": "engine.pipeline.made_frame",
     "open_capture": "captures.formats",

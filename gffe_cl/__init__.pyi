@@ -42,6 +42,7 @@ from gffe_cl.engine.pipeline.made_frame import PresentedFrame as PresentedFrame
 from gffe_cl.engine.pipeline.pacing import Pacer as Pacer
 from gffe_cl.engine.pipeline.pipeline import Pipeline as Pipeline
 from gffe_cl.engine.stages.presentation import present as present
+from gffe_cl.engine.timing.choice import choose_options as choose_options
 from gffe_cl.lab.metrics import psnr as psnr
 from gffe_cl.lab.metrics import ssim as ssim
 from gffe_cl.viewer.engine.attached.client import attach as attach

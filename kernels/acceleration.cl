@@ -9,6 +9,8 @@
 #include "frame.h"
 #include "mover_grid.h"
 
+/* What set the thresholds: docs/deviations.md, "Movers' acceleration goes on", "Objects that the camera carries move
+   on in view space". */
 /* BEND_MOST: an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define BEND_MOST 0.5f
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */

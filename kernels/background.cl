@@ -14,8 +14,10 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
+/* What set the thresholds: docs/deviations.md, "Fragments must be deeper by a margin (case 2)", "Background texels
+   cover what they map to". */
 #define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to a REMEMBERED fragment, not to a SHOWN one */
-#define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
+#define SAME_LEVEL 0.02f   /* relative depth within which two fragments may be of the same surface */
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
@@ -85,14 +87,14 @@ INLINE bool may_be_at(const int src, const float z, const int source_width, __gl
     *margin = 0.0f;
     *behind = true;
     if (INVALID_DEPTH(z_shown)) return true;
-    *margin = SAME_SURFACE * z_shown;
+    *margin = SAME_LEVEL * z_shown;
     if (fabs(z - z_shown) > *margin) *margin += slope_at(src, source_width, depth, links);
     *behind = isinf(z) ? !isinf(z_shown) : z > z_shown + *margin;
     const bool before = isinf(z_shown) ? !isinf(z) : z < z_shown - *margin;
     return !before && (*behind || !dynamic_mask[src]);
 }
 
-#define BEHIND (1.0f - 0.95f * SAME_SURFACE)  /* times the depth of a fragment: nearer surfaces hide it */
+#define BEHIND (1.0f - 0.95f * SAME_LEVEL)  /* times the depth of a fragment: nearer surfaces hide it */
 #define TOUCHES 0.499f       /* of a texel's side: reach of a fragment to neighboring texels */
 
 /* The current frame, the contents of a level of it (`taken`, and their depths), and the receivers of fragments. */
@@ -130,7 +132,7 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
             filled = own;
         } else if (level < to.last_level) {
             const float z_level = to.level_depth[own];
-            const float level_margin = level == 0 ? margin : 2.0f * SAME_SURFACE * z_level;
+            const float level_margin = level == 0 ? margin : 2.0f * SAME_LEVEL * z_level;
             if (isinf(z) ? !isinf(z_level) : z > z_level + level_margin)
                 offer(to.pass, to.push_keys, to.push_winners,
                       (src_y >> (level + 1)) * level_side(to.width, level + 1) + (src_x >> (level + 1)), z, texel);
@@ -380,9 +382,9 @@ SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int l
 /* ---- projection --------------------------------------------------------------------------------------------- */
 
 #define ENOUGH_WEIGHT 0.5f
-#define REACH 16.0f              /* px: the most that a texel covers to each side */
-/* FOOTPRINT_HALF: of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
-#define FOOTPRINT_HALF 1.25f
+#define TEXEL_REACH 16.0f              /* px: the most that a texel covers to each side */
+/* TEXEL_HALF: of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
+#define TEXEL_HALF 1.25f
 
 /* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
 INLINE int level_of(const int texel, const int4 starts) {
@@ -412,7 +414,7 @@ INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int 
             && run_is_zero(to.mixed + first))
             continue;
         for (int dst = first; dst <= last; ++dst) {
-            const bool alike = to.mixed[dst] && is_same_surface(z, to.depth[dst], SAME_SURFACE * to.depth[dst]);
+            const bool alike = to.mixed[dst] && is_same_surface(z, to.depth[dst], SAME_LEVEL * to.depth[dst]);
             if (to.disoccluded[dst] || alike) offer(to.pass, to.keys, to.winners, dst, z, texel);
         }
     }
@@ -445,12 +447,13 @@ SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const i
         const float z_source = levels_depth[texel];
         const float2 px = px_of(texels, texel, in_level % width, in_level / width, false);
         const float3 there = reproject(px, z_source, frame->to_target);
-        if (!(there.z > 0.0f && there.x > -REACH && there.y > -REACH && there.x < (float)target_width + REACH
-              && there.y < (float)target_height + REACH))
+        if (!(there.z > 0.0f && there.x > -TEXEL_REACH && there.y > -TEXEL_REACH
+              && there.x < (float)target_width + TEXEL_REACH && there.y < (float)target_height + TEXEL_REACH))
             continue;
         const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
-        const float side = FOOTPRINT_HALF * (float)(1 << level) * nearer;
-        const float half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
+        const float side = TEXEL_HALF * (float)(1 << level) * nearer;
+        const float half_x = fmin(fmax(side * zoom.x, 0.5f), TEXEL_REACH),
+                    half_y = fmin(fmax(side * zoom.y, 0.5f), TEXEL_REACH);
         offer_to_pixels(max((int)ceil(there.x - half_x - 0.5f), 0), max((int)ceil(there.y - half_y - 0.5f), 0),
                         min((int)floor(there.x + half_x - 0.5f), target_width - 1),
                         min((int)floor(there.y + half_y - 0.5f), target_height - 1), there.z, (uint)texel, to);
@@ -482,7 +485,7 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
                 x[k] = y[k] = 0.0f;
                 if (first + k >= taps || !inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
                 const uchar state = texels.state[tap[k]];
-                const float margin = 2.0f * SAME_SURFACE * z_winner;
+                const float margin = 2.0f * SAME_LEVEL * z_winner;
                 shown[k] = state == SHOWN;
                 if (!shown[k] && state != REMEMBERED) continue;
                 const float z_tap = depth_of(texels, tap[k], shown[k]);
@@ -530,7 +533,7 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int i = (y0 + (tap >> 1)) * width + x0 + (tap & 1);
-        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_SURFACE * px_prev.z)) return false;
+        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_LEVEL * px_prev.z)) return false;
         sum += bilinear_weight(tap, u, v) * load_code(before.color, i, frame->code_offset);
     }
     *code = sum;

@@ -11,6 +11,7 @@
 #include "blocks.h"
 #include "nearest.h"
 
+/* What set the thresholds: docs/deviations.md, "Blocks where nothing moves apart are warped backward". */
 #define FAR_OFF 0x3FFFFFFF        /* more than any block's coordinate */
 #define MARGIN 2                  /* px around a block that must be linear, too: the taps of cubic resampling */
 #define COLUMNS_MOST 3            /* of source blocks that reach a target block which is warped backward */
@@ -182,7 +183,7 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
                                  .zoom = frame->zoom};
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
-    if (bx >= source_blocks || by >= block_rows(source_height) || !(frame->blocks && frame->crack_closing)) return;
+    if (bx >= source_blocks || by >= block_rows(source_height)) return;
     if (frame->stays && last_stir[by * source_blocks + bx] != frame->number) {
         smooth[by * source_blocks + bx] = RESTING;
         reach[by * source_blocks + bx] = (short4)(bx, by, bx, by);

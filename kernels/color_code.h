@@ -11,15 +11,18 @@
     INLINE F encode(const F c, const float offset) {                                                                   \
         const F size = fabs(c), root = roots(size);                                                                    \
         const float white_root = 2.0f * offset, below = (KNEE - 1.0f) * white_root * white_root;                       \
-        const F dark = 0.5f * size + offset * root, bright = KNEE * white_root * roots(white_root * root) - below;     \
-        return offset > 0.0f ? copysign(root > white_root ? bright : dark, c) : c;                                     \
+        F code = 0.5f * size + offset * root;                                                                          \
+        if (any(root > white_root))                                                                                    \
+            code = root > white_root ? KNEE * white_root * roots(white_root * root) - below : code;                    \
+        return offset > 0.0f ? copysign(code, c) : c;                                                                  \
     }                                                                                                                  \
     INLINE F decode(const F code, const float offset) {                                                                \
         const F size = fabs(code);                                                                                     \
         const float white_root = 2.0f * offset, white = white_root * white_root;                                       \
-        const F dark = roots(2.0f * size + offset * offset) - offset, sum = size + (KNEE - 1.0f) * white;              \
-        const F bright = sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root);                                 \
-        const F root = size > white ? bright : dark;                                                                   \
+        const F sum = size + (KNEE - 1.0f) * white;                                                                    \
+        F root = roots(2.0f * size + offset * offset) - offset;                                                        \
+        if (any(size > white))                                                                                         \
+            root = size > white ? sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root) : root;                 \
         return offset > 0.0f ? copysign(root * root, code) : code;                                                     \
     }
 
@@ -27,7 +30,7 @@ DEFINE_ROOT(float3, roots)
 DEFINE_COLOR_CODE(float3, roots, encode_color, decode_color)
 
 /* The code of pixel i of the codes that are stored (color_code.cl), which are finite. */
-INLINE float3 stored_code(__global const half *codes, const int i) { return vload_half4(i, codes).xyz; }
+INLINE float3 stored_code(__global const half *codes, const int i) { return load_texel(i, codes).xyz; }
 
 /* The code of a pixel of an image in linear light. */
 INLINE float3 load_code(__global const half *color, const int i, const float offset) {

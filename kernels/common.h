@@ -147,12 +147,21 @@ INLINE float3 mean_of(const float3 sum, const float weight_sum) {
 
 DEFINE_FINITE(float4, finite_texel)
 
+/* Texel i of an image of four halves each. It is read and written as a whole: vload_half4 may count on the alignment of
+   one half only, so that GPUs take four loads for it. */
+INLINE float4 load_texel(const int i, __global const half *image) {
+    const ulong texel = ((__global const ulong *)image)[i];
+    return vload_half4(0, (const half *)&texel);
+}
+
 /* Linear RGB of pixel i. */
-INLINE float3 load_color(__global const half *color, const int i) { return finite_texel(vload_half4(i, color)).xyz; }
+INLINE float3 load_color(__global const half *color, const int i) { return finite_texel(load_texel(i, color)).xyz; }
 
 /* Every image of colors is stored by these two, and by store_texels of simd_rgb.h. */
 INLINE void store_texel(const float4 c, const int i, __global half *color) {
-    vstore_half4_rte(finite_texel(c), i, color);
+    ulong texel;
+    vstore_half4_rte(finite_texel(c), 0, (half *)&texel);
+    ((__global ulong *)color)[i] = texel;
 }
 
 INLINE void store_color(const float3 c, __global half *color, const int i) { store_texel((float4)(c, 0.0f), i, color); }

@@ -8,7 +8,7 @@
 
 #include "frame.h"
 
-#define APPROACHES 3  /* of the effects' position to where they come from */
+#define EFFECT_APPROACHES 3  /* of the effects' position to where they come from */
 
 /* Depth without overlays that stay in place: no stage splats, collects or meets them. */
 __kernel void leave_out_fixed(__constant Frame *restrict frame, __global const float *depth,
@@ -22,7 +22,7 @@ __kernel void leave_out_fixed(__constant Frame *restrict frame, __global const f
 
 /* A texel of a layer; NaN is transparent. */
 INLINE float4 load_layer(__global const half *layer, const int i) {
-    const float4 c = vload_half4(i, layer);
+    const float4 c = load_texel(i, layer);
     return (float4)(load_color(layer, i), isnan(c.w) ? 0.0f : clamp(c.w, 0.0f, 1.0f));
 }
 
@@ -44,7 +44,7 @@ INLINE float3 over(const float4 layer, const float3 picture) { return layer.xyz 
 INLINE float2 effects_origin(const float2 px, const float alpha, __global const float2 *motion, const int width,
                              const int height) {
     float2 origin = px;
-    for (int k = 0; k < APPROACHES; ++k) {
+    for (int k = 0; k < EFFECT_APPROACHES; ++k) {
         const float2 place = floor(origin);
         if (!holds(width, height, place)) break;
         const float2 moved = alpha * motion[(int)place.y * width + (int)place.x];

@@ -7,13 +7,15 @@
 #include "nearest.h"
 #include "blocks.h"
 
+/* What set the thresholds: docs/deviations.md, "Fragments cover what their pixel maps to", "Nothing is collected
+   beside movers and nearer surfaces". */
 #define SURFACE_STEP 0.02f /* relative step of inverse depth between neighbors of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
 #define SMALL_STEP 0.0199f /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */
 #define LARGE_STEP 0.032f /* ... and a depth step above this and, next to a small one, above SURFACE_CURVATURE */
 
 #define GROW 2 /* px around dynamic or nearer fragments where colors may be mixed with theirs */
-#define NEARER 0.9f
+#define MIXES_IN 0.9f
 
 #define REACH 2 /* px around a pixel that are looked at: GROW, and 2 for links */
 #define GROUP 128 /* work-items of a work-group */
@@ -225,7 +227,7 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     Floats nearest;
     const bool still = look_around(p, &nearest);
     const Ints settled = (z > 0.0f) & (still ? ALL_LANES : nothing_moves(p));
-    const Ints clean = settled & !(nearest < z * NEARER);
+    const Ints clean = settled & !(nearest < z * MIXES_IN);
     Ints linked = links_by_depth(p);
     if (!still) linked &= links_by_motion(p);
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);

@@ -15,7 +15,7 @@
 #define GROUP_WIDTH 32
 #define GROUP_HEIGHT 2
 #define GROUP_ITEMS 64 /* their product */
-#define ROWS 2 /* of pixels that a work-item makes */
+#define OUTPUT_ROWS 2 /* of pixels that a work-item makes */
 #define MOST_READ 5 /* rows of inputs that it reads for them, where the image is halved */
 #define KEPT_BLOCKS 12 /* of inputs, whose weights are in local memory at once */
 #define MOST_TAPS 9 /* weights of an input for an output */
@@ -162,7 +162,7 @@ INLINE float4 total_of(const Sums sums, const float4 bias) { return convert_floa
 #endif
 
 /* A convolution with `size` weights each way, of an image of `source_blocks` blocks and of another of `beside_blocks`
-   that is joined to it. A work-item makes ROWS pixels of a block of channels, a work-group of 32 x 2 work-items
+   that is joined to it. A work-item makes OUTPUT_ROWS pixels of a block of channels, a work-group of 32 x 2 work-items
    shares their weights. `numbers` has, after the roundings, of each block of outputs the bias and the scale of sums.
    `again`: the image rounded once more, if `has_again`. */
 INLINE void convolve(const int size, const int stride, __constant Frame *frame, __global const uint *source,
@@ -170,18 +170,18 @@ INLINE void convolve(const int size, const int stride, __constant Frame *frame, 
                      __global uint *target, __global uint *again, const int level, const int source_blocks,
                      const int beside_blocks, const int has_again, __local Kept *kept) {
     const int width = frame->network_width >> level, height = frame->network_height >> level;
-    const int x = get_global_id(0), y = get_global_id(1) * ROWS, target_block = get_global_id(2);
+    const int x = get_global_id(0), y = get_global_id(1) * OUTPUT_ROWS, target_block = get_global_id(2);
     const int taps = size * size, blocks = source_blocks + beside_blocks, first = BORDER - size / 2;
     const int pitch = stride * width + 2 * BORDER, last_row = stride * height + 2 * BORDER - 1;
     const int in_plane = pitch * (last_row + 1), in_x = stride * min(x, width - 1) + first;
-    const int read = (ROWS - 1) * stride + size;
+    const int read = (OUTPUT_ROWS - 1) * stride + size;
     const int item = get_local_id(1) * GROUP_WIDTH + get_local_id(0);
     int places[MOST_READ];
-    Sums sums[ROWS];
+    Sums sums[OUTPUT_ROWS];
 #pragma unroll
     for (int j = 0; j < read; ++j) places[j] = min(stride * y + first + j, last_row) * pitch + in_x;
 #pragma unroll
-    for (int p = 0; p < ROWS; ++p) sums[p] = 0;
+    for (int p = 0; p < OUTPUT_ROWS; ++p) sums[p] = 0;
     weights += target_block * blocks * taps;
     for (int from = 0; from < blocks; from += KEPT_BLOCKS, weights += KEPT_BLOCKS * taps) {
         const int count = min(KEPT_BLOCKS, blocks - from);
@@ -200,7 +200,7 @@ INLINE void convolve(const int size, const int stride, __constant Frame *frame, 
 #pragma unroll
                 for (int j = 0; j < size; ++j, w += KEPT_PER_WEIGHTS)
 #pragma unroll
-                    for (int p = 0; p < ROWS; ++p) sums[p] = added(sums[p], v[p * stride + j], w);
+                    for (int p = 0; p < OUTPUT_ROWS; ++p) sums[p] = added(sums[p], v[p * stride + j], w);
             }
         }
     }
@@ -209,7 +209,7 @@ INLINE void convolve(const int size, const int stride, __constant Frame *frame, 
     const float4 zeros = numbers[3];
     const float4 bias = numbers[ROUNDINGS + 2 * target_block], scale = numbers[ROUNDINGS + 2 * target_block + 1];
 #pragma unroll
-    for (int p = 0; p < ROWS; ++p) {
+    for (int p = 0; p < OUTPUT_ROWS; ++p) {
         if (y + p >= height) break;
         const int at = target_block * plane + place_of(x, y + p, out_pitch);
         const float4 steps = first_steps(total_of(sums[p], bias) * scale, numbers);

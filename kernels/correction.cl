@@ -8,6 +8,8 @@
 #include "sampling.h"
 #include "simd_rgb.h"
 
+/* What set the thresholds: docs/deviations.md, "The mask minimizes the error of the final frame", "Flickering light is
+   left alone". */
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 #define FLOW_UNIT 4.0f       /* pixels of a quarter of the resolution, of the network's own flow */
 #define DETAIL 4             /* channels at half resolution, of which the network gives four pixels each */
@@ -21,7 +23,7 @@
 #define SLOPE 0.1f /* of leaky rectifiers */
 /* DISOCCLUDED_BELOW: mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
 #define DISOCCLUDED_BELOW 0.4f
-#define MARGIN 2.0f /* largest continued change of light, times its last change */
+#define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
 /* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
 #define TRUSTED 3.0f
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
@@ -108,14 +110,14 @@ INLINE Floats load_detail(__global const float *planes, const int plane, const i
 #endif
 }
 
-/* The difference between `now`, moved from a place along the flow, and the color here, within MARGIN times the change
-   from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
+/* The difference between `now`, moved from a place along the flow, and the color here, within CHANGE_MARGIN times the
+   change from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
    stays. */
 INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
                           const Floats before, const SampleRuns *along) {
     const Floats there = sampled_by_runs(frame_now, along), moved = there - now;
-    const Floats changed = MARGIN * (now - before),
-                 changed_there = MARGIN * (there - sampled_by_runs(frame_before, along));
+    const Floats changed = CHANGE_MARGIN * (now - before),
+                 changed_there = CHANGE_MARGIN * (there - sampled_by_runs(frame_before, along));
     const Floats least = wide_lesser(wide_lesser(changed, changed_there), (Floats)(0.0f));
     const Floats most = wide_greater(wide_greater(changed, changed_there), (Floats)(0.0f));
     return wide_lesser(wide_greater(moved, least), most);

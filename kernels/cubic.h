@@ -45,9 +45,9 @@ INLINE float4 cubic_of_rows(const float8 a, const float16 b, const float16 c, co
 
 /* The same of the taps from index `first` on. */
 INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
-    __global const half *p = image + 4 * first;
-    return cubic_of_rows(vload_half8(0, p + 4), vload_half16(0, p + 4 * width), vload_half16(0, p + 8 * width),
-                         vload_half8(0, p + 12 * width + 4), wx, wy)
+    return cubic_of_rows(load_two_texels(first + 1, image), load_four_texels(first + width, image),
+                         load_four_texels(first + 2 * width, image), load_two_texels(first + 3 * width + 1, image), wx,
+                         wy)
         .xyz;
 }
 

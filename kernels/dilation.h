@@ -2,12 +2,12 @@
    (nearest.h): for the dilated warp, and the peer to compare with. */
 
 #include "stencil.h"
+#include "thresholds.h"
 
 #define STEPS 32.0f     /* of a word, per pixel */
 #define ZERO 32768.0f   /* a component of 0 in a word; no word is NOBODY */
 #define LONGEST 1023.0f /* px: longer vectors are not carried */
 #define FILL_REACH 5    /* px around a pixel without a vector in which one is searched */
-#define SHOWS 0.97f     /* times the depth of a surface: what is nearer is another one */
 
 /* Tap k of the 3x3 around a pixel, which comes first. */
 #define TAP(k) (((k) + 4) % 9)
@@ -69,7 +69,7 @@ INLINE bool leads_to_nearer(const Origin from, const uint word, const float z) {
     if (!from.z) return false;
     const float2 px = components(word) + from.here;
     const int x = clamp((int)px.x, 0, from.width - 1), y = clamp((int)px.y, 0, from.height - 1);
-    return from.z[y * from.width + x] < SHOWS * z;
+    return from.z[y * from.width + x] < NEARER * z;
 }
 
 /* The word of the nearest surface within FILL_REACH px of a pixel that none reached, of those that do not lead to a

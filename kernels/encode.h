@@ -3,15 +3,21 @@
 #include "simd_rgb.h"
 #include "color_code.h"
 
+/* encode_texels is encode_color of pixels of a strip; nobody asks for the code of the fourth channel. */
+#if LANES == 8
 DEFINE_ROOT(Texels, texel_roots)
-
-/* encode_texels is encode_color of pixels of a strip. */
 DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
+#else
+#define encode_texels(c, offset) (float4)(encode_color((c).xyz, offset), 0.0f)
+#endif
 
 /* Encodes `count` colors, at most LANES, from pixel `src` on. NaN counts as 0, infinities are clamped. */
 INLINE void encode_run(const int count, const int src, const float code_offset, __global const half *color,
                        __global half *codes) {
     Strip s = load_strip(count, color + 4 * src);
-    for (int part = 0; part < PARTS; ++part) s.part[part] = encode_texels(finite_texels(s.part[part]), code_offset);
+    for (int part = 0; part < PARTS; ++part) {
+        s.part[part] = encode_texels(finite_texels(s.part[part]), code_offset);
+        VALID(s.part[part]) = 0.0f;
+    }
     store_strip(s, count, codes + 4 * src);
 }

@@ -17,16 +17,18 @@
 #include "blocks.h"
 #include "flow.h"
 #include "lists.h"
+#include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Hidden parts of movers", "Parts that the frame before showed
+   reappear". */
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
-/* STANDS_BEFORE: times the depth of a mover: its parts are looked for behind static pixels nearer than that */
-#define STANDS_BEFORE 0.97f
+/* NEARER: times the depth of a mover: its parts are looked for behind static pixels nearer than that */
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 
-#define LEAST_REACH 8     /* px, in which movers are looked for ... */
-#define REACH_SHARE 48    /* ... or this part of the target's width */
-#define BORDER_SHARE 8    /* part of the target's width: holes no wider may be those of movers that enter */
+#define MOVER_REACH 8     /* px, in which movers are looked for ... */
+#define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
+#define BORDER_SHARE 4    /* part of the target's width: holes no wider may be those of movers that enter */
 
 /* The new frame, the depth of the rendered one and of the one before it, and the motion between these. */
 typedef struct {
@@ -39,7 +41,7 @@ typedef struct {
     __global uchar *filled_by;
 } Images;
 
-INLINE int reach_of(__constant Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
+INLINE int reach_of(__constant Frame *frame) { return max(MOVER_REACH, frame->target_width / MOVER_REACH_SHARE); }
 
 /* The position where the pixel (dst_x, dst_y) was in the rendered image if it moves as the mover at (x, y) does. */
 INLINE float2 moves_along(const int x, const int y, const int dst_x, const int dst_y, __constant Frame *frame,
@@ -73,7 +75,7 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     for (int first = 1; first < t; first += AT_ONCE) {
         uint shown = others_from(first, t - 1, dst, offset, f.disoccluded, 1);
         for (; shown; shown &= shown - 1)
-            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * STANDS_BEFORE)) return 0;
+            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * NEARER)) return 0;
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
@@ -155,24 +157,46 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const Sid
 
 INLINE int border_reach(__constant Frame *frame) { return frame->target_width / BORDER_SHARE; }
 
-/* Fills a hole at the border with the mover that follows straight inward, if that one came from outside of the rendered
-   image there. Returns whether it did. */
+/* Steps in direction d, of `most` within reach of the border, to the first pixel that the warp has shown; 0: none. */
+INLINE int steps_to_shown(const int most, const int dst_x, const int dst_y, const int2 d, __constant Frame *frame,
+                          const Images f) {
+    const int width = frame->target_width;
+    const int steps = min(most, steps_within(border_reach(frame), d, dst_x, dst_y, width, frame->target_height));
+    return first_other(dst_y * width + dst_x, d.y * width + d.x, steps, f.disoccluded, 1);
+}
+
+/* Whether a mover is t steps away in direction d, inward from the border, and the hole's part of it came from outside
+   of the rendered image there. */
+INLINE bool is_of_entering(const int t, const int dst_x, const int dst_y, const int2 d, __constant Frame *frame,
+                           const Images f) {
+    const int x = dst_x + t * d.x, y = dst_y + t * d.y;
+    if (t == 0 || !f.is_dynamic[y * frame->target_width + x]) return false;
+    const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
+    const float along = d.x ? px_source.x : px_source.y;
+    const float end = (float)(d.x ? frame->source_width : frame->source_height);
+    return d.x + d.y > 0 ? along < 0.0f : along >= end;
+}
+
+/* Fills a hole at the border with the mover that enters there: the one straight inward or, in a corner, where the hole
+   ends sooner, inward from the other border. Returns whether there is one. */
 INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
     const int from_x = min(dst_x, width - 1 - dst_x), from_y = min(dst_y, height - 1 - dst_y);
-    const int2 d = from_x <= from_y ? (int2)(2 * dst_x < width ? 1 : -1, 0) : (int2)(0, 2 * dst_y < height ? 1 : -1);
-    const int offset = d.y * width + d.x, reach = border_reach(frame);
-    const int most = steps_within(reach, d, dst_x, dst_y, width, height);
+    const int2 across = (int2)(2 * dst_x < width ? 1 : -1, 0), upright = (int2)(0, 2 * dst_y < height ? 1 : -1);
+    const int reach = border_reach(frame);
+    int2 d = from_x <= from_y ? across : upright;
     if (!frame->entering || min(from_x, from_y) >= reach) return false;
-    const int t = first_other(dst, offset, most, f.disoccluded, 1);
-    if (t == 0 || !f.is_dynamic[dst + t * offset]) return false;
-    const float2 px_source = moves_along(dst_x + t * d.x, dst_y + t * d.y, dst_x, dst_y, frame, f);
-    const float along = d.x ? px_source.x : px_source.y;
-    const float end = (float)(d.x ? frame->source_width : frame->source_height);
-    if (d.x + d.y > 0 ? !(along < 0.0f) : !(along >= end)) return false;
-    store_code(load_code(f.color, dst + t * offset, frame->code_offset), f.color, dst, frame->code_offset);
-    f.depth[dst] = f.depth[dst + t * offset];
-    f.motion[dst] = px_source - pixel_center(dst_x, dst_y);
+    int t = steps_to_shown(reach, dst_x, dst_y, d, frame, f);
+    if (!is_of_entering(t, dst_x, dst_y, d, frame, f)) {
+        if (max(from_x, from_y) >= reach) return false;
+        d = from_x <= from_y ? upright : across;
+        t = steps_to_shown(t ? t - 1 : reach, dst_x, dst_y, d, frame, f);
+        if (!is_of_entering(t, dst_x, dst_y, d, frame, f)) return false;
+    }
+    const int x = dst_x + t * d.x, y = dst_y + t * d.y, there = y * width + x;
+    store_code(load_code(f.color, there, frame->code_offset), f.color, dst, frame->code_offset);
+    f.depth[dst] = f.depth[there];
+    f.motion[dst] = moves_along(x, y, dst_x, dst_y, frame, f) - pixel_center(dst_x, dst_y);
     f.filled_by[dst] = BY_HIDDEN_PART;
     return true;
 }

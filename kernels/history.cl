@@ -6,14 +6,17 @@
 #include "blocks.h"
 #include "encode.h"
 #include "scene_cuts.h"
+#include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Quantized motion is measured", "The surface met at x' is checked",
+   "Camera-fixed objects stay in place in view space". */
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
 #define THRESHOLD_LOW 0.25f      /* px: the least and the greatest threshold that is found */
 #define THRESHOLD_HIGH 4.0f
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
-#define GROUP 64                 /* work-items per work-group that counts: a row of SAMPLES_X samples */
+#define COUNT_GROUP 64                 /* work-items per work-group that counts: a row of SAMPLES_X samples */
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 #define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
@@ -31,7 +34,6 @@
 #define STIR_REACH 2 /* px: as far as kernels that skip blocks look around a pixel */
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
-#define DEPTH_PER_MOTION 2.0f /* ... and the addition per unit of its sideways motion */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
 /* DEPTH_CHANGE_MOST: relative change within an interval of a surface that fills the neighborhood of x' */
@@ -171,7 +173,7 @@ INLINE Floats beyond(const Floats residual, const Floats mv, const float times, 
 
 /* The groups that count in rows of sampled pixels. */
 INLINE int counting_groups(const int width, const int height) {
-    const int samples_x = RESIDUAL_STRIDE * LANES * GROUP, samples_y = RESIDUAL_STRIDE * RESIDUAL_ROWS;
+    const int samples_x = RESIDUAL_STRIDE * LANES * COUNT_GROUP, samples_y = RESIDUAL_STRIDE * RESIDUAL_ROWS;
     return ((width + samples_x - 1) / samples_x) * ((height + samples_y - 1) / samples_y);
 }
 
@@ -185,7 +187,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     if (item == 0) *is_last = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
 #pragma unroll 1
-    for (int b = item; b < count; b += GROUP)
+    for (int b = item; b < count; b += COUNT_GROUP)
         if (counts[b]) before |= atomic_add(pending + b, counts[b]);
     if (before < 0) *is_last = 1;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -193,7 +195,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     barrier(CLK_LOCAL_MEM_FENCE);
     if (!*is_last) return false;
 #pragma unroll 1
-    for (int b = item; b < count; b += GROUP) counts[b] = atomic_xchg(pending + b, 0);
+    for (int b = item; b < count; b += COUNT_GROUP) counts[b] = atomic_xchg(pending + b, 0);
     if (item == 0) atomic_xchg(pending + ARRIVED, 0);
     barrier(CLK_LOCAL_MEM_FENCE);
     return true;
@@ -204,7 +206,7 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
    The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
    distance, and, of every fourth of their pixels, of the steps of motion over that distance. From them the last
    work-group finds the threshold, and the steps of quantized motion. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
 measure_samples(const Frame given, __global Frame *frame, __global const half *color, __global const float *depth,
                 __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
                 __global int *cut_counts, __global int *pending, __global int *histogram,
@@ -217,7 +219,7 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
         return;
     }
     if (row < 0 ? !given.detects || get_group_id(0) > 0 : !given.automatic) return;
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (row < 0) {
         count_sample(item, row + SAMPLES_Y, width, height, given.camera_step, given.to_previous, color, depth, motion,
@@ -244,7 +246,7 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
     }
     if (!add_counts(counts, HISTOGRAMS * RESIDUAL_BINS, counting_groups(width, height), &is_last, pending)) return;
 #pragma unroll 1
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
+    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) histogram[b] = counts[b];
     if (item) return;
     const float found = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
     *threshold_squared = found;
@@ -270,7 +272,7 @@ INLINE float excess_threshold_squared(__local const int *histogram) {
 /* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that
    brings more than a fortieth of the pixels within the errors. From histograms of the squared excess of residuals over
    errors of quantization, of one and of two vectors, by the last work-group. */
-WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
+WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
 refine_threshold(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
                  __global const float *motion_steps, __global int *pending, __global float *threshold_squared,
                  __global float *quantization_error) {
@@ -283,7 +285,7 @@ refine_threshold(__constant Frame *restrict frame, __global const float *depth, 
         if (first == 0 && get_global_id(0) < STEP_CLASSES) quantization_error[get_global_id(0)] = 0.0f;
         return;
     }
-    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
         Floats x, y, mv_x, mv_y;
@@ -394,12 +396,14 @@ INLINE void find_history(const int src_x, const int src_y, __constant Frame *fra
         int nearest = 0;
         /* At the depth of a static or sideways moving point; else at its own, as of objects that travel with the
            camera. */
-        float z_prev = px_static.z > 0.0f ? depth_met(px_prev, px_static.z, tolerance, source_width,
-                                                      frame->source_height, f.depth_prev, &nearest)
-                                          : -1.0f;
-        if (frame->camera_fixed && !(z_prev > 0.0f))
-            z_prev =
-                depth_met(px_prev, z, DEPTH_TOLERANCE * z, source_width, frame->source_height, f.depth_prev, &nearest);
+        float z_prev = -1.0f;
+#pragma unroll 1
+        for (int own = 0; own <= frame->camera_fixed && !(z_prev > 0.0f); ++own) {
+            const float expected = own ? z : px_static.z;
+            if (expected > 0.0f)
+                z_prev = depth_met(px_prev, expected, own ? DEPTH_TOLERANCE * z : tolerance, source_width,
+                                   frame->source_height, f.depth_prev, &nearest);
+        }
         if (z_prev > 0.0f) f.met_depth[src] = z_prev;
         if (z_prev > 0.0f && positions > 2) {
             const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
@@ -478,12 +482,15 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
     Ints moves = 0, may_stay = 0, stirs = 0;
+    Floats z = 0.0f, mv_x = 0.0f, mv_y = 0.0f;
+    if (has_previous) { /* before colors are encoded, so that GPUs need not wait for both */
+        z = load_some_floats(count, depth + src);
+        mv_x = load_some_xy(count, motion + src, &mv_y);
+    }
     if (frame->coded) encode_run(count, src, frame->code_offset, color, codes);
     if (has_previous) {
         const Floats px_x = row_centers(src_x);
         const float px_y = (float)src_y + 0.5f;
-        Floats mv_y;
-        const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
         stirs = !(z > 0.0f);
         if (frame->rests) {
             const Floats z_prev = load_some_floats(count, depth_prev + src);

@@ -7,6 +7,8 @@
 #include "directional_search.h"
 #include "lists.h"
 
+/* What set the thresholds: docs/deviations.md, "Holes continue their far side", "Holes continue surfaces that can be
+   there", "What lies beyond the image has no far side". */
 #define LEAST_REACH 16 /* target px, in which the far side is looked for ... */
 #define REACH_SHARE 10 /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
@@ -37,16 +39,31 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
+#define PAST_SHARE 4 /* part of the reach within which directions look past what they have met */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
 
 /* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
-   and 1 / distance (1/px); continued to the hole, whether it lies outside of the rendered image, and whether it can be
-   there as a static surface. */
+   and 1 / distance (1/px); whether it is a mover's; continued to the hole, whether it lies outside of the rendered
+   image, and whether it can be there as a static surface. */
 typedef struct {
-    bool meets, is_outside, can_be_there;
+    bool meets, is_of_mover, is_outside, can_be_there;
     int px;
     float closeness, inverse, code_x, code_y, code_z;
 } Side;
+
+/* Lets a direction from the hole `dst` meet a pixel, t steps of d away. */
+INLINE void meet(Side *side, const int dst, const int t, const int2 d, __constant Frame *frame,
+                 __global const float *depth, __global const half *color) {
+    const int px = dst + t * (d.y * frame->target_width + d.x);
+    const float z = depth[px];
+    const float3 code = load_code(color, px, frame->code_offset);
+    side->px = px;
+    side->closeness = divide(1.0f, (float)t * step_length(d));
+    side->inverse = isinf(z) ? 0.0f : divide(1.0f, z);
+    side->code_x = code.x;
+    side->code_y = code.y;
+    side->code_z = code.z;
+}
 
 /* Looks in direction k from a hole, up to `reach` px away, for a pixel that `mask` does not call a `hole`. */
 INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
@@ -57,15 +74,8 @@ INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach,
     const int offset = d.y * width + d.x;
     const int t =
         first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
-    Side side = {t != 0, false, false, dst + t * offset, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
-    if (t == 0) return side;
-    const float z = depth[side.px];
-    const float3 code = load_code(color, side.px, frame->code_offset);
-    side.closeness = divide(1.0f, (float)t * step_length(d));
-    side.inverse = isinf(z) ? 0.0f : divide(1.0f, z);
-    side.code_x = code.x;
-    side.code_y = code.y;
-    side.code_z = code.z;
+    Side side = {t != 0, false, false, false, dst, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
+    if (t != 0) meet(&side, dst, t, d, frame, depth, color);
     return side;
 }
 
@@ -134,11 +144,11 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 /* ---- lines at the image's border --------------------------------------------------------------------------------- */
 
 #define CELL 8 /* px each way, of the grid "cells" */
-#define SAMPLE_STRIDE 2 /* px between its samples */
+#define LINE_STRIDE 2 /* px between its samples */
 #define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
-#define NEAR 4.0f /* ... those close by count most: one a cell away 1 / (1 + NEAR) */
+#define CLOSE_COUNTS 4.0f /* ... those close by count most: one a cell away 1 / (1 + CLOSE_COUNTS) */
 #define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
-#define NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
+#define CELL_NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
 #define APPROACHES 2 /* of the place where a line leaves the image */
 #define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
 
@@ -149,8 +159,8 @@ INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *fra
     const int first_x = max(min(cell_x * CELL, width - CELL), 0) + 1,
               first_y = max(min(cell_y * CELL, height - CELL), 0) + 1;
     float xx = 0.0f, xy = 0.0f, yy = 0.0f;
-    for (int y = first_y; y < min(first_y + CELL - 1, height - 1); y += SAMPLE_STRIDE)
-        for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += SAMPLE_STRIDE) {
+    for (int y = first_y; y < min(first_y + CELL - 1, height - 1); y += LINE_STRIDE)
+        for (int x = first_x; x < min(first_x + CELL - 1, width - 1); x += LINE_STRIDE) {
             const int src = y * width + x;
             const float3 dx = 0.5f * (stored_code(codes, src + 1) - stored_code(codes, src - 1));
             const float3 dy = 0.5f * (stored_code(codes, src + width) - stored_code(codes, src - width));
@@ -198,14 +208,15 @@ INLINE Lines lines_at(const float along, const bool horizontal, const int first,
     float across = 0.0f, both = 0.0f, inward = 0.0f;
     for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
         const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
-        const float window = fmax(1.0f - part * part, 0.0f), weight = divide(window * window, 1.0f + NEAR * off * off);
+        const float window = fmax(1.0f - part * part, 0.0f),
+                    weight = divide(window * window, 1.0f + CLOSE_COUNTS * off * off);
         const int cell = first + k * step;
         across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
         both += weight * border_lines[plane + cell];
         inward += weight * border_lines[(horizontal ? 2 * plane : 0) + cell];
     }
     const float white = frame->code_offset > 0.0f ? 4.0f * frame->code_offset * frame->code_offset : 1.0f;
-    const float sure = across + NOISE * white * white;
+    const float sure = across + CELL_NOISE * white * white;
     Lines lines;
     lines.slope = clamp(-divide(both, sure), -STEEPEST, STEEPEST);
     const float unexplained = inward + lines.slope * (2.0f * both + lines.slope * across);
@@ -373,6 +384,56 @@ INLINE bool is_unfilled(const uint entry, __global const uchar *filled_by) {
     return entry < MIXED_FLAG && filled_by[entry] == BY_HOLE_FILLING;
 }
 
+/* Whether a pixel of the new frame shows a mover, or what was made up for one. */
+INLINE bool is_of_mover(const int dst, const Images f) { return f.is_dynamic[dst] || IS_OF_MOVER(f.filled_by[dst]); }
+
+/* Whether the surface of inverse depth `inverse` can be static at a hole. */
+INLINE bool can_be_behind(const int dst_x, const int dst_y, const float inverse, __constant Frame *frame,
+                          const Images f, bool *is_outside) {
+    const float3 px_source = static_source(dst_x, dst_y, inverse, frame->to_source);
+    *is_outside = is_out_of_screen(px_source, frame);
+    return !*is_outside && can_be_at(px_source, frame, f.source_depth);
+}
+
+/* Whether something beside a hole is static, and nothing out of screen: then it is neither inside a mover nor beyond
+   the image. */
+INLINE bool may_look_past(__local const Side *sides) {
+    bool any_is_static = false, any_is_outside = false;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        any_is_static |= sides[k].meets && !sides[k].is_of_mover;
+        any_is_outside |= sides[k].is_outside;
+    }
+    return any_is_static && !any_is_outside;
+}
+
+/* Looks on in direction k, past the mover or the surface before the hole (a bar, say) that it has met, for a static
+   surface that can be there. Without any, what was made up for a mover does not count either. */
+INLINE void look_past(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
+                      const Images f, __local Side *side) {
+    const int width = frame->target_width, dst = dst_y * width + dst_x;
+    const int2 d = direction(k);
+    const int offset = d.y * width + d.x, steps = steps_within(reach, d, dst_x, dst_y, width, frame->target_height);
+    float before = side->is_of_mover ? 0.0f : f.depth[side->px]; /* depth of the last surface that cannot be there */
+    const int met = (side->px - dst) / offset, last = min(steps, met + reach / PAST_SHARE);
+    for (int t = met + 1; t <= last; ++t) {
+        const int px = dst + t * offset;
+        const float z = f.depth[px];
+        if (!(z > before) || f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue;
+        bool is_outside;
+        if (can_be_behind(dst_x, dst_y, isinf(z) ? 0.0f : divide(1.0f, z), frame, f, &is_outside)) {
+            Side found = *side;
+            meet(&found, dst, t, d, frame, f.depth, f.color);
+            found.can_be_there = true;
+            *side = found;
+            return;
+        }
+        before = z;
+    }
+    if (!IS_OF_MOVER(f.filled_by[side->px])) return;
+    side->meets = false;
+    side->inverse = INFINITY;
+}
+
 /* Fills pixels that are still invalid from the far side, a team of work-items for each. */
 WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
@@ -380,8 +441,14 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                                  __global const float *border_lines, __global half *color, __global float *depth,
                                  __global float2 *motion, __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
-    const Images images = {
-        .codes = codes, .border_lines = border_lines, .color = color, .depth = depth, .motion = motion};
+    const Images images = {.filled_by = filled_by,
+                           .codes = codes,
+                           .source_depth = source_depth,
+                           .is_dynamic = is_dynamic,
+                           .border_lines = border_lines,
+                           .color = color,
+                           .depth = depth,
+                           .motion = motion};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     const int reach = max(LEAST_REACH, width / REACH_SHARE);
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
@@ -391,13 +458,18 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
         for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM) {
             Side s = look(hole_x, hole_y, k, reach, frame, filled_by, BY_HOLE_FILLING, depth, color);
             if (s.meets) {
-                const float3 px_source = static_source(hole_x, hole_y, s.inverse, frame->to_source);
-                s.is_outside = is_out_of_screen(px_source, frame);
-                s.can_be_there = !s.is_outside && can_be_at(px_source, frame, source_depth) && is_dynamic[s.px] == 0
-                                 && filled_by[s.px] != BY_HIDDEN_PART;
+                s.is_of_mover = is_of_mover(s.px, images);
+                s.can_be_there =
+                    can_be_behind(hole_x, hole_y, s.inverse, frame, images, &s.is_outside) && !s.is_of_mover;
             }
             sides[team][k] = s;
         }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const bool looks_past = is_open && may_look_past(sides[team]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
+            if (sides[team][k].meets && !sides[team][k].can_be_there)
+                look_past(hole_x, hole_y, k, reach, frame, images, &sides[team][k]);
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
         if (is_unfilled(own, filled_by)) {
@@ -419,7 +491,7 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
 #define TILE 4 /* texels along the side of a work-group's area: it needs those around them, too */
 #define RING (TILE + 2)
 #define GROUP 128 /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
-#define STRIP 8 /* rows of a texel that one work-item sums up */
+#define SUMMED_ROWS 8 /* rows of a texel that one work-item sums up */
 
 /* The TILE x TILE texels that a work-group fills from, and the ring around them, whose first texel is (ring_x,
    ring_y). */
@@ -448,7 +520,7 @@ INLINE int tap_in_ring(const int2 first, const int tap, const Tile tile) {
     return (texel_y - tile.ring_y) * RING + texel_x - tile.ring_x;
 }
 
-/* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the
+/* Weighted sums, (color, 1) and inverse depth, over SUMMED_ROWS rows of a column: of valid pixels, and a little of the
    rendered frame. */
 INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *frame, const Images f,
                         float *inverse_sum) {
@@ -457,7 +529,7 @@ INLINE float4 sum_strip(const int dst_x, const int first_y, __constant Frame *fr
     float4 sum = (float4)(0.0f);
     *inverse_sum = 0.0f;
     if (dst_x >= target_width) return sum;
-    for (int dst_y = first_y; dst_y < min(first_y + STRIP, target_height); ++dst_y) {
+    for (int dst_y = first_y; dst_y < min(first_y + SUMMED_ROWS, target_height); ++dst_y) {
         const int dst = dst_y * target_width + dst_x;
         if (f.filled_by[dst] != BY_HOLE_FILLING)
             add(&sum, inverse_sum, 1.0f, frame->exposure, load_color(f.color, dst), f.depth[dst]);
@@ -567,7 +639,7 @@ fill_from_downsampled(__constant Frame *restrict frame, const int after_far_side
         if (!asked[k]) continue;
         float inverse_sum;
         strip_sums[lane] = sum_strip((tile.ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
-                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, frame,
+                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * SUMMED_ROWS, frame,
                                      images, &inverse_sum);
         strip_inverse_sums[lane] = inverse_sum;
         barrier(CLK_LOCAL_MEM_FENCE);

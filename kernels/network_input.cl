@@ -9,16 +9,35 @@
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768       /* SCANNERS * SCANNED */
 #define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
-#define STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
-#define AT_ONCE 4         /* counted rows that are read before any is counted */
-#define SCANNERS 256      /* work-items of find_median */
-#define SCANNED 128       /* bins of each */
+#define COUNTED_STRIP 128 /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
+#define READ_AT_ONCE 4 /* counted rows that are read before any is counted */
+#define COUNTERS 128 /* work-items of a group of depth_histogram ... */
+#define NEAR_BINS 1024 /* ... which counts so many bins, eight powers of two around the last median, by itself */
+#define SCANNERS 256 /* work-items of find_median */
+#define SCANNED 128 /* bins of each */
 #define MAX_INVERSE_DEPTH 8.0f
 
+/* Where depths are counted: bins from `first` on in the group's own memory, others in everyone's. */
+typedef struct {
+    int first;
+    __local uint *near;
+    __global uint *histogram;
+} Counts;
+
+/* Counts a run of depths in one bin. */
+INLINE void count_run(const Counts counts, const int bin, const uint run) {
+    const uint near = (uint)(bin - counts.first);
+    if (!run) return;
+    if (near < NEAR_BINS)
+        atomic_add(counts.near + near, run);
+    else
+        atomic_add(counts.histogram + bin, run);
+}
+
 /* Counts the first `count` of LANES depths, those that are finite: `run` of them, the last ones, are in `bin`. */
-INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, __global uint *histogram) {
-    const Ints counts = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
-    const Ints bins = counts ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
+INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, const Counts counts) {
+    const Ints is_counted = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
+    const Ints bins = is_counted ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
     if (ALL(bins == *bin)) {
         if (*bin >= 0) *run += LANES;
         return;
@@ -28,7 +47,7 @@ INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, _
     for (int k = 0; k < LANES; ++k) {
         if (lane_bins[k] < 0) continue;
         if (lane_bins[k] != *bin) {
-            if (*run) atomic_add(histogram + *bin, *run);
+            count_run(counts, *bin, *run);
             *bin = lane_bins[k];
             *run = 0;
         }
@@ -36,26 +55,33 @@ INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, _
     }
 }
 
-/* Counts how often each bin of finite depth occurs in some of the rows. */
-WIDE __kernel void depth_histogram(__constant Frame *restrict frame, __global const float *depth,
-                                   __global uint *histogram) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
-    if (dst_x >= target_width) return;
-    const int rows = min(STRIP, target_height - first);
+/* Counts how often each bin of finite depth occurs in some of the rows. median_depth: that of the new frame before. */
+WIDE __kernel __attribute__((reqd_work_group_size(COUNTERS, 1, 1))) void
+depth_histogram(__constant Frame *restrict frame, __global const float *depth, __global const float *median_depth,
+                __global uint *histogram) {
+    const int target_width = frame->target_width, target_height = frame->target_height, item = get_local_id(0);
+    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * COUNTED_STRIP, count = target_width - dst_x;
+    const int rows = dst_x < target_width ? min(COUNTED_STRIP, target_height - first) : 0;
+    __local uint near[NEAR_BINS];
+    const Counts counts = {(as_int(*median_depth) >> BIN_BITS) - NEAR_BINS / 2, near, histogram};
+    for (int b = item; b < NEAR_BINS; b += COUNTERS) near[b] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
     int bin = -1;
     uint run = 0;
-    for (int row = 0; row < rows; row += AT_ONCE * COUNTED_ROWS) {
-        Floats z[AT_ONCE];
+    for (int row = 0; row < rows; row += READ_AT_ONCE * COUNTED_ROWS) {
+        Floats z[READ_AT_ONCE];
 #pragma unroll
-        for (int k = 0; k < AT_ONCE; ++k) {
+        for (int k = 0; k < READ_AT_ONCE; ++k) {
             const int counted = row + k * COUNTED_ROWS, dst_y = first + min(counted, rows - 1);
             const Floats z_row = load_some_floats(count, depth + dst_y * target_width + dst_x);
             z[k] = counted < rows ? z_row : (Floats)(0.0f);
         }
-        for (int k = 0; k < AT_ONCE; ++k) count_depths(z[k], count, &bin, &run, histogram);
+        for (int k = 0; k < READ_AT_ONCE; ++k) count_depths(z[k], count, &bin, &run, counts);
     }
-    if (run) atomic_add(histogram + bin, run);
+    count_run(counts, bin, run);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int b = item; b < NEAR_BINS; b += COUNTERS)
+        if (near[b]) atomic_add(histogram + counts.first + b, near[b]);
 }
 
 /* The middle of the bin in which half of the depths is reached; 1 if there are none. Clears the histogram for the next

@@ -11,6 +11,7 @@
 #include "nearest.h"
 #include "mover_grid.h"
 
+/* What set the thresholds: docs/deviations.md, "Movers that come into view go on as they came". */
 #define NOWHERE -1.0e9f  /* px: far off any image */
 #define ENTERS_FROM 0.5f /* of the image's width: motion vectors from farther outside are not believed */
 #define INWARD_STEP 4    /* px: between fragments that are looked at from the border inward ... */

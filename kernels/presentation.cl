@@ -4,7 +4,7 @@
 #include "frame.h"
 #include "cubic.h"
 
-#define STRIP 16  /* rows per work-item: rows filtered horizontally serve several of them */
+#define PRESENTED_ROWS 16  /* rows per work-item: rows filtered horizontally serve several of them */
 
 INLINE float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
     return lesser(greater(w.x * a + w.y * b + w.z * c + w.w * d, lesser(b, c)), greater(b, c));
@@ -24,7 +24,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const float4 to_render = frame->to_render;
-    const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
+    const int dst_x = get_global_id(0), first = get_global_id(1) * PRESENTED_ROWS;
     if (dst_x >= target_width) return;
     const float px_render = ((float)dst_x + 0.5f) * to_render.x + to_render.z;
     const float left = floor(px_render - 0.5f);
@@ -35,7 +35,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
 
     Rgb row0 = {0.0f, 0.0f, 0.0f}, row1 = row0, row2 = row0, row3 = row0;
     int held = INT_MIN / 2;  /* the row of row0 */
-    for (int dst_y = first; dst_y < min(first + STRIP, target_height); ++dst_y) {
+    for (int dst_y = first; dst_y < min(first + PRESENTED_ROWS, target_height); ++dst_y) {
         const float py_render = ((float)dst_y + 0.5f) * to_render.y + to_render.w;
         const float top = floor(py_render - 0.5f);
         const int y0 = (int)top - 1;

@@ -1,11 +1,11 @@
 /* Weighted sums of the 3x3 rendered samples around pixels of the display (upscaling.cl). */
 
-#define REACH 1.2f            /* display pixels: from where on a sample does not count */
+#define FILTER_REACH 1.2f            /* display pixels: from where on a sample does not count */
 
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
 INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     for (int k = 0; k < 3; ++k) {
-        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH),
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / FILTER_REACH),
                      left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left * left;
     }
@@ -55,9 +55,9 @@ INLINE void sums_of_one(const int x, const int y, float3 near_x, const float3 ne
 #pragma unroll 1
     for (int k = 0; k < 3; ++k) { /* near_x.x and far_x.x are the weights of this column */
         const int column = clamp(x + k - 1, 0, width - 1);
-        const float4 above = vload_half4(above_row + column, compressed),
-                     here = vload_half4(y * width + column, compressed),
-                     below = vload_half4(below_row + column, compressed);
+        const float4 above = load_texel(above_row + column, compressed),
+                     here = load_texel(y * width + column, compressed),
+                     below = load_texel(below_row + column, compressed);
         const float4 a = near_x.x * (near_y.x * above + near_y.y * here + near_y.z * below);
         const float4 b = far_x.x * (far_y.x * above + far_y.y * here + far_y.z * below);
         *near_sum = k == 0 ? a : *near_sum + a;

@@ -10,7 +10,7 @@
 #define ARM 2                    /* px from a sample to those whose contrast is compared */
 #define CONTRAST_LEAST 0.06f     /* below it there is nothing to compare */
 #define CONTRAST_AGREES 0.5f     /* relative difference of contrasts of one surface */
-#define DARK 1.0e-4f             /* linear color, sum of three: noise has no contrast */
+#define TOO_DARK 1.0e-4f             /* linear color, sum of three: noise has no contrast */
 
 /* Counts of samples. */
 enum { VALID, INSIDE, COMPARED, DEPTH_RIGHT, WITH_CONTRAST, CONTRAST_RIGHT, PASSED, COUNTS };
@@ -24,7 +24,7 @@ INLINE float brightness(__global const half *color, const int x, const int y, co
 INLINE float contrast(__global const half *color, const int x, const int y, const int dx, const int dy,
                       const int width) {
     const float a = brightness(color, x - dx, y - dy, width), b = brightness(color, x + dx, y + dy, width);
-    return divide(b - a, a + b + DARK);
+    return divide(b - a, a + b + TOO_DARK);
 }
 
 INLINE bool has_arms(const int x, const int y, const int width, const int height) {

@@ -8,10 +8,11 @@
 #include "doubling.h"
 #include "sampling.h"
 
+/* What set the thresholds: docs/deviations.md, "Texture stays whatever the network says". */
 #define FLOW_LEVELS 3
 #define FLOW_STEPS 2
 #define FLAT 0.0001f      /* squared gradient of encoded color below which nothing moves */
-#define LONGEST 2.0f      /* pixels of a step */
+#define LONGEST_STEP 2.0f      /* pixels of a step */
 #define LITTLE 0.0001f    /* squared change of encoded color */
 #define GAIN 4.0f         /* of the network's input */
 #define THIRD 0.33333334f
@@ -80,7 +81,7 @@ WIDE __kernel void halve_brightness(__constant Frame *restrict frame, __global c
 #define TILE_WIDTH 16
 #define TILE_HEIGHT 8
 #define ITEMS 128 /* their product */
-#define TILE __attribute__((reqd_work_group_size(TILE_WIDTH, TILE_HEIGHT, 1)))
+#define TILED __attribute__((reqd_work_group_size(TILE_WIDTH, TILE_HEIGHT, 1)))
 #define ITEM ((int)(get_local_id(1) * TILE_WIDTH + get_local_id(0)))
 #define TILE_X ((int)(get_group_id(0) * TILE_WIDTH))
 #define TILE_Y ((int)(get_group_id(1) * TILE_HEIGHT))
@@ -165,9 +166,9 @@ INLINE Floats mean_around(__local const float *sums, const int width, const int 
 
 /* Makes a step of the flow at `level`, by least squares, from the flow `begun`, or, if it `doubles`, from that of the
    level below. */
-WIDE TILE __kernel void step_flow(__constant Frame *restrict frame, const int level, const int doubles,
-                                  __global const float *restrict brightness, __global const float *restrict begun,
-                                  __global float *restrict flow) {
+WIDE TILED __kernel void step_flow(__constant Frame *restrict frame, const int level, const int doubles,
+                                   __global const float *restrict brightness, __global const float *restrict begun,
+                                   __global float *restrict flow) {
     /* both: sum of both images of which the flow is sought; rest: four times their difference */
     __local float near[2 * FLOW_PLANE], both[PIXELS], rest[PIXELS], products[PRODUCTS * SUM_PLANE];
     const int fine = frame->network_width >> level, fine_height = frame->network_height >> level;
@@ -229,7 +230,7 @@ WIDE TILE __kernel void step_flow(__constant Frame *restrict frame, const int le
         const Floats step_x = wide_divide(xy * yr - yy * xr, determinant),
                      step_y = wide_divide(xy * xr - xx * yr, determinant);
         const Floats longer = wide_greater(fabs(step_x), fabs(step_y)),
-                     excess = wide_greater((1.0f / LONGEST) * longer, (Floats)(1.0f));
+                     excess = wide_greater((1.0f / LONGEST_STEP) * longer, (Floats)(1.0f));
         __local const float *here = near + (y + AROUND) * FLOW_PITCH + x + AROUND;
         store_some_floats(load_floats(0, here) + wide_divide(step_x, excess), count, flow + at);
         store_some_floats(load_floats(0, here + FLOW_PLANE) + wide_divide(step_y, excess), count, flow + plane + at);
@@ -238,9 +239,9 @@ WIDE TILE __kernel void step_flow(__constant Frame *restrict frame, const int le
 
 /* Makes mean squared differences nearby, at level 2: means over 2x2 pixels of level 1 of the brightness of both frames,
    in place and along the flow; and of its change from the previous interval's, in place and along the flow. */
-WIDE TILE __kernel void find_differences(__constant Frame *restrict frame, __global const float *restrict brightness,
-                                         __global const float *restrict coarser, __global const float *restrict flow,
-                                         __global const float *restrict trends, __global float *restrict differences) {
+WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __global const float *restrict brightness,
+                                          __global const float *restrict coarser, __global const float *restrict flow,
+                                          __global const float *restrict trends, __global float *restrict differences) {
     __local float near[2 * FLOW_PLANE], still[PIXELS], along[PIXELS], squares[DIFFERENCES * SUM_PLANE];
     const int fine = frame->network_width / 2, fine_height = frame->network_height / 2;
     const int width = fine / 2, height = fine_height / 2, plane = width * height;

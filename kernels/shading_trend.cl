@@ -6,12 +6,13 @@
 #include "frame.h"
 #include "mu_law.h"
 #include "simd_rgb.h"
+#include "thresholds.h"
 
-/* REACH_SHARE: rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
-#define REACH_SHARE 120
+/* What set the thresholds: docs/deviations.md, "Flickering light is left alone". */
+/* TREND_REACH_SHARE: rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
+#define TREND_REACH_SHARE 120
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
-#define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */
 #define MOST_CHANGE 1048576.0f /* factor of one pixel's color: products over a cell stay within floats */
 #define CHANGES 4              /* planes: of R, G, B, and the share of samples that are static in both frames */
 #define THIRD 0.33333334f
@@ -130,7 +131,7 @@ __kernel void find_change(__constant Frame *restrict frame, __global const uchar
 /* Planes, in the third dimension, blurred along rows: a cell counts the less the farther away it is, none farther than
    the reach; beyond the image there is nothing. */
 WIDE __kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
-    const int reach = max(1, frame->source_height / REACH_SHARE);
+    const int reach = max(1, frame->source_height / TREND_REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
@@ -152,7 +153,7 @@ WIDE __kernel void blur_rows(__constant Frame *restrict frame, __global const fl
 
 /* Blurs along columns, and takes the mean of known values. */
 WIDE __kernel void find_trend(__constant Frame *restrict frame, __global const float *blurred, __global float *trend) {
-    const int reach = max(1, frame->source_height / REACH_SHARE);
+    const int reach = max(1, frame->source_height / TREND_REACH_SHARE);
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), count = cells_width - cell_x;
     if (cell_x >= cells_width || cell_y >= cells_height) return;

@@ -12,6 +12,7 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
+/* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
@@ -458,19 +459,66 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     return mixed;
 }
 
+/* Gives which of LANES pixels are soft: they lie between layers, then `pairs` tells and `paired` is set, or show pixels
+   of a far one. */
+INLINE Ints find_soft(const int dst_x, const int dst_y, const Source s, const Layers l, const Shown f,
+                      LayerPairs *pairs, Ints *paired) {
+    Span p = {dst_x, dst_y, f.width, f.height, false};
+    if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < f.width && dst_y + 1 < f.height) {
+        p.inner = true;
+        *paired = find_pairs(p, s, f, pairs);
+    } else {
+        *paired = find_pairs(p, s, f, pairs);
+    }
+    return (*paired != 0) | may_be_mixed(p, s, l, f);
+}
+
+#if LANES == 1
+/* The group's pixels, a block after the other, so that one without a mark costs nothing; then those that are soft,
+   which are gathered in `held`: (the near layer's place and depth, its far one << SOFT_BITS | number of the pixel). */
+#define SOFT_BITS 7 /* of the number of a work-item of a group, of 16x8 */
+INLINE void soften_group(const Source s, const Layers l, const Shown f, __global const uchar *marked,
+                         __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
+                         __local uint *shared) {
+    const int item = get_local_id(1) * get_local_size(0) + get_local_id(0);
+    const int group_x = get_global_id(0) - get_local_id(0), group_y = get_global_id(1) - get_local_id(1);
+    const int block = item / (BLOCK_WIDTH * BLOCK_HEIGHT), of_block = item % (BLOCK_WIDTH * BLOCK_HEIGHT);
+    const int x = (block & 1) * BLOCK_WIDTH + of_block % BLOCK_WIDTH,
+              y = (block >> 1) * BLOCK_HEIGHT + of_block / BLOCK_WIDTH;
+    const int dst_x = group_x + x, dst_y = group_y + y;
+    if (item == 0) shared[0] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (inside(dst_x, dst_y, f.width, f.height) && marked[block_of(dst_x, dst_y, f.width)]) {
+        LayerPairs pairs = {0.0f, 0.0f, 0.0f, 0};
+        Ints paired;
+        if (find_soft(dst_x, dst_y, s, l, f, &pairs, &paired))
+            held[atomic_inc(shared)] =
+                (int4)(floats_as_ints(pairs.near_x), floats_as_ints(pairs.near_y), floats_as_ints(pairs.near_z),
+                       (paired ? pairs.far << SOFT_BITS : 0) | (y << 4) | x);
+        else
+            coverage[dst_y * f.width + dst_x] = 0;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const bool is_held = item < (int)shared[0];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    uchar covered = 0;
+    int dst = 0;
+    if (is_held) {
+        const int4 own = held[item];
+        const int soft_x = group_x + (own.w & 15), soft_y = group_y + (own.w >> 4 & 7);
+        dst = soft_y * f.width + soft_x;
+        covered = soften_pixel(s, l, f, soft_x, soft_y, as_float4(own).xyz, own.w >> SOFT_BITS, softened);
+        coverage[dst] = covered;
+    }
+    append_lanes(covered != 0, (uint)dst, soft, shared);
+}
+#else
 /* The coverage of `count` pixels, at most LANES, and their new colors. */
 INLINE void soften_run(const int dst_x, const int dst_y, const int count, const Source s, const Layers l, const Shown f,
                        __global uint *softened, uchar *coverage) {
-    Span p = {dst_x, dst_y, f.width, f.height, false};
-    Ints paired;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
-    if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < f.width && dst_y + 1 < f.height) {
-        p.inner = true;
-        paired = find_pairs(p, s, f, &pairs);
-    } else {
-        paired = find_pairs(p, s, f, &pairs);
-    }
-    const Ints is_soft = (paired != 0) | may_be_mixed(p, s, l, f);
+    Ints paired;
+    const Ints is_soft = find_soft(dst_x, dst_y, s, l, f, &pairs, &paired);
     if (!ANY(is_soft)) return;
     int lane_soft[LANES], lane_far[LANES];
     float lane_x[LANES], lane_y[LANES], lane_z[LANES];
@@ -484,6 +532,7 @@ INLINE void soften_run(const int dst_x, const int dst_y, const int count, const 
             coverage[k] = soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
                                        lane_far[k], softened);
 }
+#endif
 
 /* The new colors, and `coverage`: 0 where a pixel is unchanged, else 1 + 254 times the nearer layer's share.
    Unmarked blocks are skipped. Lists the pixels that change. */
@@ -494,8 +543,6 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
                            __global const uchar *filled_by, __global uchar *coverage, __global uint *softened,
                            __global uint *soft) {
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
-    const int count = min(target_width - dst_x, LANES);
     const Source s = {.width = frame->source_width,
                       .height = frame->source_height,
                       .zoom = frame->zoom,
@@ -509,13 +556,20 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
                      .depth = depth,
                      .motion = motion,
                      .filled_by = filled_by};
-    uchar own[LANES] = {0};
-    if (dst_x < target_width && dst_y < target_height && marked[block_of(dst_x, dst_y, target_width)]) {
-        soften_run(dst_x, dst_y, count, s, l, f, softened, own);
-        store_some_bytes(load_bytes(0, own), count, coverage + dst);
-    }
+#if LANES == 1
+    __local int4 held[1 << SOFT_BITS];
     __local uint shared[2];
-    append_lanes(to_ints(load_bytes(0, own)) != 0, to_uints(dst + LANE_NUMBERS), soft, shared);
+    soften_group(s, l, f, marked, softened, coverage, soft, held, shared);
+#else
+    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
+    const int count = min(target_width - dst_x, LANES);
+    uchar own[LANES] = {0};
+    if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
+    soften_run(dst_x, dst_y, count, s, l, f, softened, own);
+    store_some_bytes(load_bytes(0, own), count, coverage + dst);
+    for (int k = 0; k < count; ++k)
+        if (own[k]) append((uint)(dst + k), soft);
+#endif
 }
 
 /* The new colors go to the frame. */

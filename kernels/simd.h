@@ -41,6 +41,8 @@ typedef uchar16 BytePairs;
 #define load_right_taps(p) (vload8(0, p).s12233445)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
+#define load_two_texels(i, image) vload_half8(0, (image) + 4 * (i))
+#define load_four_texels(i, image) vload_half16(0, (image) + 4 * (i))
 #define FIRST_LANE(v) ((v).s0)
 #define LAST_LANE(v) ((v).s7)
 
@@ -99,6 +101,14 @@ typedef uchar2 BytePairs;
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
 #define gather_halfs(p, i) vload_half(i, p)
+
+INLINE float8 load_two_texels(const int i, __global const half *image) {
+    return (float8)(load_texel(i, image), load_texel(i + 1, image));
+}
+
+INLINE float16 load_four_texels(const int i, __global const half *image) {
+    return (float16)(load_two_texels(i, image), load_two_texels(i + 2, image));
+}
 
 INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     *y = (*p).y;

@@ -19,7 +19,7 @@ INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
     float r[LANES], g[LANES], b[LANES];
     store_ints(i, 0, pixel);
     for (int k = 0; k < LANES; ++k) {
-        const float4 c = vload_half4(pixel[k], color);
+        const float4 c = load_texel(pixel[k], color);
         r[k] = c.x;
         g[k] = c.y;
         b[k] = c.z;
@@ -64,7 +64,7 @@ typedef float4 Texels;
 #define VALID(texels) (texels).w
 #define OF_TEXELS(v, part) ((float4)(v))
 #define ALL_TEXELS(condition) all(condition)
-#define load_texels(i, p) vload_half4(i, p)
+#define load_texels(i, p) load_texel(i, p)
 #define reload_texels(i, p) vload4(i, p)
 #define unload_texels(v, i, p) vstore4(v, i, p)
 #define finite_texels finite_texel
@@ -113,7 +113,7 @@ INLINE Strip load_strip(const int count, __global const half *color) {
         return s;
     }
     float texels[4 * LANES];
-    for (int k = 0; k < LANES; ++k) vstore4(vload_half4(min(k, count - 1), color), k, texels);
+    for (int k = 0; k < LANES; ++k) vstore4(load_texel(min(k, count - 1), color), k, texels);
     for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
     return s;
 }

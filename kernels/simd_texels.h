@@ -32,7 +32,7 @@ INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
     s.part[0] = vload_half16(0, (const half *)&left);
     s.part[1] = vload_half16(0, (const half *)&right);
 #else
-    s.part[0] = vload_half4(i, image);
+    s.part[0] = load_texel(i, image);
 #endif
     Floats c[4];
     channels_of(&s, c);
@@ -55,19 +55,19 @@ INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
 /* Texels x to x + 3 of a row; beyond the image its border is repeated. */
 INLINE float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
-    if (x >= 0 && x + 4 <= width) return vload_half16(0, image + 4 * (row + x));
-    return (float16)(vload_half4(row + clamp(x, 0, width - 1), image),
-                     vload_half4(row + clamp(x + 1, 0, width - 1), image),
-                     vload_half4(row + clamp(x + 2, 0, width - 1), image),
-                     vload_half4(row + clamp(x + 3, 0, width - 1), image));
+    if (x >= 0 && x + 4 <= width) return load_four_texels(row + x, image);
+    return (float16)(load_texel(row + clamp(x, 0, width - 1), image),
+                     load_texel(row + clamp(x + 1, 0, width - 1), image),
+                     load_texel(row + clamp(x + 2, 0, width - 1), image),
+                     load_texel(row + clamp(x + 3, 0, width - 1), image));
 }
 
 /* Two of them. */
 INLINE float8 two_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;
-    if (x >= 0 && x + 2 <= width) return vload_half8(0, image + 4 * (row + x));
-    return (float8)(vload_half4(row + clamp(x, 0, width - 1), image),
-                    vload_half4(row + clamp(x + 1, 0, width - 1), image));
+    if (x >= 0 && x + 2 <= width) return load_two_texels(row + x, image);
+    return (float8)(load_texel(row + clamp(x, 0, width - 1), image),
+                    load_texel(row + clamp(x + 1, 0, width - 1), image));
 }
 
 /* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
@@ -84,11 +84,11 @@ INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const flo
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
         const int column_x = clamp(x + tx, 0, width - 1);
-        const float4 b = vload_half4(row_b + column_x, image), c = vload_half4(row_c + column_x, image);
+        const float4 b = load_texel(row_b + column_x, image), c = load_texel(row_c + column_x, image);
         float4 column = wy.y * b + wy.z * c;
         if (tx == 1 || tx == 2) {
-            const float4 above = vload_half4(clamp(y, 0, height - 1) * width + column_x, image);
-            const float4 below = vload_half4(clamp(y + 3, 0, height - 1) * width + column_x, image);
+            const float4 above = load_texel(clamp(y, 0, height - 1) * width + column_x, image);
+            const float4 below = load_texel(clamp(y + 3, 0, height - 1) * width + column_x, image);
             column += wy.x * above + wy.w * below;
             const float4 lower = b < c ? b : c, higher = b < c ? c : b;
             low = tx == 1 ? lower : low < lower ? low : lower;

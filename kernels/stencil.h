@@ -43,7 +43,7 @@ INLINE void texels_beside(const Span p, __global const half *image, const int dx
     if (!p.inner) {
         int pixel[LANES];
         store_ints(clamped_beside(p, dx, dy), 0, pixel);
-        for (int k = 0; k < LANES; ++k) vstore4(vload_half4(pixel[k], image), k, texels);
+        for (int k = 0; k < LANES; ++k) vstore4(load_texel(pixel[k], image), k, texels);
     }
 #pragma unroll
     for (int part = 0; part < PARTS; ++part)

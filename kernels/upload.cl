@@ -7,19 +7,19 @@
 #include "frame.h"
 #include "simd_rgb.h"
 #include "logarithm.h"
+#include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Dilated vectors are undone", "Depth and motion may be smaller than
+   color". */
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
-#define SAME_DEPTH 0.03f  /* of depth: samples of the geometry nearer to each other show one surface */
-
 /* Of dilated motion. */
-#define NEARER 0.97f  /* times the depth of a surface: what is nearer is another one */
-#define AROUND 5      /* samples, the side of the square that is looked at */
-#define MIDDLE (AROUND * AROUND / 2)
+#define SQUARE 5      /* samples, the side of the square that is looked at */
+#define MIDDLE (SQUARE * SQUARE / 2)
 
 /* Of geometry that is smaller than color. */
-#define SAME_MOTION 4.0f  /* pixels of color, each way */
+#define ALIKE_MOTION 4.0f  /* pixels of color, each way */
 #define NEARNESS 0.05f  /* what a sample's distance counts for, beside the difference of its color */
 
 /* Types of given values. Integers stand for 0 to 1, or -1 to 1 (SNORM16); UNORM24 are the low bits of 32. */
@@ -344,12 +344,12 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
 
 /* Depths of the samples around LANES of them, row by row; 0 beyond the image. */
 INLINE void depths_around(__global const float *depth, const int x, const int y, const int width, const int height,
-                          Floats around[AROUND * AROUND]) {
-    const int reach = AROUND / 2;
+                          Floats around[SQUARE * SQUARE]) {
+    const int reach = SQUARE / 2;
     const bool is_inside = x >= reach && y >= reach && x + LANES + reach <= width && y + reach < height;
 #pragma unroll
-    for (int k = 0; k < AROUND * AROUND; ++k) {
-        const int row = y + k / AROUND - reach, first = x + k % AROUND - reach;
+    for (int k = 0; k < SQUARE * SQUARE; ++k) {
+        const int row = y + k / SQUARE - reach, first = x + k % SQUARE - reach;
         if (is_inside) {
             around[k] = load_floats(0, depth + row * width + first);
             continue;
@@ -369,26 +369,26 @@ WIDE __kernel void undo_dilation(__constant Frame *restrict frame, __global cons
     const int width = frame->geometry_width, height = frame->geometry_height;
     const int x = (int)get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (x >= width || y >= height) return;
-    Floats around[AROUND * AROUND];
+    Floats around[SQUARE * SQUARE];
     depths_around(depth, x, y, width, height, around);
     const Floats z = around[MIDDLE];
     const Ints here = y * width + min(x + LANE_NUMBERS, (Ints)(width - 1));
     Ints chosen = here, distance = (Ints)(INT_MAX);
 #pragma unroll
     for (int q = 0; q < 9; ++q) {
-        const int step_x = q % 3 - 1, step_y = q / 3 - 1, center = MIDDLE + step_y * AROUND + step_x;
+        const int step_x = q % 3 - 1, step_y = q / 3 - 1, center = MIDDLE + step_y * SQUARE + step_x;
         const Floats own = around[center];
         Floats least = own;
         Ints from = (Ints)(step_x * step_x + step_y * step_y); /* squared distance to the nearest of the 3x3 */
 #pragma unroll
         for (int tap = 0; tap < 9; ++tap) {
             const int from_x = step_x + tap % 3 - 1, from_y = step_y + tap / 3 - 1;
-            const Floats other = around[MIDDLE + from_y * AROUND + from_x];
+            const Floats other = around[MIDDLE + from_y * SQUARE + from_x];
             const Ints nearer = (other > 0.0f) & (other < least);
             least = nearer ? other : least;
             from = nearer ? (Ints)(from_x * from_x + from_y * from_y) : from;
         }
-        const Ints same = isinf(z) ? isinf(own) : fabs(own - z) <= SAME_DEPTH * z;
+        const Ints same = isinf(z) ? isinf(own) : fabs(own - z) <= SAME_SURFACE * z;
         const Ints better = (z > 0.0f) & (own > 0.0f) & same & (least >= NEARER * own) & (from < distance);
         distance = better ? from : distance;
         chosen = better ? here + (step_y * width + step_x) : chosen;
@@ -409,8 +409,8 @@ WIDE __kernel void undo_dilation(__constant Frame *restrict frame, __global cons
    of either is NaN. */
 INLINE Ints is_alike(const Floats z, const Floats x, const Floats y, const Floats other_z, const Floats other_x,
                      const Floats other_y) {
-    const Ints near = isinf(z) ? isinf(other_z) : fabs(other_z - z) <= SAME_DEPTH * z;
-    return near & (fabs(other_x - x) <= SAME_MOTION) & (fabs(other_y - y) <= SAME_MOTION);
+    const Ints near = isinf(z) ? isinf(other_z) : fabs(other_z - z) <= SAME_SURFACE * z;
+    return near & (fabs(other_x - x) <= ALIKE_MOTION) & (fabs(other_y - y) <= ALIKE_MOTION);
 }
 
 /* Color at the position of the geometry's sample (x, y), interpolated. */
@@ -454,9 +454,10 @@ INLINE float3 geometry_at_edge(__constant Frame *frame, __global const half *col
     float2 sum_motion = (float2)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const float other_z = depths[indices[tap]];
-        const bool near = is_same_surface(other_z, z, SAME_DEPTH * z);
+        const bool near = is_same_surface(other_z, z, SAME_SURFACE * z);
         const float2 other = vectors[indices[tap]];
-        if (!near || !(fabs(other.x - motion.x) <= SAME_MOTION) || !(fabs(other.y - motion.y) <= SAME_MOTION)) continue;
+        if (!near || !(fabs(other.x - motion.x) <= ALIKE_MOTION) || !(fabs(other.y - motion.y) <= ALIKE_MOTION))
+            continue;
         const float weight = bilinear_weight(tap, u, v);
         sum += weight;
         sum_z += weight * other_z;

@@ -22,13 +22,13 @@
 
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-/* LEAST_WEIGHT: of the displayed color until samples arrive; with a lighter history, samples count less, too */
-#define LEAST_WEIGHT 0.5f
+/* LEAST_SHOWN: of the displayed color until samples arrive; with a lighter history, samples count less, too */
+#define LEAST_SHOWN 0.5f
 #define FRESH 0.8f /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
-/* SLOPE: of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
-#define SLOPE 0.75f
+/* SHARP_SLOPE: of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
+#define SHARP_SLOPE 0.75f
 #define DEVIATIONS 2.0f /* deviations from the mean that a history may have */
-#define NOISE 0.01f /* of compressed colors, in addition to their deviation */
+#define COMPRESSED_NOISE 0.01f /* of compressed colors, in addition to their deviation */
 #define SCATTER 1.0f /* weight of the scatter of the history's error, against its mean, which is followed */
 #define WRONG 1.0f /* deviations: error from which on a history that moved is not believed */
 #define WRONG_AT_REST 3.0f
@@ -41,7 +41,7 @@
 #define MET 0.75f /* share of a place that was not hidden from which on nothing is gone */
 #define LOCKED_ROOM 0.5f /* tolerance of compressed color, in addition to DEVIATIONS */
 #define MOST_ERROR 1000.0f /* deviations; half has room for it */
-#define SAME_DEPTH 0.96f /* relative depth from which on it is the same surface */
+#define NOT_NEARER 0.96f /* relative depth from which on it is the same surface */
 
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
 INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const float exposure) {
@@ -71,7 +71,7 @@ INLINE Ints within(const Floats px_x, const Floats px_y, const int width, const 
    Gives whether any is. */
 INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
     const Floats own = beside(p, depth, 0, 0);
-    Floats least_depth = own > 0.0f ? SAME_DEPTH * own : (Floats)(INFINITY);
+    Floats least_depth = own > 0.0f ? NOT_NEARER * own : (Floats)(INFINITY);
     Ints dx = (Ints)(0), dy = (Ints)(0);
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
@@ -92,7 +92,7 @@ INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expe
     const Ints met = within(px_x, px_y, width, height);
     const Floats corner_x = met ? px_x - 0.5f : (Floats)(0.0f), corner_y = met ? px_y - 0.5f : (Floats)(0.0f);
     const Floats first_x = floor(corner_x), first_y = floor(corner_y), u = corner_x - first_x, v = corner_y - first_y;
-    const Floats nearest = isinf(expected) ? (Floats)(MAXFLOAT) : SAME_DEPTH * expected;
+    const Floats nearest = isinf(expected) ? (Floats)(MAXFLOAT) : NOT_NEARER * expected;
     Floats seen = 0.0f;
 #pragma unroll
     for (int tap = 0; tap < 4; ++tap) {
@@ -223,7 +223,8 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
     const Floats missed = wide_greater(
         (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
-    const Floats error = wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
+    const Floats error =
+        wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
     const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
     const Wide4 deviation = {wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift};
     store_channels(of_mean, count, out_mean + 4 * i);
@@ -239,8 +240,8 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
     before.x *= gain;
     before.y *= gain;
     before.z *= gain;
-    const Floats room = NOISE + more_room, room_x = DEVIATIONS * around.x + room, room_y = DEVIATIONS * around.y + room,
-                 room_z = DEVIATIONS * around.z + room;
+    const Floats room = COMPRESSED_NOISE + more_room, room_x = DEVIATIONS * around.x + room,
+                 room_y = DEVIATIONS * around.y + room, room_z = DEVIATIONS * around.z + room;
     const Wide4 past = {wide_lesser(wide_greater(before.x, mean.x - room_x), mean.x + room_x),
                         wide_lesser(wide_greater(before.y, mean.y - room_y), mean.y + room_y),
                         wide_lesser(wide_greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
@@ -283,8 +284,8 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
     const Ints rests = known & (motion < AT_REST);
     r->locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
     const Ints thin = r->locked > (float)LOCK_FRAMES;
-    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SLOPE, past.history), middle,
-                       around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
+    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SHARP_SLOPE, past.history),
+                       middle, around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
     r->believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
     r->held = wide_lesser(r->color.w * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
 }
@@ -332,13 +333,13 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
     if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
 
     /* Without confidence the interpolated frame replaces it; single samples would be dots in a grid. */
-    const Floats kept = wide_lesser(r.held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
+    const Floats kept = wide_lesser(r.held * (1.0f / LEAST_SHOWN), (Floats)(1.0f));
     const Floats counted = known ? kept : (Floats)(1.0f), share = FRESH * (1.0f - kept);
     const Wide4 now = {fresh.x * per_far, fresh.y * per_far, fresh.z * per_far, fresh.w};
     r.color.x = known ? r.color.x + (now.x - r.color.x) * share : now.x;
     r.color.y = known ? r.color.y + (now.y - r.color.y) * share : now.y;
     r.color.z = known ? r.color.z + (now.z - r.color.z) * share : now.z;
-    const Floats held = wide_greater(r.held, (Floats)(LEAST_WEIGHT));
+    const Floats held = wide_greater(r.held, (Floats)(LEAST_SHOWN));
     total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
     sum.x = (counted * sum.x + held * r.color.x) * scale;
@@ -372,7 +373,7 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     Ints uncovered = bytes_beside(p, disoccluded, 0, 0);
     if (elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, nearest));
     const Ints seen = (uncovered == 0) & within(px_x, px_y, target_width, target_height);
-    Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, SLOPE, history);
+    Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, SHARP_SLOPE, history);
     const Ints own_i = clamped_beside(p, 0, 0);
     Wide4 own = shown;
     if (corrected || !ALL(seen)) {

@@ -10,15 +10,15 @@
 #include "frame.h"
 
 #define PAIRS 2            /* pairs of frames that must give evidence */
-#define LEAST 8            /* pixels with so many, of the 5x5 around, make a user interface */
-#define AROUND 2           /* px: of these 5x5 */
+#define LEAST_MARKED 8            /* pixels with so many, of the 5x5 around, make a user interface */
+#define MARKED_AROUND 2           /* px: of these 5x5 */
 #define MOVES 0.6f         /* px: the least motion that shows whether a color moves */
 /* Squared differences of the square roots of exposed colors, times 4: of 3/4 and of 16 steps of 8 bits. */
 #define SAME 3.46e-5f
 #define CLEAR 0.01575f
-#define DARK 0.0015f       /* exposed color below which display values are linear */
-#define SAME_DEPTH 0.1f    /* relative, of one surface in both frames and a motion apart */
-#define SAME_MOTION 0.25f  /* of its motion, of one surface a motion apart */
+#define LINEAR_BELOW 0.0015f       /* exposed color below which display values are linear */
+#define STAYING_DEPTH 0.1f    /* relative, of one surface in both frames and a motion apart */
+#define STAYING_MOTION 0.25f  /* of its motion, of one surface a motion apart */
 
 INLINE float3 exposed(__global const half *color, const int i, const float exposure) {
     const float3 c = load_color(color, i) * exposure;
@@ -27,12 +27,12 @@ INLINE float3 exposed(__global const half *color, const int i, const float expos
 
 /* Whether display values of all channels differ by no more than `most` says. */
 INLINE bool is_within(const float3 a, const float3 b, const float most) {
-    const float3 apart = a - b, square = apart * apart, limit = most * ((a > b ? a : b) + DARK);
+    const float3 apart = a - b, square = apart * apart, limit = most * ((a > b ? a : b) + LINEAR_BELOW);
     return square.x <= limit.x && square.y <= limit.y && square.z <= limit.z;
 }
 
 INLINE bool is_one_surface(const float z, const float other) {
-    return isinf(z) ? isinf(other) : fabs(other - z) <= SAME_DEPTH * z;
+    return isinf(z) ? isinf(other) : fabs(other - z) <= STAYING_DEPTH * z;
 }
 
 /* The pixel at px; -1 beyond the image. */
@@ -64,7 +64,8 @@ SPARSE __kernel void count_evidence(__constant Frame *restrict frame, __global c
         stays = !is_within(exposed(color_prev, from, exposure), c, CLEAR);
     if (!stays && to >= 0 && is_one_surface(z, depth[to])) {
         const float2 apart = fabs(motion[to] - mv);
-        if (fmax(apart.x, apart.y) <= SAME_MOTION * length) stays = !is_within(exposed(color, to, exposure), c, CLEAR);
+        if (fmax(apart.x, apart.y) <= STAYING_MOTION * length)
+            stays = !is_within(exposed(color, to, exposure), c, CLEAR);
     }
     if (stays) ++evidence[i];
 }
@@ -85,10 +86,10 @@ SPARSE __kernel void mark_user_interface(__constant Frame *restrict frame, __glo
         const int near_x = x + near % 3 - 1, near_y = y + near / 3 - 1;
         if (!has_evidence(evidence, near_x, near_y, width, height)) continue;
         int count = 0;
-        for (int dy = -AROUND; dy <= AROUND; ++dy)
-            for (int dx = -AROUND; dx <= AROUND; ++dx)
+        for (int dy = -MARKED_AROUND; dy <= MARKED_AROUND; ++dy)
+            for (int dx = -MARKED_AROUND; dx <= MARKED_AROUND; ++dx)
                 count += has_evidence(evidence, near_x + dx, near_y + dy, width, height);
-        marked = count >= LEAST;
+        marked = count >= LEAST_MARKED;
     }
     mask[i] = marked;
 }

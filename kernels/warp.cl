@@ -9,11 +9,13 @@
 #include "flow.h"
 #include "blocks.h"
 #include "lists.h"
+#include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Color is resampled at its sub-pixel position", "No colors mixed with a
+   silhouette that moves away". */
 #define STILL 0.001f             /* px: less than this is rounding */
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbor that deviates more uncovers the surface it was mixed with */
-#define NEARER 0.97f
 
 /* The nearest fragment of each target pixel so far: nearest.h. */
 typedef struct {

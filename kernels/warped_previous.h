@@ -3,10 +3,8 @@
 
 #include "common.h"
 #include "simd_rgb.h"
+#include "thresholds.h"
 
-/* SAME_SURFACE: relative depth within which the surface met in the previous frame is the fragment's ... */
-#define SAME_SURFACE 0.03f
-#define DEPTH_PER_MOTION 2.0f /* ... and an addition per unit of its sideways motion, as in history tracking */
 #define LEAST_WEIGHT 0.25f /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f
@@ -159,7 +157,7 @@ INLINE int3 of_surface(__global const float *depth, const int tap, const float n
 
 /* Colors between three texels of a row from index `tap` on: of the left and of the right pixel. */
 INLINE float8 between_texels(__global const half *color, const int tap, const float u) {
-    const float8 left = vload_half8(0, color + 4 * tap), right = vload_half8(0, color + 4 * (tap + 1));
+    const float8 left = load_two_texels(tap, color), right = load_two_texels(tap + 1, color);
     return left + u * (right - left);
 }
 
@@ -168,7 +166,7 @@ INLINE float8 between_some(__global const half *color, const int tap, const floa
     const float3 is = same ? (float3)(1.0f) : (float3)(0.0f);
     const float8 left = (1.0f - u) * (float8)(is.xxxx, is.yyyy), right = u * (float8)(is.yyyy, is.zzzz);
     *weight = left + right;
-    return left * vload_half8(0, color + 4 * tap) + right * vload_half8(0, color + 4 * (tap + 1));
+    return left * load_two_texels(tap, color) + right * load_two_texels(tap + 1, color);
 }
 
 /* I^w of a row of a quad, between rows of texels; where they hardly show its surface the GAE colors from `dst` on. */
@@ -178,5 +176,5 @@ INLINE float8 mean_of_some(const Frames *f, const int dst, const float v, const 
     const int8 shown = weight >= LEAST_WEIGHT;
     const float8 mean = sum / (shown ? weight : (float8)(1.0f));
     if (all(shown)) return mean;
-    return shown ? mean : vload_half8(0, f->color + 4 * dst);
+    return shown ? mean : load_two_texels(dst, f->color);
 }

@@ -82,7 +82,8 @@ def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
     others |= {"--cases", "--minutes", "--arguments", "--measure", "--tables", "--scenes"}  # of scripts in docs
     others |= {"--setup", "--rocm", "--old"}  # of gpu_compilers.py and compare_speed.py in docs/tools
-    others |= {"--offscreen", "--rate", "--shown", "--game"}  # of the live examples
+    others |= {"--offscreen", "--rate", "--shown", "--game", "--variable", "--rendering", "--making"}  # of the examples
+    others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--compare"}
     others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
     others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from", "--no-deps"}  # of uvx and pip

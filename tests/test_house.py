@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import OPTIONS
 
 # What a module of each wing may import beyond its own wing.
@@ -313,3 +314,30 @@ def test_the_map_has_the_wings_of_the_house():
         (row,) = re.findall(rf"^\| `gffe_cl/{wing}/` \|.*\| (.*) \|$", page, re.M)
         rooms = [room for rooms in floors for room in rooms]
         assert [name for name in re.findall(r"`(\w+)`", row) if name in rooms] == rooms
+
+
+def test_a_constant_of_kernels_has_one_value():
+    """Files that need one threshold share it (kernels/thresholds.h); other thresholds have other names."""
+    assert several_values({"a.cl": "#define FAR 0.5f /* px */", "b.h": "#define FAR 0.25f"}) == {"FAR"}
+    folder = kernel_folder()
+    files = {str(path): path.read_text() for path in folder.rglob("*") if path.suffix in (".cl", ".h")}
+    assert several_values(files) == set()
+
+
+def several_values(files):
+    """Names that are defined in several of these texts, by file, not alike."""
+    found = {}
+    for file, text in files.items():
+        text = re.sub(r"/\*.*?\*/", "", text, flags=re.S)
+        for name, value in re.findall(r"^[ \t]*#define (\w+)[ \t]+([^\n\\]+)$", text, re.M):
+            found.setdefault(name, {}).setdefault(file, set()).add(value.strip())
+    return {name for name, by_file in found.items() if len(set(map(frozenset, by_file.values()))) > 1}
+
+
+def test_thresholds_name_what_set_them():
+    page = (Path(__file__).parents[1] / "docs/deviations.md").read_text("utf-8")
+    texts = [path.read_text("utf-8") for path in kernel_folder().glob("*.*")]
+    told = re.findall(r"What\s+set\s+[^:]*: docs/deviations\.md,(.*?)\*/", "".join(texts), re.DOTALL)
+    assert len(told) > 10
+    for name in re.findall(r'"(.*?)"', " ".join(" ".join(told).split())):
+        assert f"- **{name}" in page, f"docs/deviations.md has no point '{name}'"

@@ -114,7 +114,7 @@ GAE: dict[str, Change] = {
         },
     ),
     "a single level of background, which remembers what movers hide": Change({"levels": 2}),
-    "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
+    "background texels cover what they map to": Change(constants={"background.cl": {"TEXEL_HALF": "0.0f"}}),
     "what the frame before showed is taken from there": Change(
         edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}
     ),
@@ -158,7 +158,13 @@ CHOICES: dict[str, tuple[Change, str]] = {
 }
 SCN: dict[str, Change] = {
     "previous frame only where its surface was shown": Change(
-        constants={"warped_previous.h": {"SAME_SURFACE": "1e30f"}}
+        edits={
+            "warped_previous.h": {
+                "float tolerance = SAME_SURFACE *": "float tolerance = 1e30f *",
+                "Floats tolerance = SAME_SURFACE *": "Floats tolerance = 1e30f *",
+                "most - least <= SAME_SURFACE * mean": "true",
+            }
+        }
     ),
     "a small focus mask is 0": Change(constants={"correction.cl": {"LEAST_MASK": "0.0f"}}),
     "texture stays whatever the network says": Change(constants={"shading_flow.cl": {"TEXTURE": "-1e30f"}}),

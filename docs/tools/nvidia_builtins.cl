@@ -11,6 +11,9 @@ void __attribute__((overloadable)) vstore_half_rte(float x, ulong i, __global ha
 void __attribute__((overloadable)) vstore_half4_rte(float4 x, ulong i, __global half *p) {
     *(__global half4 *)(p + 4 * i) = __builtin_convertvector(x, half4);
 }
+void __attribute__((overloadable)) vstore_half4_rte(float4 x, ulong i, half *p) {
+    *(half4 *)(p + 4 * i) = __builtin_convertvector(x, half4);
+}
 void __attribute__((overloadable)) vstore_half8_rte(float8 x, ulong i, __global half *p) {
     *(__global half8 *)(p + 8 * i) = __builtin_convertvector(x, half8);
 }

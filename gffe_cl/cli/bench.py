@@ -90,6 +90,13 @@ def bench(
             " [dim](default size: 320x180, where kernels are short)[/].",
         ),
     ] = False,
+    budget: Annotated[
+        float | None,
+        typer.Option(
+            help="Budget, ms: choose the best preset of which a rendered and a new frame take that long at most"
+            " [dim](default size: 1920x1080)[/]."
+        ),
+    ] = None,
     lanes: Annotated[
         str, typer.Option(help="Pixels per work-item that --traffic counts: 1 as on GPUs, 8 as on CPUs, or 1,8.")
     ] = "1",
@@ -120,6 +127,8 @@ def bench(
         report = _bench_io(asked)
     elif host:
         report = _bench_host(asked)
+    elif budget is not None:
+        report = _bench_budget(asked, budget)
     elif methods:
         require_packages("--methods", "lab", "scipy")
         report = _bench_methods(asked)
@@ -234,6 +243,21 @@ def _bench_host(asked: _Asked) -> dict:
         report.append(_named(device.info) | figures)
     out.print(table)
     return {"devices": report}
+
+
+def _bench_budget(asked: _Asked, budget: float) -> dict:
+    from gffe_cl.engine.timing.choice import choose_for
+    from gffe_cl.lab.bench.counting import SIZE
+
+    report = []
+    for device in asked.devices:
+        for size in asked.sizes_or(SIZE):
+            loop = asked.loop(device, size)
+            choice = choose_for(device, loop, budget, asked.options, asked.repeats)
+            out.print(plain(f"{device.info.platform}, {loop.width}×{loop.height}: {choice.sentence}"))
+            figures = {"of": loop.name, "width": loop.width, "height": loop.height}
+            report.append(_named(device.info) | figures | asdict(choice))
+    return {"budget": report}
 
 
 def _bench_traffic(

@@ -32,10 +32,13 @@ from gffe_cl.engine.core.validation import MOST_SEED, shown
 __all__ = ["app", "invoke"]
 
 RENAMED = {"--layers": "--background-levels"}  # older names of options, which are still taken
+MEANT = {"doctor": "check SEQUENCE"}  # words that are no commands, and what is meant
 
 
 def invoke(arguments: list[str]) -> int:
     """Run the command line. Returns the exit code. Raises usage errors, and any exception of the command."""
+    if arguments[:1] and arguments[0] in MEANT:
+        raise GffeError(f"{arguments[0]} is no command (expected `gffe {MEANT[arguments[0]]}`)")
     try:
         words = (word.partition("=") for word in arguments)
         arguments = [RENAMED.get(name, name) + equals + value for name, equals, value in words]

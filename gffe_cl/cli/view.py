@@ -137,7 +137,7 @@ def view(
             help="File for a film of the window while the script waits: .webp or .gif.", callback=output_file("--film")
         ),
     ] = None,
-    cache: Annotated[int, typer.Option(help="Memory for computed frames, MiB; 0: none.")] = 2048,
+    cache: Annotated[int, typer.Option(help="Memory for frames, pipelines and textures, MiB; 0: no cache.")] = 2048,
     no_check: NoCheckOption = False,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,

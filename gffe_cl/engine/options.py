@@ -156,6 +156,12 @@ class Options:
     Raises GffeError for invalid values.
     """
 
+    def __new__(cls, *_: Any, **values: Any) -> Options:
+        """Return options. Raises GffeError for `preset`, which is none of them."""
+        if "preset" in values:
+            raise GffeError(f"options: preset is no option (expected Options.preset({values['preset']!r}))")
+        return super().__new__(cls)
+
     cut_detection: bool = _option(
         True,
         "cut detection",
@@ -386,6 +392,11 @@ class Options:
     def preset(cls, name: str, **values: Any) -> Options:
         """Return the options of a preset, "quality", "balanced" or "performance", with `values` of single options in
         place of its own. Raises GffeError for an unknown preset or an invalid value."""
+        if name == "auto":
+            raise GffeError(
+                "options: preset auto depends on device, size and picture (expected gffe.choose_options(device, frames,"
+                " budget_ms).options)"
+            )
         require_choice(name, PRESETS, "options: preset")
         return cls(**PRESETS[name].values | values)
 

@@ -3,7 +3,7 @@
    Space: "rel" is the world with its origin at the camera; "local" is an object's own rigid frame, in which its
    primitives and textures are given. */
 
-#define TILE 16
+#define SHADED_TILE 16
 #define BOX 0
 #define ELLIPSOID 1
 #define CAPSULE 2

@@ -125,16 +125,16 @@ INLINE int surface_key(const World w, const Hit hit, const float3 o, const float
     make_world(frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count,           \
                light_count)
 
-/* Objects that may be seen in each tile of TILE x TILE pixels, in the given order. One work item per tile;
-   tiles: (count, objects ...) per tile, `tile_stride` wide. */
+/* Objects that may be seen in each tile of SHADED_TILE x SHADED_TILE pixels, in the given order. One work item per
+   tile; tiles: (count, objects ...) per tile, `tile_stride` wide. */
 __kernel void bin(__global const float4 *frame, __global const float4 *objects, __global const int *order,
                   const int object_count, __global int *tiles, const int tile_stride, const int width,
                   const int height) {
-    const int columns = (width + TILE - 1) / TILE, rows = (height + TILE - 1) / TILE;
+    const int columns = (width + SHADED_TILE - 1) / SHADED_TILE, rows = (height + SHADED_TILE - 1) / SHADED_TILE;
     const int i = get_global_id(0);
     if (i >= columns * rows) return;
-    const float x0 = (float)(i % columns * TILE), y0 = (float)(i / columns * TILE);
-    const float x1 = x0 + TILE, y1 = y0 + TILE;
+    const float x0 = (float)(i % columns * SHADED_TILE), y0 = (float)(i / columns * SHADED_TILE);
+    const float x1 = x0 + SHADED_TILE, y1 = y0 + SHADED_TILE;
     const float3 c00 = primary_direction(frame, (float2)(x0, y0)), c10 = primary_direction(frame, (float2)(x1, y0));
     const float3 c01 = primary_direction(frame, (float2)(x0, y1)), c11 = primary_direction(frame, (float2)(x1, y1));
     const float3 forward = primary_direction(frame, (float2)(0.5f * (x0 + x1), 0.5f * (y0 + y1)));
@@ -167,8 +167,8 @@ __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float 
     const int i = y * width + x;
     const float2 px = pixel_center(x, y);
     const float3 d = primary_direction(frame, px);
-    const int columns = (width + TILE - 1) / TILE;
-    __global const int *list = tiles + (y / TILE * columns + x / TILE) * tile_stride;
+    const int columns = (width + SHADED_TILE - 1) / SHADED_TILE;
+    __global const int *list = tiles + (y / SHADED_TILE * columns + x / SHADED_TILE) * tile_stride;
     const Hit hit = trace(w, (float3)(0.0f), d, list, -1);
     const bool sky = hit.prim < 0;
     float3 other;
@@ -197,8 +197,8 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
     if (x >= width || y >= height) return;
     const World w = WORLD;
     const int i = y * width + x;
-    const int columns = (width + TILE - 1) / TILE;
-    __global const int *list = tiles + (y / TILE * columns + x / TILE) * tile_stride;
+    const int columns = (width + SHADED_TILE - 1) / SHADED_TILE;
+    __global const int *list = tiles + (y / SHADED_TILE * columns + x / SHADED_TILE) * tile_stride;
     const float pixel_angle = footprint * frame[PINHOLE_INVERSE].y;
 
     bool edge = false;

@@ -40,6 +40,11 @@ def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_word_that_is_no_command_names_what_is_meant(gffe):
+    code, _, told = gffe("doctor", "out/demo")
+    assert code == 2 and "doctor is no command (expected `gffe check SEQUENCE`)" in told
+
+
 def test_lists_of_numbers_are_finite():
     for text in ("nan", "0.5,inf", "", "1e999"):
         with pytest.raises(GffeError, match="must be numbers"):

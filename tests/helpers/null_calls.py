@@ -15,7 +15,8 @@ MAY_BE_NULL = {  # where NULL means something
 GOOD = {
     "gffe *": "g", "gffe **": "&other", "gffe_options *": "&options", "gffe_camera *": "cameras",
     "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays",
-    "gffe_format *": "&format", "cl_context": "context", "cl_command_queue": "queue",
+    "gffe_format *": "&format", "gffe_pacer *": "&pacer", "gffe_paced *": "&plan",
+    "cl_context": "context", "cl_command_queue": "queue",
     "cl_mem": "memory", "char *": '"history.dynamic_mask"', 
     "double": "1.0", "int": "1", "cl_uint": "1",
 }  # fmt: skip
@@ -39,6 +40,8 @@ int main(void) {
     gffe_overlays overlays = {NULL, NULL, NULL, NULL};
     gffe_frame frame;
     gffe_image image;
+    gffe_pacer pacer;
+    gffe_paced plan;
     int i;
     memset(cameras, 0, sizeof cameras);
     for (i = 0; i < 4; ++i) cameras[0].world_to_view[i][i] = 1;
@@ -52,6 +55,7 @@ int main(void) {
     clSetUserEventStatus(complete, CL_COMPLETE);
     if (gffe_create(context, queue, &options, &g) || !gffe_create(context, queue, NULL, &failed)) return 4;
     if (gffe_submit(g, memory, memory, NULL, cameras, NULL, 0.5, 1)) return 5;
+    if (gffe_pacer_start(&pacer, 60, 2, 30, 0) || gffe_pacer_rendered(&pacer, 0, 0)) return 6;
     setvbuf(stdout, NULL, _IONBF, 0);
 %s
     gffe_destroy(failed);

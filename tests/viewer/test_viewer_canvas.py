@@ -27,7 +27,7 @@ from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display,
 from gffe_cl.viewer.picture.invalid import RENDERED, SHOWN, bad_values
 from gffe_cl.viewer.picture.shown_numbers import numbers_of
 from gffe_cl.viewer.picture.textures import texels_of
-from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.picture.view import CLIPPING, View
 from gffe_cl.viewer.shell.picture_frames import uncovered
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
@@ -607,6 +607,16 @@ def test_error_of_nothing_is_the_background(canvas, pair):
 
 
 # ---- overlays ------------------------------------------------------------------------------------------
+
+
+def test_negative_and_clipped_colors_are_marked_as_they_are_exposed(canvas):
+    image = np.full((1, 4, 3), 0.3, np.float32)
+    image[0, 1, 2], image[0, 2, 0], image[0, 3, 1] = -0.01, 0.6, 1.2
+    for exposure, clipped in ((0.0, [3]), (1.0, [2, 3])):
+        made = shown(canvas, COLOR, image, Display(exposure=exposure), overlay="clipping")[0]
+        np.testing.assert_allclose(made[1], CLIPPING["below 0"], atol=0.01)
+        reds = [x for x in range(4) if np.allclose(made[x], CLIPPING["above white"], atol=0.01)]
+        assert reds == clipped
 
 
 def upload_steps(canvas, columns):

@@ -199,7 +199,7 @@ def test_measuring(gffe, screen, tmp_path):
     code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert (code, err) == (0, "") and figures["device"]
-    titles = ["first_picture", "first_pass", "cached"]
+    titles = ["first_picture", "first_pass", "cached", "idle"]
     assert out.splitlines()[0] == "first picture:"
     assert len(out.splitlines()) == len(titles) + sum(len(figures[title]) for title in titles)
     assert 0.1 < figures["first_picture"]["seconds"] <= figures["first_picture"]["computed_seconds"] < 200
@@ -207,6 +207,7 @@ def test_measuring(gffe, screen, tmp_path):
     cached = figures["cached"]
     assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
     assert cached["interface_frames_per_second"] < cached["frames_per_second"]  # between two, the picture alone
+    assert figures["idle"]["percent_of_a_core"] < 4 and figures["idle"]["interface_frames_per_second"] < 2
     code, out, err = gffe(
         "in", "--measure", "0.3", "--json", "figures.json", "--cache", "0", "--layer", "frame.depth", "--with", "truth",
         "--compare", "difference",

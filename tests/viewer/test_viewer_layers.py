@@ -407,7 +407,7 @@ def test_channel_of_a_vector_has_a_ramp():
         ("frame.dynamic", np.uint8(1), "yes"),
         ("frame.filled_by", np.uint8(254), "254: crack closing"),
         ("frame.filled_by", np.uint8(77), "77"),
-        ("connectivity.links", np.uint8(15), "15"),
+        ("connectivity.links", np.uint8(5), "5: right, left"),
         ("holes.downsampled_inverse_depth", 0.123456, "0.1235"),
     ],
 )

@@ -7,6 +7,7 @@ import resource
 import string
 import subprocess
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import foreign_files
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from imgui_bundle import imgui
 from PIL import Image
 
 from gffe_cl.captures.sequence.exr import read_channels
@@ -24,6 +26,7 @@ from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.panels.picture import short
 from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.shell import keys
 from gffe_cl.viewer.state import settings as settings_module
 from gffe_cl.viewer.state.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
@@ -970,3 +973,26 @@ def test_frames_are_written_as_slots_or_as_parts_of_the_way():
     for text in ("4+", "-1", "1.5", "4+1", "4+0/2", "4+2/2", "4+1/0", "", "x", "٣"):
         with pytest.raises(GffeError, match=r"generated ones counted \(9\)"):
             read_place(text, "--frame")
+
+
+def test_a_chord_whose_modifier_is_let_go_in_the_frame_of_its_key():
+    """Where frames are long: Ctrl down, then K down and Ctrl up in one frame is Ctrl+K; K alone afterwards is K."""
+    ran, actions = [], Actions()
+    for shortcut in ("K", "Ctrl+K"):
+        actions.register(Action(shortcut, shortcut, "", shortcut, partial(ran.append, shortcut)))
+    context, key = imgui.create_context(), imgui.Key
+    try:
+        io = imgui.get_io()
+        io.set_ini_filename("")
+        io.display_size, io.delta_time = (640, 480), 0.1
+        io.backend_flags |= imgui.BackendFlags_.renderer_has_textures.value
+        frames = [[(key.mod_ctrl, True)], [(key.k, True), (key.mod_ctrl, False)], [(key.k, False)], [(key.k, True)]]
+        for events in frames:
+            for which, down in events:
+                io.add_key_event(which, down)
+            imgui.new_frame()
+            keys.dispatch(actions)
+            imgui.end_frame()
+    finally:
+        imgui.destroy_context(context)
+    assert ran == ["Ctrl+K", "K"]

@@ -33,6 +33,7 @@ from gffe_cl.viewer.panels.inspector import rows_of
 from gffe_cl.viewer.panels.palette import stepped
 from gffe_cl.viewer.picture.legends import value_text
 from gffe_cl.viewer.state import model as model_module
+from gffe_cl.viewer.state.copying import numbers_of, value_of
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
@@ -117,7 +118,8 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
         session.model.update(time.perf_counter(), session.canvas)
         assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
     session.until(lambda: model.slot == 1)
-    assert model.current and not model.shows_values, "they are still those of slot 3"
+    of_slot_1 = model.pointing.inspection.slot == 1  # where both came at once
+    assert model.current and model.shows_values == of_slot_1, "they are still those of slot 3"
     session.until(lambda: model.shows_values)
     model.playback.n = 3
     assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
@@ -593,3 +595,72 @@ def test_only_faults_are_offered_for_repair():
     fault = Finding(FAULT, "motion", "y flipped", "y points up", "y is turned round")
     assert not offers_repair([note]) and offers_repair([note, fault])
     assert not offers_repair([Finding(FAULT, "camera", "fov", "the field of view is wrong")])
+
+
+def test_settings_are_undone_and_redone(session):
+    model, options = session.model, []
+    for name, value in (("motion", False), ("static_threshold", 3.0)):
+        session.model.undo._changed_at = -1.0  # long ago
+        options.append(model.parameters.options)
+        model.set(name, value)
+        session.frame()
+    model.undo.undo()
+    session.settle()
+    assert model.parameters.options == options[1] and not model.contents.result.setup.options.motion
+    model.undo.undo()
+    session.frame()
+    assert model.parameters.options == options[0] and not model.undo.done
+    model.undo.redo()
+    model.undo.redo()
+    session.frame()
+    assert model.parameters.options.static_threshold == 3.0 and not model.parameters.options.motion
+    model.set("motion", True)
+    session.frame()
+    assert not model.undo.undone
+
+
+def test_only_generated_frames_are_shown_while_it_plays(session):
+    model, shown = session.model, []
+    model.playback.only_generated = True
+    model.playback.mode = "every frame"
+    model.playback.play()
+    session.until(lambda: shown.append(model.contents.result.slot) or (shown.count(5) and shown[-1] == 1))
+    assert set(shown) - {0} == {1, 3, 5} and 0 not in shown[shown.index(1) :], "0 was there before it played"
+    model.playback.pause()
+    model.playback.seek(2)
+    session.settle()
+    assert model.contents.result.slot == 2
+
+
+def test_values_stay_at_the_picked_pixel_and_are_copied(session):
+    model = session.model
+    model.pointing.pick((3, 4))
+    model.pointing.hover((7.5, 5.5))
+    session.until(lambda: model.pointing.inspection is not None and model.pointing.pinned is not None)
+    session.settle()
+    assert (model.pointing.pinned.pixel, model.pointing.inspection.pixel) == ((3, 4), (7, 5))
+    text = value_of(model.contents, model.frame_text, "final", model.pointing.pinned)
+    color = model.contents.image("final")[4, 3]
+    assert (
+        text
+        == f"first, rendered frame 0, frame: Final, pixel (3, 4): R {color[0]:.4g}  G {color[1]:.4g}  B {color[2]:.4g}"
+    )
+    image = np.arange(24.0).reshape(3, 4, 2)
+    assert numbers_of(image, (1, 1, 3, 3)) == "10 11\t12 13\n18 19\t20 21"
+
+
+def test_a_picture_under_way_is_stopped_and_gone_on_with(session):
+    model = session.model
+    with session.engine_waiting():
+        model.playback.seek(5)
+        session.frame()
+        model.stop_computing()
+        session.frame()
+        assert model.store.next() is None and "stopped" in model.waiting_text
+    assert not model.busy
+    session.frame()
+    assert model.slot == 0
+    model.stop_computing()
+    session.settle()
+    assert model.slot == 5
+    assert model.engine.progress[0] == model.engine.progress[1] > 0

@@ -8,8 +8,14 @@ import pytest
 import tiny_sequence
 from viewer_session import Canvas, Session
 
+from gffe_cl.captures.offline.run import run_sequence
+from gffe_cl.captures.offline.source import Recorded
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.figures import Figures
+from gffe_cl.viewer.state.studies import modules_of
 
 
 class WideCanvas(Canvas):
@@ -137,3 +143,107 @@ def test_settings_are_found_again(session):
     assert (saved["compare"], saved["b"]) == ("off", None)
     line = model.command_line(model.setup)
     assert "--no-motion" in line and replace(model.setup, n=3) != model.setup
+
+
+# ---- studies: of the shown frame ---------------------------------------------------------------------------------
+
+
+def studied(session, study):
+    """Look at a study until it is made; returns it."""
+    session.model.update(0.0, session.canvas)
+
+    def looked():
+        study.look()
+        return study.parts and not study.busy
+
+    study.look()
+    session.frame()
+    session.until(looked)
+    return study
+
+
+def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
+    model = session.model
+    model.playback.seek(3)
+    model.keep_as_b()
+    session.settle()
+    assert studied(session, model.studies.differing).first is None, "equal settings"
+    assert len(model.studies.differing.all) > 30
+    model.set("static_threshold", 20.0)
+    session.settle()
+    found = studied(session, model.studies.differing)
+    assert found.first.spec.name == "history.dynamic_mask"
+    final = next(one for one in found.all if one.spec.name == "final")
+    images = [model.contents.image("final"), None]
+    model.take_second()
+    session.settle()
+    images[1] = model.contents.image("final")
+    differs = (images[0] != images[1]).any(-1)
+    assert (final.pixels, final.of) == (differs.sum(), differs.size) and final.pixels
+    assert final.largest == np.abs(np.subtract(*images, dtype=np.float64)).max()
+
+
+def test_an_ablation_tells_what_a_module_gains(session):
+    model = session.model
+    model.playback.seek(3)
+    session.settle()
+    gains = studied(session, model.studies.ablation).found
+    assert gains.keys() == set(modules_of(model.setup)) > {"hole_filling", "motion"}
+    scores = []
+    for filling in ("far-side", "none"):
+        model.set("hole_filling", filling)
+        model.set_measuring(True)
+        session.settle()
+        session.until(lambda: "psnr" in model.metrics.get(3, Figures()).values)
+        scores.append(model.metrics[3].values["psnr"])
+    assert gains["hole_filling"]["all"] == pytest.approx(scores[0] - scores[1], abs=1e-4)
+
+
+def test_a_row_over_time_is_that_row_of_every_frame(session):
+    model = session.model
+    model.pointing.pick((3, 4))
+    session.settle()
+    rows, slots = studied(session, model.studies.over_time).picture(model.studies.here)
+    assert slots == range(6) and rows.shape == (6, tiny_sequence.W, 4)
+    model.playback.seek(3)
+    session.settle()
+    np.testing.assert_array_equal(rows[3], model.contents.image("final")[4])
+
+
+def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
+    model = session.model
+    model.set("motion", False)
+    session.settle()
+    source = open_sequence(tmp_path / "first")
+    device, options = open_device(), model.setup.options
+    run_sequence(Recorded(source, device), tmp_path / "out", device, options, [0.5], dump_stages=True)
+    model.take_b_from(str(tmp_path / "out"))
+    model.playback.seek(3)
+    session.settle()
+    assert model.contents.second is not None, model.messages
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
+    differing = studied(session, model.studies.differing)
+    assert not [one.spec.name for one in differing.all if one.pixels]
+    assert sum(not one.differs for one in differing.all) > 30, "those of the dump"
+    model.set("motion", True)
+    session.settle()
+    assert (session.canvas.layers["B:final"] != model.contents.image("final")).any()
+    assert studied(session, model.studies.differing).first.spec.group == "history"
+    model.take_b_from(str(tmp_path / "nothing"))
+    session.settle()
+    assert "nothing" in model.showing.fault_of_b and model.contents.second is None
+
+
+def test_b_is_other_kernels_in_a_folder(session, tmp_path):
+    model = session.model
+    model.playback.seek(3)
+    shutil.copytree(kernel_folder(), tmp_path / "edited")
+    path = tmp_path / "edited" / "holes.cl"
+    (tmp_path / "edited" / "warp.cl").write_text((kernel_folder() / "warp.cl").read_text() + "\n// another build\n")
+    model.take_b_from(str(path.parent))
+    session.settle()
+    assert model.comparison.by_settings and model.contents.second.key.recipe.kernels != model.recipe.kernels
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
+    path.unlink()
+    model.take_b_from(str(path.parent))
+    assert model.messages[-1].error and "holes.cl" in model.messages[-1].text

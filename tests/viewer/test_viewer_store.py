@@ -467,3 +467,12 @@ def test_the_render_rate_of_a_flight(session):
     model.set("render_rate", "scene")
     session.until(lambda: model.source.fps == 30.0 and model.plan.fps is None)
     assert not model.flying and model.n == 1
+
+
+def test_frames_leave_room_for_what_is_held_elsewhere():
+    store = store_of(10)
+    assert all(put(store, want(slot)) for slot in range(8))
+    store.leave(7 * (BYTES + 4096))
+    assert len(store.slots(recipe(), FINAL)) == 3 == store.room(BYTES + 4096)
+    store.leave(store.most + 1)
+    assert store.nbytes == 0 == store.room(1)

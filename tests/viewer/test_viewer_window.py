@@ -49,3 +49,4 @@ def test_the_window(tmp_path):
     assert values["zoomed at the pointer"] and values["wipe"] == pytest.approx(0.25, abs=0.01)
     assert values["scrubbed to"] == [0, 5] and values["told"] == [3, 4]
     assert values["switched"] is False
+    assert values["shown by a new panel"] == "final", "the panel that docs/map.md has as an example"

@@ -21,6 +21,22 @@ def make(folder: Path) -> None:
     render_sequence(scene, folder / "large", device, 960, 540, 4, 30.0, ground_truth=False, samples=1)
 
 
+def add_panel_of_the_map() -> None:
+    """Register the panel that docs/map.md has as an example."""
+    import importlib.util
+    import re
+
+    from gffe_cl.viewer.panels import table
+
+    text = Path(__file__).parents[2].joinpath("docs", "map.md").read_text(encoding="utf-8")
+    code, line = re.findall(r"```python\n(.*?)```", text.partition("## Add a panel")[2], re.DOTALL)[:2]
+    spec = importlib.util.spec_from_loader(f"{table.__package__}.brightest", None)
+    module = importlib.util.module_from_spec(spec)
+    exec(code, module.__dict__)
+    sys.modules[spec.name] = module
+    table.PANELS |= eval(f"{{{line}}}", {"Panel": table.Panel})
+
+
 def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     import viewer_gui_comparing as comparing
     import viewer_gui_doing as doing
@@ -47,6 +63,7 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     report = folder / f"{phase}.json"
     with leaving(model):
         if phase == "smoke":
+            add_panel_of_the_map()
             driver.run(App(model), {"smoke": looking.smoke}, report, artifacts, None, (1280, 720))
         elif phase == "first":
             driver.run(App(model), cases, report, artifacts, doing.leave_while_working, (1280, 720))

@@ -297,3 +297,8 @@ def smoke(gui: Gui):
     gui.click("//Modules/motion estimation")
     gui.settle()
     values["switched"] = model.contents.result.setup.options.motion
+    model.show_layer("frame.depth")
+    gui.app.docks.show("Brightest")
+    gui.settle()
+    gui.click("//Brightest/###brightest_final")
+    values["shown by a new panel"] = model.view.a

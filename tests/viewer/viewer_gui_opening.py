@@ -276,7 +276,7 @@ def _behind(gui: Gui) -> list[dict]:
         look(KEY.left_shift)
         gui.click("//**/###menu View")
         look()
-        app.open_path.open()
+        app.open_path.open(gui.model.open)
         gui.frames(3)
         look(KEY.left_shift)
         app.palette.open()

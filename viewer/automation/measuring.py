@@ -15,6 +15,7 @@ from .screenshot import PATIENCE, Look
 
 _SIZE = (1280, 720)  # of the window
 _FASTEST = 4.0  # times real time
+_COMES_TO_REST, _LEAST_REST = 4.0, 3.0  # seconds until a window is at rest, and for which that is measured
 _PLAIN = Look()
 
 
@@ -29,7 +30,8 @@ def measure(
     started); "first_pass" and "cached": means of frames shown, of those generated and of the interface's per second;
     milliseconds per frame shown of uploading and of processor time (of this process, all threads); first_pass also
     those of computing (kernels) and reading back, cached also frames per second that were due and how many frames were
-    dropped. "cached" is empty where there is no cache.
+    dropped. "cached" is empty where there is no cache. "idle": percent of a processor core of a window in which nothing
+    changes, and frames of the interface per second.
     Raises GffeError when nothing can be played.
     """
     stopwatch = _Stopwatch(seconds, look)
@@ -40,7 +42,8 @@ def measure(
         raise GffeError(stopwatch.problem)
     assert stopwatch.first is not None  # it ran to its end
     cached = stopwatch.cached.figures() if stopwatch.cached else {}
-    return {"first_picture": stopwatch.pictures, "first_pass": stopwatch.first.figures(), "cached": cached}
+    passes = {"first_pass": stopwatch.first.figures(), "cached": cached}
+    return {"first_picture": stopwatch.pictures} | passes | {"idle": stopwatch.idle}
 
 
 class _Stopwatch:
@@ -54,6 +57,8 @@ class _Stopwatch:
         self._drawn: set[str] = set()  # of `pictures`: in the frame of the interface before this one
         self.first: _Pass | None = None
         self.cached: _Pass | None = None
+        self.idle: dict[str, float] = {}
+        self._rest: tuple[float, float, int] | None = None  # its start, processor time and frames of the interface
         self._until = time.perf_counter() + PATIENCE
 
     def __call__(self, app: App) -> None:
@@ -65,6 +70,8 @@ class _Stopwatch:
             self.problem = f"nothing was shown after {PATIENCE:.0f} s"
         if self.problem:
             app.close()
+        elif self._rest is not None:
+            self._count_rest(app, now)
         elif self._look is not None:
             if model.contents.result is not None:
                 self._show(model)
@@ -81,7 +88,25 @@ class _Stopwatch:
         else:
             self.cached.count(now, model)
             if now - self.cached.start > self.seconds:
-                app.close()
+                playback.pause()
+                self._begin_rest(app, now)
+
+    def _begin_rest(self, app: App, now: float) -> None:
+        app.may_idle = True
+        self._rest = now + _COMES_TO_REST, 0.0, 0
+
+    def _count_rest(self, app: App, now: float) -> None:
+        """Measure the window at rest, then close it."""
+        assert self._rest is not None
+        start, processor, frames = self._rest
+        if now < start or app.model.busy:
+            self._rest = max(start, now), time.process_time(), 0
+        elif now - start < max(self.seconds, _LEAST_REST):
+            self._rest = start, processor, frames + 1
+        else:
+            share = (time.process_time() - processor) / (now - start)
+            self.idle = {"percent_of_a_core": 100 * share, "interface_frames_per_second": (frames + 1) / (now - start)}
+            app.close()
 
     def count(self, app: App) -> None:
         """Count a picture that was drawn without a frame of the interface. Call once per such picture."""
@@ -108,10 +133,10 @@ class _Stopwatch:
 
     def _play_again(self, app: App, now: float) -> None:
         model, playback = app.model, app.model.playback
-        if not model.store.most:
-            app.close()
-            return
         playback.pause()
+        if not model.store.most:
+            self._begin_rest(app, now)
+            return
         playback.set_out(model.slot)
         if model.busy:
             return

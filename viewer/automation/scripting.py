@@ -134,7 +134,8 @@ class Director:
 
 def _works_beside(model: Model) -> bool:
     """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
-    return model.survey.busy or model.export is not None or (model.doctor is not None and not model.doctor.done)
+    examines = model.doctor is not None and not model.doctor.done
+    return model.survey.busy or model.studies.busy or model.export is not None or examines
 
 
 def require_film(path: Path) -> None:

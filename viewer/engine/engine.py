@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pyopencl as cl
 
@@ -20,12 +21,14 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.timing.bench import Copier
+from .layers import LayerSpec
 from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
 from .reloading import WATCH_SECONDS, Kernels
 from .slot_renderer import SlotMaker, weights_of
 from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
 from .sources.source import FrameSource
+from .sources.stored import StoredSlots
 from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
@@ -65,6 +68,8 @@ class Engine:
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
     bandwidth : float or None
         GB/s of copying, once measured.
+    wake : callable
+        Called on the thread when files that are watched have changed.
     traffic : dict
         Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
@@ -78,6 +83,7 @@ class Engine:
         self.bandwidth: float | None = None
         self.traffic: dict[str, dict[str, float]] = {}
         self.cuts: dict[Recipe, frozenset[int]] = {}
+        self.wake: Callable[[], object] = lambda: None
         self._news = self.store.news
         self._orders: dict[str, Callable[[], None]] = {}
         self._failures: deque[Failure] = deque(maxlen=16)
@@ -87,7 +93,10 @@ class Engine:
         self._problem = ""  # of opening the device
         self._kernels: Kernels | None = None
         self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
+        self._maker_at_work: SlotMaker | None = None
         self._remote: RemoteSlots | None = None  # instead of them, of an attached program
+        self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
+        self._specs: dict[str, LayerSpec] = {}  # layers of the frame that was computed last
         self._opened = 0  # sources
 
     # ---- for the interface ---------------------------------------------------------------------------------
@@ -125,6 +134,12 @@ class Engine:
         If it fails, the old source stays."""
         self._post("source", partial(self._do_source, make))
 
+    def take_kernels(self, folder: Path) -> str:
+        """Return what `Setup.kernels` calls those in another folder. Raises GffeError if it has none."""
+        if self._kernels is None:
+            raise GffeError(f"{folder}: kernels are built when the device is open")
+        return self._kernels.take(folder)
+
     def reload_kernels(self) -> None:
         """Rebuild the kernels if their text changed."""
         self._post("kernels", self._do_kernels)
@@ -137,6 +152,16 @@ class Engine:
     def count_traffic(self, want: Want) -> None:
         """Count `traffic` for a slot; reads some layers back."""
         self._post("traffic", partial(self._do_traffic, want))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that pipelines and sources hold, mostly on the device."""
+        return sum(maker.nbytes for maker in tuple(self._makers))
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return (0, 0) if self._maker_at_work is None else self._maker_at_work.progress
 
     def poll(self) -> Failure | None:
         """Return the oldest failure of anything but slots, once."""
@@ -207,7 +232,8 @@ class Engine:
         source = make(self._need_device())
         if self.source:
             self.source.close()
-        self._makers, self._remote, self.cuts = [], None, {}
+        self._maker_at_work = None
+        self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
         if isinstance(source, AttachedSource):
             self._remote = RemoteSlots(source, self._check_while_waiting)
         with self._news:
@@ -218,10 +244,12 @@ class Engine:
     def _do_watch(self) -> None:
         if self._kernels is not None and self._kernels.have_changed():
             self._do_kernels()
+            self.wake()
         if self.source is None:
             return
         before = self.source.count
         if self.source.grow():
+            self.wake()
             del self._makers[1:]  # their sources are not the one that has grown
             self.store.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
 
@@ -260,11 +288,20 @@ class Engine:
         source.look_closer()
 
     def _made(self, want: Want) -> Frame:
+        if want.key.recipe.setup.place:
+            return self._read(want)
         frame = (self._remote or self._maker(want)).make(want.key, want.layers)
+        self._specs = frame.specs
         known = self.cuts.get(want.key.recipe, frozenset())
         if not frame.cuts <= known:
             self.cuts[want.key.recipe] = known | frame.cuts
         return frame
+
+    def _read(self, want: Want) -> Frame:
+        assert self.source is not None
+        if self._stored is None or self._stored.place != want.key.recipe.setup.place:
+            self._stored = StoredSlots(want.key.recipe.setup.place)
+        return self._stored.make(want.key, want.layers, self.source, self._specs)
 
     def _inspected(self, want: Want):
         assert want.pixel is not None
@@ -285,13 +322,15 @@ class Engine:
         assert source is not None
         above = self.store.above(want) - {want.key}
         free = [maker for maker in self._makers if maker.key not in above]
+        if not free and len(self._makers) > 1 and 0 < self.store.most < self.nbytes:
+            free = self._makers[1:]  # what its last slot was is made again, if need be
         if not free:
             assert self._device is not None and self._kernels is not None
             own = source.sibling() if self._makers else source
             free = [SlotMaker(self._device, own, self._kernels, self._check)]
             self._makers += free
         maker = min(free, key=lambda maker: (maker.steps_to(want.key), maker.used_at))
-        maker.check = partial(self._check, want)
+        maker.check, self._maker_at_work = partial(self._check, want), maker
         return maker
 
     def _check(self, want: Want | None = None) -> None:

@@ -29,7 +29,7 @@ class LayerSpec:
     `name` is "final", "rendered.color" … or "<stage>.<buffer>"; `group` heads it in lists. `view`, `components`,
     `planes`, `labels`, `grid` are those of `BufferSpec`. The positions of a "place" are `places_in` pixels of the
     "rendered" or the "target" image. `limits`: of a scalar's usual range; None: fitted to the picture.
-    `of_generated`: made for generated frames only; a rendered one has none.
+    `of_generated`: made for generated frames only; a rendered one has none. `bits`: meanings of the bits of a number.
     """
 
     name: str
@@ -44,6 +44,7 @@ class LayerSpec:
     places_in: str = "rendered"
     limits: tuple[float, float] | None = None
     of_generated: bool = False
+    bits: tuple[str, ...] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -77,6 +78,7 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
         ),
     )
 }
+_BITS = {names.LINKS: ("right", "down", "left", "up")}
 _LABELS = {
     names.RENDERED_COLOR: "Rendered color",
     names.GAE: "GAE",
@@ -119,7 +121,14 @@ def layer_of(group: str, spec: BufferSpec, name: str = "", of_generated: bool = 
         places_in="target" if spec.name.startswith("target_") else "rendered",
         limits=_LIMITS.get(spec.name),
         of_generated=of_generated,
+        bits=_BITS.get(name, ()),
     )
+
+
+def _output_of(stage: str, spec: BufferSpec) -> LayerSpec:
+    """Return the layer of what a stage has made of one of the new frame's buffers."""
+    layer = layer_of(stage, spec, of_generated=True)
+    return replace(layer, label=f"{layer.label} after {stage.replace('_', ' ')}")
 
 
 FRAME_LAYERS = {name: layer_of(FRAME_GROUP, spec, name) for name, spec in FRAME_BUFFERS.items()}
@@ -133,7 +142,7 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
         for owner, spec in pipeline.named_buffers()
         if spec.grid != "once" and not isinstance(owner, Output)
     ]
-    made += [layer_of(stage, spec, of_generated=True) for stage, spec in pipeline.outputs()]
+    made += [_output_of(stage, spec) for stage, spec in pipeline.outputs()]
     made += [layer_of(owner.name, spec) for owner, spec, _ in pipeline.conversions()]
     order = [FRAME_GROUP, Upload.name, *pipeline.stages]
     made.sort(key=lambda spec: order.index(spec.group) if spec.group in order else len(order))

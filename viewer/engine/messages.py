@@ -17,12 +17,14 @@ from .layers import LayerSpec
 @dataclass(frozen=True)
 class Setup:
     """Setup of the computation. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7;
-    `kernels`: a build that was in use since the viewer started, by its `Kernels.identity`; empty: the newest."""
+    `kernels`: a build that was in use since the viewer started, by its `Kernels.identity`; empty: the newest. `place`:
+    where pictures are stored that are shown instead of computed ones; empty: nowhere."""
 
     options: Options = field(default_factory=Options)
     window: str | None = None
     n: int = 1
     kernels: str = ""
+    place: str = ""
 
 
 @dataclass(frozen=True)

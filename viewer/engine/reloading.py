@@ -6,6 +6,7 @@ import hashlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
@@ -52,7 +53,7 @@ class Kernels(dict):
         """Build all stages from the texts on disk. Returns whether other kernels are in use now. Sets `error`."""
         before = self._texts
         try:
-            texts = {path.stem: expand(path.name) for path in kernel_folder().glob("*.cl")}
+            texts = _texts(kernel_folder())
             if texts == before:
                 self.error = None
                 return False
@@ -74,9 +75,22 @@ class Kernels(dict):
             self._texts, self.error, self.log = before, str(error), getattr(error, "log", "") or str(error)
             return False
         self.error = None
-        self.identity = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()[:12]
-        self._builds[self.identity] = texts
+        self.identity = self._known(texts)
         return True
+
+    def take(self, folder: Path) -> str:
+        """Take over the texts in another folder, which are built when they are used. Returns their identity. Raises
+        GffeError. May be called from any thread."""
+        texts = _texts(folder)
+        if not texts.keys() >= self._texts.keys():
+            raise GffeError(f"{folder}: no {min(self._texts.keys() - texts.keys())}.cl (expected a folder of kernels)")
+        return self._known(texts)
+
+    def _known(self, texts: dict[str, str]) -> str:
+        """Make texts known. Returns their identity."""
+        identity = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()[:12]
+        self._builds[identity] = texts
+        return identity
 
     @contextmanager
     def used(self, identity: str) -> Iterator[None]:
@@ -101,6 +115,11 @@ class Kernels(dict):
 
     def _held(self, key: tuple) -> tuple:
         return (key[0], self._texts.get(key[0], key[1]), *key[2:])
+
+
+def _texts(folder: Path) -> dict[str, str]:
+    """Return the kernel files in a folder, expanded, by the name of their stage."""
+    return {path.stem: expand(path.name, folder) for path in folder.glob("*.cl")}
 
 
 def _files() -> list[tuple]:

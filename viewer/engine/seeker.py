@@ -39,6 +39,7 @@ class Seeker:
     def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
         self.device, self.source, self._check = device, source, check
         self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
+        self.progress = 0, 0  # rendered frames of the last `go_to` that are submitted, and all of them
         self._options: Options | None = None
         self._versions = ("", "")  # of kernels and weights
         self._ring: list[DeviceFrame] = []  # buffers for host frames: the pipeline uses two in place
@@ -89,7 +90,8 @@ class Seeker:
             frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)
             self._restart()
         notes = []
-        for m in frames:
+        for done, m in enumerate(frames):
+            self.progress = done, len(frames)
             self._check()
             try:
                 self._submit(m, last=m == k)
@@ -98,6 +100,7 @@ class Seeker:
                     raise
                 notes.append(f"rendered frame {m} is left out: {error}")
                 self._restart()
+        self.progress = len(frames), len(frames)
         if frames:
             self._presented = self._running.present()
         return notes

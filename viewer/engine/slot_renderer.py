@@ -38,6 +38,8 @@ class SlotMaker:
         The slot that was made last.
     used_at : int
         The number of slots made so far by all makers when this one was used last.
+    nbytes : int
+        What its pipeline has on the device, and its source.
     """
 
     _used = itertools.count(1)
@@ -46,7 +48,12 @@ class SlotMaker:
         self.source, self._kernels, self.check = source, kernels, check
         self._seeker = Seeker(device, source, lambda: self.check())
         self.key: Key | None = None
-        self.used_at = 0
+        self.used_at = self.nbytes = 0
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return self._seeker.progress
 
     def holds(self, key: Key) -> bool:
         """Return whether the pipeline's buffers are those of this slot."""
@@ -98,6 +105,7 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
+        self.nbytes = sum(traffic.memory(pipeline).values()) + source.nbytes
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3

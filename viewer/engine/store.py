@@ -57,14 +57,14 @@ class Playhead:
 class Store:
     """Frames by key and layers. The interface calls `want` and `get`, the engine's thread `next` and `put`.
 
-    At most `most` bytes are kept. Where room is needed, recipes that are not in use go first, the one used longest ago
-    first of all; then, of those in use, what will be shown last from the playhead on. A frame that would itself have to
-    go is not kept.
+    At most `most` bytes are kept, less `others`. Where room is needed, recipes that are not in use go first, the one
+    used longest ago first of all; then, of those in use, what will be shown last from the playhead on. A frame that
+    would itself have to go is not kept.
 
     Attributes
     ----------
-    most, nbytes : int
-        Bytes: that may be kept, and that are.
+    most, nbytes, others : int
+        Bytes: that may be held, that are kept here, and that are held elsewhere: by pipelines, sources and textures.
     changes : int
         How often what is there has changed.
     source : int
@@ -74,7 +74,7 @@ class Store:
     """
 
     def __init__(self, most: int = CACHE_MIB << 20):
-        self.most, self.nbytes, self.changes, self.source = most, 0, 0, 0
+        self.most, self.nbytes, self.others, self.changes, self.source = most, 0, 0, 0, 0
         self.news = threading.Condition()
         self._wants: tuple[Want, ...] = ()
         self._held: dict[Subject, Frame | Inspection | Failure] = {}  # what was made of them, by subject
@@ -125,7 +125,19 @@ class Store:
 
     def room(self, nbytes: int) -> int:
         """Return how many slots of `nbytes` bytes each can be kept."""
-        return self.most // max(nbytes, 1)
+        return self._room // max(nbytes, 1)
+
+    def leave(self, others: int) -> None:
+        """Note how many bytes are held elsewhere, and give up what has no room beside them."""
+        with self.news:
+            self.others = others
+            while self.nbytes > self._room:
+                self._drop(self._victim())
+                self.changes += 1
+
+    @property
+    def _room(self) -> int:
+        return max(self.most - self.others, 0)
 
     # ---- the engine's side -----------------------------------------------------------------------------------
 
@@ -216,9 +228,9 @@ class Store:
         return kept
 
     def _make_room(self, key: Key, nbytes: int) -> bool:
-        if nbytes > self.most:
+        if nbytes > self._room:
             return False
-        while self.nbytes + nbytes > self.most:
+        while self.nbytes + nbytes > self._room:
             victim = self._victim()
             if self._is_nearer(victim, key):
                 return False

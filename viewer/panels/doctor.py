@@ -25,7 +25,7 @@ def draw(app: Interface) -> None:
         widgets.hint("examining motion, depth, cameras and colors …")
     elif doctor.problem:
         widgets.hint("could not be examined")
-        widgets.colored(widgets.RED, doctor.problem)
+        widgets.colored(widgets.red(), doctor.problem)
     elif not doctor.findings:
         widgets.hint("everything fits")
     else:
@@ -54,7 +54,7 @@ def _findings(model: Model, doctor) -> None:
         return
     from gffe_cl.captures.doctor.findings import FAULT, NOTE, WARNING  # loaded by now
 
-    colors = {FAULT: widgets.RED, WARNING: _AMBER, NOTE: _AMBER}
+    colors = {FAULT: widgets.red(), WARNING: _AMBER, NOTE: _AMBER}
     for finding in doctor.findings:
         widgets.colored(colors.get(finding.kind, _GRAY), finding.kind)
         imgui.text_wrapped(str(finding))

@@ -42,7 +42,7 @@ def draw(app: Interface) -> None:
     low, high = (float(side) for side in (counts.edges[0], counts.edges[-1]))
     room = 0.02 * (high - low)
     numbers = "pixels, logarithm" if histogram.log else "pixels"
-    implot.setup_axes(_unit(model, spec), numbers, 0, implot.AxisFlags_.no_tick_labels.value)
+    implot.setup_axes(_unit(model, spec), numbers)
     low, high = min(low, *handles.values()) - room, max(high, *handles.values()) + room
     implot.setup_axis_limits(implot.ImAxis_.x1, low, high, imgui.Cond_.always.value)
     _, _, levels, texts = scale_of(low, high)

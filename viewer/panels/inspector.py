@@ -47,12 +47,13 @@ def draw(app: Interface) -> None:
     if model.selection.rectangle is not None:
         _rectangle(model, *model.selection.rectangle)
     _buffers(model)
-    widgets.heading("Values")
-    inspection = model.pointing.inspection
+    pinned = model.pointing.picked is not None
+    widgets.heading("Values of the picked pixel" if pinned else "Values")
+    inspection = model.pointing.pinned if pinned else model.pointing.inspection
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
         return
-    stale = not (model.current and model.shows_values)
+    stale = not model.current or (model.story_is_due if pinned else not model.shows_values)
     if stale:
         imgui.text_disabled("computing … these values are of another frame or setting")
     imgui.begin_disabled(stale)
@@ -69,7 +70,7 @@ def _inspection(app: Interface, inspection: Inspection) -> None:
         imgui.text_wrapped(f"{FROM}: ({right:.2f}, {down:.2f}) of the rendered frame, where the warp's motion leads")
     if inspection.fault:
         told = f"invalid in the input, {FROM} where it comes" if inspection.origin else "invalid in the input"
-        widgets.colored(widgets.RED, f"{told}: {inspection.fault}")
+        widgets.colored(widgets.red(), f"{told}: {inspection.fault}")
     _values(app, inspection)
 
 
@@ -112,7 +113,7 @@ def _table(group: str, rows: list[Row], names: float) -> None:
         imgui.text(widgets.cut(row.label, names - imgui.calc_text_size(where).x) + where)
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
-        text_color = widgets.RED if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
+        text_color = widgets.red() if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
         widgets.colored(text_color, row.value)
     imgui.end_table()
 

@@ -57,6 +57,7 @@ class Interface:
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
+        self.lists_equal = False  # layers that do not differ, among those that do
         self._drawn: Any = None
         self._current_at = -math.inf  # clock, when the picture was the requested one
         self._all_there = True  # when the overview was drawn

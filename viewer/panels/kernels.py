@@ -19,7 +19,7 @@ def draw(app: Interface) -> None:
     imgui.same_line()
     if engine.build_error:
         imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(widgets.RED, "does not build; the last good kernels are running")
+        imgui.text_colored(widgets.red(), "does not build; the last good kernels are running")
         imgui.text_unformatted(engine.build_log)
         imgui.pop_text_wrap_pos()
         if imgui.button("copy###copy_build_error"):

@@ -16,10 +16,11 @@ from ..state.model import Model
 from . import widgets
 from .interface import Interface
 
-_OVERLAYS = ("none", "edges", "residual motion", "disocclusions")
+_OVERLAYS = ("none", "edges", "residual motion", "disocclusions", "clipping")
 _OVERLAY_HELP = {
     "edges": "Edges of depth are red, of motion green, of color blue: white where all three meet",
     "residual motion": "Motion minus the camera's; its hue is its direction",
+    "clipping": "Colors below 0 are blue, above display white red, with the exposure of the display",
     "disocclusions": "Pixels without a fragment of the rendered frame",
 }
 

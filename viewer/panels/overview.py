@@ -54,6 +54,11 @@ def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
         return
     name = widgets.cut(f"{spec.group}: {spec.label}", place.width)
     marks.add_text(ImVec2(left, bottom + 1), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), name)
+    contents = model.contents
+    reason = contents.why_not(place.name) or ("none in this frame" if place.name in contents.asked else "computing …")
+    if contents.image(place.name) is None:
+        why = widgets.cut(reason, place.width)
+        marks.add_text(ImVec2(left + 4, top + 4), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), why)
     inside = left <= at.x < right and top <= at.y < bottom
     if inside and model.pointing.enabled and imgui.is_item_hovered():
         marks.add_rect(ImVec2(left, top), ImVec2(right, bottom), imgui.get_color_u32(_ACCENT), 0, 2.0)

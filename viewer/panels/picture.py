@@ -110,7 +110,8 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
     texture = app.drawn(view, size)
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
     marks = imgui.get_window_draw_list()
-    text = f"rendered frame 0   {model.engine.activity or 'computing'} …"
+    state = f"{model.engine.activity} …" if model.engine.activity else model.waiting_text
+    text = f"rendered frame 0   {state}"
     widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
@@ -322,7 +323,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not (model.comparison.ready and model.current) or (model.busy and not (model.playback.playing or model.follows)):
-        state = "computing …" if model.failure is None or model.busy else f"not this frame: {model.failure}"
+        state = model.waiting_text if model.failure is None or model.busy else f"not this frame: {model.failure}"
     if state:
         state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40

@@ -25,7 +25,7 @@ def draw(app: Interface) -> None:
     if shown:
         last = shown[-1]
         _beside(told)
-        imgui.text_colored(widgets.RED if last.error else _BLUE, _icon(last.error))
+        imgui.text_colored(widgets.red() if last.error else _BLUE, _icon(last.error))
         imgui.same_line()
         imgui.text(widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
         widgets.tooltip("\n".join(message.text for message in shown))
@@ -40,9 +40,9 @@ def draw(app: Interface) -> None:
 
 def _kernel_error(log: str, share: float) -> None:
     """Draw the compiler's first error with file and line; a click copies the whole log."""
-    imgui.text_colored(widgets.RED, f"{_icon(True)} kernels do not build:")
+    imgui.text_colored(widgets.red(), f"{_icon(True)} kernels do not build:")
     imgui.same_line()
-    imgui.push_style_color(imgui.Col_.text_link, widgets.RED)
+    imgui.push_style_color(imgui.Col_.text_link, widgets.red())
     text = widgets.cut(first_error(log), share * imgui.get_content_region_avail().x)
     if imgui.text_link(f"{text}###kernel_error"):
         imgui.set_clipboard_text(log)

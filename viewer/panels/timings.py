@@ -27,6 +27,10 @@ def draw(app: Interface) -> None:
         f" {model.timings.wall():.1f} ms   {'looking' if model.follows else 'reading back'}"
         f" {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
     )
+    held, mib = model.held, 1 << 20
+    told = ", ".join(f"{name} {nbytes / mib:.0f}" for name, nbytes in held.items())
+    imgui.text_wrapped(f"memory {sum(held.values()) / mib:.0f} of {model.store.most / mib:.0f} MiB: {told}")
+    widgets.tooltip("What frames in the cache, pipelines with their sources, and textures hold (--cache)")
     bandwidth, longest = model.engine.bandwidth, max(means.values())
     columns = [name for name in _COLUMNS if bandwidth or name != "bytes/px"]  # measured on request
     if imgui.get_content_region_avail().x < hello_imgui.em_size(_NARROW):

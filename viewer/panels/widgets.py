@@ -12,12 +12,20 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..picture.colors import Rgb, wheel_color
 from ..picture.legends import Legend
+from ..state.model import Model
+from ..state.studies import Study
 
-RED = ImVec4(0.97, 0.5, 0.45, 1.0)
+_RED = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.75, 0.12, 0.08, 1.0)  # on dark ground, and on light
 _GRABS = imgui.Col_.slider_grab.value, imgui.Col_.slider_grab_active.value
 _LEAST_CONTROL = 5.0  # em: a control narrower than this has its label above
 _USUAL_LETTERS = 15.0  # screen pixels
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
+
+
+def red() -> ImVec4:
+    """Return the color of errors, which is read on the ground of the present theme."""
+    ground = imgui.get_style_color_vec4(imgui.Col_.menu_bar_bg)
+    return _RED[ground.x + ground.y + ground.z > 1.5]
 
 
 def floating() -> None:
@@ -26,8 +34,14 @@ def floating() -> None:
 
 
 def tooltip(text: str) -> None:
-    """Show a tooltip for the last item, disabled or not."""
+    """Show a tooltip for the last item, disabled or not, on that side of it where the window has more room: it covers
+    no item below."""
     if text and imgui.is_item_hovered(_DISABLED_TOO):
+        first, last, view = imgui.get_item_rect_min(), imgui.get_item_rect_max(), imgui.get_main_viewport()
+        left, gap = first.x + last.x > 2 * view.get_center().x, hello_imgui.em_size(0.8)
+        if first.y < view.pos.y + view.size.y - 6 * gap:  # not of the status bar, which has room above it only
+            at = (first.x - gap if left else last.x + gap, first.y)
+            imgui.set_next_window_pos(at, imgui.Cond_.always.value, (1.0 if left else 0.0, 0.0))
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(hello_imgui.em_size(28))
         imgui.text_unformatted(text)
@@ -174,6 +188,13 @@ def choice(
         imgui.end_combo()
     if not above:
         beside(label)
+
+
+def why_no_study(model: Model, study: Study) -> str:
+    """Have a study made while it is shown. Returns why there is nothing of it; empty if there is."""
+    study.look()
+    here = model.studies.here
+    return "Open a sequence or a scene" if here is None else study.why_not(here) or ""
 
 
 def hint(text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
@@ -72,17 +73,19 @@ def _columns(table: list) -> list[list]:
 
 
 class OpenPath:
-    """Field for a path, without a file dialog. `text`: typed text, None while it is closed."""
+    """Field for a path, without a file dialog. `text`: typed text, None while it is closed; `use` takes the path."""
 
     def __init__(self):
         self.text: str | None = None
+        self.use: Callable[[str], object] = str
+        self._title = ""
 
     @property
     def is_open(self) -> bool:
         return self.text is not None
 
-    def open(self) -> None:
-        self.text = ""
+    def open(self, use: Callable[[str], object], title: str = "Open a sequence or a scene") -> None:
+        self.text, self.use, self._title = "", use, title
 
     def close(self) -> None:
         self.text = None
@@ -90,7 +93,7 @@ class OpenPath:
     def draw(self, app: Interface) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
         widgets.floating()
-        _, stays = imgui.begin("Open a sequence or a scene###open_path", True, _ALONE)
+        _, stays = imgui.begin(f"{self._title}###open_path", True, _ALONE)
         if imgui.is_window_appearing():
             imgui.set_keyboard_focus_here()
         imgui.set_next_item_width(hello_imgui.em_size(34))
@@ -98,12 +101,13 @@ class OpenPath:
         chosen, self.text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), self.text or "", enter)
         imgui.same_line()
         chosen |= imgui.button("open###open_this")
-        imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {scene_names()}")
+        if self.use == app.model.open:
+            imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {scene_names()}")
         focused = imgui.is_window_focused()
         imgui.end()
         path = self.text.strip() if chosen else ""
         if path:
-            app.model.open(path)
+            self.use(path)
         if path or not stays:
             self.close()
         return focused
@@ -126,7 +130,7 @@ def messages(app: Interface) -> None:
     imgui.push_text_wrap_pos(hello_imgui.em_size(36))
     for message in shown[-4:]:
         if message.error:
-            imgui.text_colored(widgets.RED, "error")
+            imgui.text_colored(widgets.red(), "error")
             imgui.same_line()
         imgui.text_unformatted(message.text)
     imgui.pop_text_wrap_pos()

@@ -136,6 +136,12 @@ class Canvas:
         """Return the uploaded layers."""
         return {name: layer.spec for name, layer in self._layers.items() if layer.spec is not None}
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all textures of layers, without mipmaps, and of the buffers through which they are uploaded."""
+        texels = (math.prod(layer.format[0]) * layer.format[1].itemsize for layer in self._layers.values())
+        return sum(texels) + sum(self._buffers.sizes)
+
     def forget(self, layers: Iterable[str]) -> None:
         """Release these layers, if they are there."""
         for name in layers:

@@ -32,6 +32,9 @@
 #define RESIDUAL 2
 #define REGIONS 3
 #define DISOCCLUSIONS 4
+#define CLIPPING 5
+#define NEGATIVE vec3(0.1, 0.35, 1.0)  /* as CLIPPING of view.py has them */
+#define CLIPPED vec3(1.0, 0.15, 0.1)
 #define REST 5                   /* the last of the regions of errors: everything else */
 
 /* Edges, from where they begin to show to where they are full: second difference of inverse depth, relative (planes
@@ -337,6 +340,12 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
         if (OVERLAY == DISOCCLUSIONS) return here > 1 ? picture : mix(picture, label_colors[here + 1], 0.7);
         if (region < 0) return here == REST ? 1.4 * dimmed : mix(1.4 * dimmed, label_colors[here + 1], 0.6);
         return here == region ? picture : 0.6 * dimmed;
+    }
+    if (OVERLAY == CLIPPING) {
+        if (VIEW_A != COLOR || !covers(0, uv)) return picture;
+        vec3 c = load(0, uv_of(0, uv)).rgb * layer[0].gain;
+        if (min(c.r, min(c.g, c.b)) < 0.0) return NEGATIVE;
+        return max(c.r, max(c.g, c.b)) > 1.0 ? CLIPPED : picture;
     }
     if (OVERLAY == 0 || !inside(rendered_uv)) return picture;
     if (OVERLAY == EDGES) {

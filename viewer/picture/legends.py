@@ -63,6 +63,8 @@ def value_text(spec: LayerSpec, values) -> str:
     if spec.view == "color":
         return "  ".join(f"{n} {_text(v)}" for n, v in zip(spec.components, values, strict=False) if n != "A")
     first, labels = values[0], dict[float, str](spec.labels)
+    if spec.bits:
+        return f"{first:g}: {', '.join(name for bit, name in enumerate(spec.bits) if int(first) >> bit & 1) or 'none'}"
     if spec.view == "label":
         return f"{first:g}: {labels[first]}" if first in labels else f"{first:g}"
     if spec.view == "mask":

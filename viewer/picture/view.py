@@ -8,7 +8,8 @@ from .colors import Rgb
 from .displays import Display
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
-OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions")
+OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions", "clipping")
+CLIPPING: dict[str, Rgb] = {"below 0": (0.1, 0.35, 1.0), "above white": (1.0, 0.15, 0.1)}
 ERRORS = ("absolute", "squared")
 
 Size = tuple[int, int]
@@ -27,7 +28,9 @@ class View:
     zoom : screen pixels per display pixel
     center : display pixel (x, y) in the middle of the canvas
     overlay : one of OVERLAYS, over whatever is compared; residual motion has full color at `residual_scale` pixels;
-        of regions (the layer of that name) only number `region` is bright, −1: each has a tint
+        clipping marks
+        colors of a by CLIPPING, as they are exposed; of regions (the layer of that name) only number
+        `region` is bright, −1: each has a tint
     grid : lines between pixels when zoomed in
     line : width of the wipe's line, screen pixels
     mark_invalid : a pattern over pixels with NaN, infinity and what the input has invalid

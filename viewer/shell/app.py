@@ -13,24 +13,10 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from ..panels import (
-    compare,
-    doctor,
-    histogram,
-    inspector,
-    kernels,
-    layer_list,
-    modules,
-    picture,
-    plot,
-    regions,
-    status,
-    timeline,
-    timings,
-    windows,
-)
+from ..panels import status, windows
 from ..panels.interface import Interface
 from ..panels.palette import Palette
+from ..panels.table import PANELS
 from ..picture.canvas import Canvas
 from ..state.model import Model
 from ..state.navigation import Flight
@@ -42,21 +28,8 @@ from .window_stack import Stack
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5
-_PANELS = {
-    "Picture": (picture.draw, "MainDockSpace"),
-    "Layers": (layer_list.draw, "Left"),
-    "Histogram": (histogram.draw, "Left"),
-    "Modules": (modules.draw, "Right"),
-    "Compare": (compare.draw, "Right"),
-    "Inspector": (inspector.draw, "RightBottom"),
-    "Regions": (regions.draw, "RightBottom"),
-    "Timings": (timings.draw, "RightBottom"),
-    "Kernels": (kernels.draw, "RightBottom"),
-    "Doctor": (doctor.draw, "Right"),
-    "Plot": (plot.draw, "Above"),
-    "Timeline": (timeline.draw, "Bottom"),
-}
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
+_IDLE_RATE = 0.7  # frames of the interface per second in which nothing changes, or less
 _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
 
@@ -94,12 +67,14 @@ class App(Interface):
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
-        self.docks = Docks(self, _PANELS, lambda: self.scale)
+        self.may_idle = True  # where nothing happens, frames are drawn seldom
+        self.docks = Docks(self, PANELS, lambda: self.scale)
         self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
         self.stack = Stack(self.palette, self.help, self.open_path)
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
+        self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
         self._params: hello_imgui.RunnerParams | None = None
         self.picture_frames = PictureFrames(self)
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
@@ -112,7 +87,8 @@ class App(Interface):
         ImGui's test engine."""
         params = hello_imgui.RunnerParams()
         size = _within_screen(size or self.model.settings.window_size)
-        self._params = params
+        self._params, self.may_idle = params, test is None
+        params.fps_idling.fps_idle = _IDLE_RATE
         params.app_window_params.window_title = _TITLE
         params.app_window_params.window_geometry.size = size
         params.app_window_params.restore_previous_geometry = False
@@ -201,6 +177,7 @@ class App(Interface):
         window: Any = glfw_utils.glfw_window_hello_imgui()
         dropped: Any = lambda _window, paths: self.drop(paths)  # noqa: E731
         glfw.set_drop_callback(window, dropped)
+        self.model.engine.wake = glfw.post_empty_event
         implot.get_style().use_local_time = False
         implot.get_style().plot_min_size = ImVec2(40, 40)  # pixels: narrow panels show whole plots
 
@@ -227,14 +204,15 @@ class App(Interface):
             self.docks.show("Inspector")
         self._told = told
         at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
-        at_work |= model.survey.busy or not model.regions.ready or model.follows
+        at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
         assert self._params is not None and self._params.fps_idling is not None  # it runs
-        self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
+        self._params.fps_idling.enable_idling = self.may_idle and not at_work
 
     def _before_exit(self) -> None:
         import glfw
         from imgui_bundle import glfw_utils
 
+        self.model.engine.wake = lambda: None
         self.model.settings.panels = self.docks.remembered
         window: Any = glfw_utils.glfw_window_hello_imgui()
         width, height = (round(side / content_scale()) for side in glfw.get_window_size(window))
@@ -255,7 +233,7 @@ class App(Interface):
             chosen = chosen[0] if isinstance(chosen, list) and chosen else chosen
             self._dialog = None
             if chosen:
-                self.model.open(chosen)
+                self._chosen(chosen)
         self.stack.draw(self)
         windows.progress(self)
         windows.messages(self)
@@ -272,9 +250,11 @@ class App(Interface):
         self.model.examine()
         self.docks.show("Doctor")
 
-    def open_dialog(self) -> None:
-        """Open the system's folder dialog if there is one, else a field for the path."""
+    def open_dialog(self, title: str = "Open a sequence", use: Callable[[str], object] | None = None) -> None:
+        """Open the system's folder dialog if there is one, else a field for the path. `use` takes the path; None: it is
+        opened."""
+        self._chosen = use or self.model.open
         if has_dialogs():
-            self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
+            self._dialog = dialogs.select_folder(title, str(Path.cwd()))
         else:
-            self.open_path.open()
+            self.open_path.open(self._chosen, title)

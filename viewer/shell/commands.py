@@ -11,7 +11,7 @@ from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.options import Option
 from ..engine.figures import QUANTITIES, REGIONS
-from ..state import saving
+from ..state import copying, saving
 from ..state.actions import Action
 from ..state.comparing import FORMULAS
 from ..state.model import Model
@@ -63,7 +63,7 @@ def register(app: App) -> None:
         return lambda: change(model.view.a, *values)
 
     add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
-    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", app.open_path.open)
+    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", lambda: app.open_path.open(model.open))
     add("reload", "Reload frames", "File", "Ctrl+R", model.reload, on_disk)
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
@@ -71,6 +71,9 @@ def register(app: App) -> None:
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
+    add("attach", "Attach …", "Program", "",
+        lambda: app.open_path.open(model.attach_to, "Name of a running program that has called gffe_cl.attach"),
+        tooltip="When a followed program ends, the viewer attaches again to the next one of its name")  # fmt: skip
     add("follow", "Follow the program", "Program", "L", lambda: model.freeze() if model.follows else model.follow(),
         attached, checked=lambda: model.follows,
         tooltip="On: its frames as they come. Off: its last rendered frames, frozen")  # fmt: skip
@@ -103,6 +106,13 @@ def register(app: App) -> None:
         repeat=True)  # fmt: skip
     add("first", "First frame", "Playback", "Home", playback("home"), opened)
     add("last", "Last frame", "Playback", "End", playback("end"), opened)
+    add("stop", "Stop computing", "Playback", "Ctrl+.", model.stop_computing,
+        lambda: opened() or (None if model.stopped or model.showing.is_waiting else "nothing is being computed"),
+        tooltip="Gives the picture up that is being made; again: goes on")  # fmt: skip
+    add("only_generated", "Only generated frames", "Playback", "Shift+G",
+        lambda: setattr(model.playback, "only_generated", not model.playback.only_generated), opened,
+        checked=lambda: model.playback.only_generated,
+        tooltip="While it plays, the generated frame before stands in for each rendered one")  # fmt: skip
     add("set_in", "Set in point", "Playback", "[", playback("set_in"), opened)
     add("set_out", "Set out point", "Playback", "]", playback("set_out"), opened)
     add("clear_points", "Clear in and out points", "Playback", "\\", playback("clear_points"), opened)
@@ -127,6 +137,7 @@ def register(app: App) -> None:
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
+    _copying(app, add, savable)
     _comparing(app, add, opened)
     _finding(app, add, opened)
     add("fly", "Fly the camera", "Camera", "G", model.toggle_flying, live, checked=lambda: model.flying,
@@ -135,6 +146,10 @@ def register(app: App) -> None:
 
     for name, option in ALL.items():
         _register_parameter(app, name, option)
+    add("undo", "Undo a setting", "Parameters", "Ctrl+Z", model.undo.undo,
+        lambda: None if model.undo.done else "no setting was changed")  # fmt: skip
+    add("redo", "Redo a setting", "Parameters", "Ctrl+Shift+Z", model.undo.redo,
+        lambda: None if model.undo.undone else "nothing was undone")  # fmt: skip
 
     add("reload_kernels", "Reload kernels", "Tools", "F5", model.engine.reload_kernels)
     add("palette", "Command palette", "Tools", "Ctrl+P", app.palette.open)
@@ -159,12 +174,43 @@ def register(app: App) -> None:
     add("help", "Keys and help", "Help", "?", app.help.toggle, anywhere=True)
 
 
+def _copying(app: App, add, savable) -> None:
+    """Register the actions that copy to the clipboard."""
+    model = app.model
+
+    def value():
+        at = model.pointing.pinned or model.pointing.inspection
+        return "" if at is None else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+
+    def numbers():
+        image, rectangle = model.contents.image(model.view.a), model.selection.rectangle
+        if rectangle is None or image is None or image.shape[:2] != model.contents.size[::-1]:
+            return "only of layers as large as the display"
+        return copying.numbers_of(image, rectangle)
+
+    def copy(text):
+        imgui.set_clipboard_text(text)
+        model.say(f"copied: {text}" if "\n" not in text else f"copied {text.count(chr(10)) + 1} rows of numbers")
+
+    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: copy(value()),
+        lambda: None if value() else "point at a pixel, or pick one",
+        tooltip="Frame, layer, pixel and value")  # fmt: skip
+    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()),
+        lambda: None if model.selection.rectangle else "drag with Shift to draw a rectangle",
+        tooltip="Of the rectangle, row by row, for a table")  # fmt: skip
+    add("copy_picture", "Copy the picture", "File", "Ctrl+Shift+C", partial(model.save, copying.CopyWork), savable)
+
+
 def _comparing(app: App, add, opened) -> None:
     """Register the actions that compare A with B."""
     model = app.model
 
     def no_second():
         return None if model.kept.b is not None else "no settings are kept as B"
+
+    def no_settings():
+        reason = no_second()
+        return reason or ("B is pictures, not settings" if model.kept.b and model.kept.b.place else None)
 
     def copy(kept: Kept | None = None):
         line = printable(model.command_line(model.setup if kept is None else kept.setup(model.n)))
@@ -173,11 +219,16 @@ def _comparing(app: App, add, opened) -> None:
 
     add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
         tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
-    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
+    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second,
+        lambda: opened() or no_settings())  # fmt: skip
+    add("b_from", "B from a folder …", "Compare", "Ctrl+K",
+        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.take_b_from),
+        lambda: opened() or ("freeze the running program first" if model.follows else None),
+        tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
     add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
-        lambda: copy(model.kept.b), lambda: opened() or no_second())  # fmt: skip
+        lambda: copy(model.kept.b), lambda: opened() or no_settings())  # fmt: skip
     add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
     for way, text, key in (
         ("split", "Split wipe", "W"),

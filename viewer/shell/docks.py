@@ -9,8 +9,9 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from ..panels import widgets
 from ..panels.interface import Interface
+from ..panels.table import Panel
 
-_BY_HAND = ("Plot", "Doctor")  # closed until they are asked for
+_ABOVE = "Above"  # the timeline
 _STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
 _TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters ...
 _ROW_HEIGHT = 27.0  # ... and of one more row of controls ...
@@ -32,12 +33,12 @@ class Docks:
     Parameters
     ----------
     panels : dict
-        What draws each panel, given the application, and the space that it is docked in; in order.
+        Each `Panel` by its name, in order.
     scale : callable
         Size of the interface.
     """
 
-    def __init__(self, app: Interface, panels: dict[str, tuple[Callable, str]], scale: Callable[[], float]):
+    def __init__(self, app: Interface, panels: dict[str, Panel], scale: Callable[[], float]):
         self._app, self._panels, self._scale = app, panels, scale
         self._runner: hello_imgui.RunnerParams | None = None  # it stores a copy of the assigned value
         self.hidden = False  # the panels on both sides
@@ -62,7 +63,7 @@ class Docks:
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
             hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
-            hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
+            hello_imgui.DockingSplit("MainDockSpace", _ABOVE, imgui.Dir.down, above),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]
         self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
@@ -70,11 +71,11 @@ class Docks:
         runner.docking_params, self._runner = docking, runner
 
     def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
-        draw, space = self._panels[name]
-        if name == "Plot" and self._plot_beside:
-            space = self._panels["Timeline"][1]
+        panel = self._panels[name]
+        beside = panel.space == _ABOVE and self._plot_beside
+        space = self._panels["Timeline"].space if beside else panel.space
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
-        window.is_visible = open_panels.get(name, name not in _BY_HAND)
+        window.is_visible = open_panels.get(name, panel.is_open)
         window.remember_is_visible = False  # the settings do
         window.call_begin_end, docked, narrow = False, True, True
 
@@ -87,7 +88,7 @@ class Docks:
             narrow = docked and _is_crowded(name)
             if unfolded:
                 try:
-                    draw(self._app)
+                    panel.draw(self._app)
                 except Exception:
                     traceback.print_exc()  # ImGui, in the middle of something, will end the program
                     raise
@@ -129,8 +130,8 @@ class Docks:
 
     def reset(self) -> None:
         """Restore the default arrangement."""
-        for name in self._panels:
-            self.panel(name).is_visible = name not in _BY_HAND
+        for name, panel in self._panels.items():
+            self.panel(name).is_visible = panel.is_open
         self.hidden = False
         self._running.docking_params.layout_reset = True
 

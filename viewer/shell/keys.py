@@ -11,6 +11,7 @@ from ..state.navigation import Flight
 FLIGHT_KEYS = frozenset("WASDQE")
 _TURN = 0.25  # degrees per pixel of mouse
 
+_MODIFIERS = {name: getattr(imgui.Key, f"mod_{name.lower()}") for name in ("Ctrl", "Shift", "Alt", "Super")}
 _KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.items() if hasattr(imgui.Key, attribute)}
 
 
@@ -22,8 +23,7 @@ def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False
     covered |= io.want_text_input
     if covered or io.app_focus_lost:
         actions.release_all()
-    pressed = (("Ctrl", io.key_ctrl), ("Shift", io.key_shift), ("Alt", io.key_alt), ("Super", io.key_super))
-    modifiers = frozenset(name for name, down in pressed if down)
+    modifiers = frozenset(name for name, key in _MODIFIERS.items() if _is_or_was_down(key))
     if io.app_focus_lost or (io.want_text_input and not modifiers - {"Shift"}):
         return None
     refused = None
@@ -38,6 +38,12 @@ def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False
         if imgui.is_key_released(key):
             actions.release(name)
     return refused
+
+
+def _is_or_was_down(key: imgui.Key) -> bool:
+    """Return whether a modifier is down, or was let go in this frame: where frames are long, that is after the key that
+    was pressed with it."""
+    return imgui.is_key_down(key) or imgui.is_key_released(key)
 
 
 def flight(model: Model) -> Flight | None:

@@ -16,7 +16,7 @@ from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.legend_strip import Entry
 from ..picture.legends import Legend, legend
-from ..picture.view import View
+from ..picture.view import CLIPPING, View
 from .comparing import Comparison
 
 
@@ -140,6 +140,8 @@ def _overlay(view: View) -> list[Entry]:
         return [Entry("regions of errors", Legend("none", labels=tuple(colors.items())))]
     if view.overlay == disocclusions.OVERLAY:
         return [Entry("disocclusions", Legend("none", labels=disocclusion_colors()))]
+    if view.overlay == "clipping":
+        return [Entry("clipping", Legend("none", labels=tuple(CLIPPING.items())))]
     if view.overlay == "edges":
         return [Entry("edges", Legend("none", labels=_EDGES))]
     if view.overlay == "residual motion":

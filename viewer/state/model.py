@@ -6,6 +6,7 @@ import itertools
 import math
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -46,13 +47,16 @@ from .playback import Playback
 from .presets import Kept, KeptSettings, command_line, told
 from .saving import RecordingWork, Subject, Work
 from .settings import Settings
+from .studies import Here, Studies
 from .survey import Side, Survey
 from .timings import Timings
+from .undo import Undo
 from .viewport import Framing, Pointing, Screen
 from .wanting import Ahead, Needed, Picture, Showing
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
+_LOOK_FOR_PROGRAM = 2.0  # seconds between looks for a program that has ended
 BUILD_LETTERS = 6  # of the identity of a build
 
 
@@ -76,6 +80,7 @@ class Model:
         self.playback = Playback(n=n)
         self.ahead = Ahead(self.store, self.playback)
         self.parameters = Parameters(options, self.playback, window)
+        self.undo = Undo(self.parameters, self.playback)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
@@ -89,6 +94,7 @@ class Model:
         self.showing = Showing(self.store, self._show, self._fail)
         self.measured = Measurements()
         self.survey = Survey(self.store, self.measured, self.playback)
+        self.studies = Studies(self.store, self.measured.background)
         self.pointing = Pointing(self.store)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
@@ -111,6 +117,8 @@ class Model:
         self.program: RunningProgram | None = None  # that was attached to
         self.recipe = self.engine.recipe(self.setup)
         self._target = ""
+        self._stopped: Picture | None = None  # by the user, while it was made
+        self._awaits_program, self._looked_for_program = False, 0.0  # which was followed when it ended
         self._flights = itertools.count(1)
         self.keep_place = False
         self._closed = False
@@ -136,6 +144,28 @@ class Model:
             make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
         )
         self.engine.open_source(make)
+
+    def attach_to(self, name: str) -> None:
+        """Follow the program attached as `name`, if there is one; else tell why not."""
+        before = self.program
+        try:
+            self.attach(name.strip())
+        except GffeError as error:
+            self.say(str(error), error=True)
+            return
+        if before is not None:
+            before.close()
+
+    def _attach_again(self, now: float) -> None:
+        """Follow a program that was followed when it ended, once it runs again."""
+        ended = self.program is not None and self.program.ended
+        if self._awaits_program and ended and now - self._looked_for_program > _LOOK_FOR_PROGRAM:
+            self._looked_for_program = now
+            assert self.program is not None  # it has ended
+            with suppress(GffeError):
+                self.attach(self.program.name, self.program.frames)
+                self._awaits_program = False
+                self.say(f"attached again to '{self.program.name}'")
 
     def attach(self, name: str, frames: int = FRAMES) -> None:
         """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
@@ -174,9 +204,11 @@ class Model:
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
+        self.undo.forget()
         self.notice, self.reload_fault, self._target = "", "", source.target
         for part in (
-            self.showing, self.ahead, self.measured, self.survey, self.walk, self.selection, self.disocclusions,
+            self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
+            self.disocclusions,
         ):  # fmt: skip
             part.forget()
         if self.export is not None:
@@ -214,6 +246,8 @@ class Model:
         if self.previewer is not None and (preview := self.previewer.take()) is not None:
             self.preview = preview
             self.screen.preview(preview)
+        self.undo.update(now)
+        self._attach_again(now)
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -227,12 +261,15 @@ class Model:
         self.contents.cuts = self.engine.cuts.get(self.recipe, frozenset())
         result = self.contents.result
         ready = result.slot if result is not None and result.setup == self.setup else None
-        due = self._due(self.playback.tick(now, ready).request)
+        if ready == self.playback.shown_for(self.playback.slot):
+            ready = self.playback.slot
+        due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
         self._take_values()
         self.showing.update(due, self._passes, self.screen.ready or result is None)
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
         self._derive(canvas)
+        self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))
         self.store.want(self._wants(now))
         if self.export is not None:
             self.advance_export(canvas)
@@ -290,20 +327,29 @@ class Model:
     def _wants(self, now: float) -> list[Want]:
         """Return everything that is wanted of the engine, the most urgent first."""
         showing, awaited = self.showing, self.showing.awaited
+        if self.stopped:
+            return []
         wants = list(showing.wants)
         if awaited is not None and self.inspects and not self.showing.failed:
             wants += self.pointing.wants(awaited.a.key, self.follows)
         wants += showing.following
         result, beside = self.contents.result, not (self.flying or self.overview or self.export or self.follows)
+        kept = self.kept.b
+        idle = not (self.flying or self.export or self.playback.playing or self.follows) and not showing.is_waiting
+        a = Side(self.setup, self.recipe)
+        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
+        here = Here(
+            self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
+            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.engine.recipe,
+            self.contents.frame_info,
+        )  # fmt: skip
+        wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
             others = set() if awaited.b is None else {awaited.b.key.recipe}
             may_run = beside and showing.shows_due
             wants += self.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
-        kept = self.kept.b if self.comparison.by_settings else None
-        idle = not (self.flying or self.export or self.playback.playing or self.follows) and not showing.is_waiting
         self.survey.resets = sorted({0, *self.contents.resets})
-        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
-        wants += self.survey.update(Side(self.setup, self.recipe), b, self.source.exposure, idle)
+        wants += self.survey.update(a, b if self.comparison.by_settings else None, self.source.exposure, idle)
         return wants
 
     def _take_values(self) -> None:
@@ -384,6 +430,7 @@ class Model:
         ended."""
         if self.follows and (program := self.program) is not None:
             if program.ended:
+                self._awaits_program = True
                 self.freeze()
             self.parameters.take(program.options, None)
             self.source.flight += 1
@@ -449,10 +496,34 @@ class Model:
         result = self.contents.result
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
+    def stop_computing(self) -> None:
+        """Give up the picture that is being made, until another one is due; a second call goes on with it."""
+        self._stopped = None if self.stopped else self.showing.awaited
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the user has given up the picture that is awaited."""
+        return self._stopped is not None and self._stopped == self.showing.awaited
+
+    @property
+    def held(self) -> dict[str, int]:
+        """Bytes that are held, by where."""
+        canvas = self.screen.canvas
+        textures = getattr(canvas, "nbytes", 0)
+        return {"frames": self.store.nbytes, "pipelines": self.engine.nbytes, "textures": textures}
+
+    @property
+    def waiting_text(self) -> str:
+        """Return what the picture waits for, in words."""
+        if self.stopped:
+            return "stopped: Ctrl+. goes on"
+        done, total = self.engine.progress
+        return f"rendered frame {done + 1} of {total} …" if done + 1 < total else "computing …"
+
     @property
     def busy(self) -> bool:
         """Whether the engine works on anything that the picture waits for, or that was asked for."""
-        return self.engine.busy or self.showing.is_waiting
+        return self.engine.busy or (self.showing.is_waiting and not self.stopped)
 
     @property
     def settled(self) -> bool:
@@ -523,6 +594,22 @@ class Model:
         kept = self.kept.keep(self.setup, self.recipe.kernels)
         self.comparison.with_settings(kept.name)
         self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
+
+    def take_b_from(self, place: str) -> None:
+        """Compare with what is stored at `place`: kernels, with the present settings, or the pictures of a sequence."""
+        folder = Path(place).expanduser().absolute()
+        try:
+            if next(folder.glob("*.cl"), None) is not None:
+                kernels = self.engine.take_kernels(folder)
+                kept = self.kept.keep(self.setup, kernels, f"{told(self.setup)}, kernels of {folder.name}")
+            else:
+                kept = self.kept.keep_stored(str(folder), self.setup.options)
+        except (GffeError, OSError) as error:
+            self.say(str(error), error=True)
+            return
+        self.comparison.with_settings(kept.name)
+        if self.view.compare == "off":
+            self.comparison.set("split")
 
     def take_second(self) -> None:
         """Go on with B's settings as A."""

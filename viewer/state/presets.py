@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.options import OPTIONS, Options, command_words
 from ..engine.messages import Setup
 from ..engine.slot_renderer import weights_of
@@ -20,18 +21,20 @@ _LONGEST = 60  # letters of a name
 @dataclass(frozen=True)
 class Kept:
     """Named settings: modules, parameters, network and rendering window. `kernels`: a build that was in use since the
-    viewer was started; empty: the newest. `weights`: identifies the network's weights."""
+    viewer was started; empty: the newest. `weights`: identifies the network's weights. `place`: where pictures are
+    stored that are shown instead."""
 
     name: str
     options: Options
     window: str | None = None
     kernels: str = ""
     weights: str = ""
+    place: str = ""
 
     def setup(self, n: int) -> Setup:
         """Return the setup of these settings for `n` generated frames per rendered one, which is a matter of
         playback."""
-        return Setup(self.options, self.window, n, self.kernels)
+        return Setup(self.options, self.window, n, self.kernels, self.place)
 
     @property
     def suspicion(self) -> str:
@@ -86,6 +89,13 @@ class KeptSettings:
         self.b = made
         return made
 
+    def keep_stored(self, place: str, options: Options) -> Kept:
+        """Make pictures that are stored at `place` B, and return it. `options`: of A."""
+        made = Kept(printable(Path(place).name)[:_LONGEST], options, None, "", weights_of(options), place)
+        self.all = [made, *(kept for kept in self.all if kept.name != made.name)][:_MOST]
+        self.b = made
+        return made
+
     def rename(self, kept: Kept, name: str) -> None:
         """Give kept settings another name, unless it is taken or empty."""
         name = name.strip()[:_LONGEST]
@@ -105,8 +115,8 @@ class KeptSettings:
             self.b = self.all[0] if self.all else None
 
     def preferences(self) -> list[dict[str, Any]]:
-        """Return all kept settings as plain JSON."""
-        return [kept.to_json() for kept in self.all]
+        """Return all kept settings as plain JSON; stored pictures are none."""
+        return [kept.to_json() for kept in self.all if not kept.place]
 
     def restore(self, saved: list) -> None:
         """Restore the result of `preferences` without damaged entries. None of them is B."""

@@ -57,6 +57,8 @@ class Pointing:
     ----------
     inspection : Inspection or None
         Values of the pixel under the pointer, else of the picked one.
+    pinned : Inspection or None
+        Values of the picked pixel.
     picked : (int, int) or None
         The pixel whose `story` is told; the story is None until it is known.
     enabled : bool
@@ -70,6 +72,7 @@ class Pointing:
         self._wants: list[Want] = []
         self._hovered: Pixel | None = None
         self.inspection: Inspection | None = None
+        self.pinned: Inspection | None = None
         self.story: Story | None = None
         self.picked: Pixel | None = None
         self._inspected: Key | None = None  # the slot of the inspection
@@ -84,13 +87,13 @@ class Pointing:
     def pick(self, pixel: Pixel | None) -> None:
         """Tell the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
         self.picked = (pixel[0], pixel[1]) if pixel is not None and self._is_inside(pixel) else None
-        self.story, self._told = None, None
+        self.story = self.pinned = self._told = None
         self.inspection = self.inspection if self._pixel else None
 
     def open(self, size: tuple[int, int]) -> None:
         """Start with another picture, of `size` pixels."""
         self._size, self._wants = size, []
-        self.inspection = self.story = self.picked = self._inspected = self._told = None
+        self.inspection = self.pinned = self.story = self.picked = self._inspected = self._told = None
 
     def wants(self, key: Key, follows: bool) -> list[Want]:
         """Return the pixels that are wanted of the awaited slot, the picked one first. `follows`: it is of a running
@@ -111,7 +114,7 @@ class Pointing:
                 self._told = want.key if want.pixel == self.picked else self._told
             elif isinstance(made, Inspection):
                 if want.pixel == self.picked and (self.story is None or self._told != want.key):
-                    self.story, self._told = made.story, want.key
+                    self.story, self.pinned, self._told = made.story, made, want.key
                 if want.pixel == self._pixel and self.inspection is not made:
                     self.inspection, self._inspected = made, want.key
         return fault

@@ -55,7 +55,7 @@ def count_beside_edges(depth: np.ndarray, motion: np.ndarray) -> tuple[int, int]
             use = undecided & (row >= 0) & (row < height) & (column >= 0) & (column < width)
             row, column = np.where(use, row, 0), np.where(use, column, 0)
             other = depth[row, column]
-            use &= np.where(np.isinf(z), np.isinf(other), np.abs(other - z) <= _C["SAME_DEPTH"] * z)
+            use &= np.where(np.isinf(z), np.isinf(other), np.abs(other - z) <= _C["SAME_SURFACE"] * z)
             far = motion[row, column]
             apart = np.linalg.norm(far - near, axis=-1)
             use &= ~beside[row, column] & (apart > _APART)

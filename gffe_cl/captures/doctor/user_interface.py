@@ -10,7 +10,7 @@ from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame
 from gffe_cl.engine.opencl.program import constants
 
 _C = {name: np.float32(value) for name, value in constants("user_interface.cl").items()}
-PAIRS, LEAST, AROUND = (int(_C[name]) for name in ("PAIRS", "LEAST", "AROUND"))
+PAIRS, LEAST, AROUND = (int(_C[name]) for name in ("PAIRS", "LEAST_MARKED", "MARKED_AROUND"))
 _LEAST_SHARE = 0.002  # of the pixels
 _RUNS = 3  # at most so many runs of frames are looked at
 _COST = "2 to 3 dB"  # on built-in scenes, by the kind of interface
@@ -34,7 +34,7 @@ def count_evidence(
         stays = holds & _is_one_surface(z, depth_prev[there]) & ~_is_within(before[there], c, "CLEAR")
         there, holds = _pixels(center - mv, depth.shape)
         apart = np.abs(motion[there] - mv)
-        holds &= np.fmax(apart[:, 0], apart[:, 1]) <= _C["SAME_MOTION"] * length[y, x]
+        holds &= np.fmax(apart[:, 0], apart[:, 1]) <= _C["STAYING_MOTION"] * length[y, x]
         stays |= holds & _is_one_surface(z, depth[there]) & ~_is_within(here[there], c, "CLEAR")
     counted[y, x] += stays
     return counted
@@ -94,7 +94,7 @@ def _exposed(color: np.ndarray, exposure: float) -> np.ndarray:
 
 def _is_within(a: np.ndarray, b: np.ndarray, most: str) -> np.ndarray:
     apart = a - b
-    return np.all(apart * apart <= _C[most] * (np.maximum(a, b) + _C["DARK"]), -1)
+    return np.all(apart * apart <= _C[most] * (np.maximum(a, b) + _C["LINEAR_BELOW"]), -1)
 
 
 def _pixels(places: np.ndarray, shape: tuple[int, ...]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -106,4 +106,4 @@ def _pixels(places: np.ndarray, shape: tuple[int, ...]) -> tuple[tuple[np.ndarra
 
 
 def _is_one_surface(z: np.ndarray, other: np.ndarray) -> np.ndarray:
-    return np.where(np.isinf(z), np.isinf(other), np.abs(other - z) <= _C["SAME_DEPTH"] * z)
+    return np.where(np.isinf(z), np.isinf(other), np.abs(other - z) <= _C["STAYING_DEPTH"] * z)

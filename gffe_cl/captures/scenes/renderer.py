@@ -14,7 +14,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import build, constants
 
-_TILE = constants("scenes/scene.cl")["TILE"]
+_TILE = constants("scenes/scene.cl")["SHADED_TILE"]
 _BASE_SAMPLES = 3
 _GROUP = 16, 4  # work-items of a work-group; the same for all images: PoCL builds kernels for each size, in seconds
 _LAYOUT = {  # of a rendering's buffers: channels and type

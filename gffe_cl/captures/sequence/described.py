@@ -53,7 +53,7 @@ def undilated(motion: np.ndarray, depth: np.ndarray, static: np.ndarray | None) 
     """Return motion (H, W, 2) float32 without dilation, as `undo_dilation` of kernels/upload.cl does, with its bits.
     `depth`: (H, W); `static`: motion of static points, None if it is not known."""
     numbers, f = constants("upload.cl"), np.float32
-    around, reach = int(numbers["AROUND"]), int(numbers["AROUND"]) // 2
+    around, reach = int(numbers["SQUARE"]), int(numbers["SQUARE"]) // 2
     height, width = depth.shape
     padded = np.pad(depth.astype(f), reach)
     z = np.stack([padded[k // around :, k % around :][:height, :width] for k in range(around * around)])
@@ -71,7 +71,7 @@ def undilated(motion: np.ndarray, depth: np.ndarray, static: np.ndarray | None) 
                 nearer = (other > 0) & (other < least)
                 least = np.where(nearer, other, least)
                 source = np.where(nearer, from_x * from_x + from_y * from_y, source)
-            same = np.where(np.isinf(own), np.isinf(center), np.abs(center - own) <= f(numbers["SAME_DEPTH"]) * own)
+            same = np.where(np.isinf(own), np.isinf(center), np.abs(center - own) <= f(numbers["SAME_SURFACE"]) * own)
             better = same & (own > 0) & (center > 0) & (least >= f(numbers["NEARER"]) * center) & (source < distance)
             distance = np.where(better, source, distance)
             chosen = np.where(better, here + step_y * width + step_x, chosen)
@@ -104,8 +104,8 @@ def spread_geometry(
         """Return depth and motion of a sample for each pixel, and which samples show its surface, (4, H, W)."""
         own_z, own = (np.take_along_axis(a, tap.reshape(1, *tap.shape, *[1] * (a.ndim - 3)), 0)[0] for a in (z, moved))
         with np.errstate(invalid="ignore"):
-            near = np.where(np.isinf(own_z), np.isinf(z), np.abs(z - own_z) <= f(numbers["SAME_DEPTH"]) * own_z)
-            return own_z, own, near & (np.abs(moved - own) <= f(numbers["SAME_MOTION"])).all(-1)
+            near = np.where(np.isinf(own_z), np.isinf(z), np.abs(z - own_z) <= f(numbers["SAME_SURFACE"]) * own_z)
+            return own_z, own, near & (np.abs(moved - own) <= f(numbers["ALIKE_MOTION"])).all(-1)
 
     *_, alike = of((offsets[0] >= 0.5) + 2 * (offsets[1] >= 0.5))
     smooth, light = alike.all(0), rgb[..., 0] + rgb[..., 1] + rgb[..., 2]

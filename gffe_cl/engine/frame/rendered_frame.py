@@ -89,7 +89,8 @@ class RenderedFrame:
     geometry_jitter : (float, float)
         Jitter of depth and motion that color does not have, because it was antialiased over time: pixels of these to
         the right and down by which their image is shifted. It is no part of the camera. Vectors that include it need a
-        `FrameFormat` with `motion_jittered`.
+        `FrameFormat` with `motion_jittered`. It changes nothing
+        else where depth and motion have color's size: pixels of one size lie on one another.
     geometry_size : (int, int) or None
         Width and height of depth and motion where they are smaller than color, up to three times each way. None: those
         of the `FrameFormat`, else color's. It may change from frame to frame. Motion is then in pixels of depth and
@@ -272,6 +273,11 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
     if height is None:
         height, width = require_array(frame.depth, "frame: depth", None, None, kinds="f").shape
     width, height = require_size((width, height), "frame: size", whole=True)
+    if getattr(frame.color, "dtype", None) in (np.uint8, np.uint16):
+        raise GffeError(
+            f"frame: color must be floating point, got {frame.color.dtype} (expected float16 or float32, or a pipeline"
+            " with format=gffe.FrameFormat(), which takes linear color of 8 and 16 bits)"
+        )
     color = require_array(frame.color, "frame: color", height, width, (3, 4), kinds="f")
     depth = as_float32(require_array(frame.depth, "frame: depth", height, width, kinds="f"))
     motion = require_motion(frame)

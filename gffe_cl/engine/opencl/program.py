@@ -232,14 +232,15 @@ def _told_names(kernel: cl.Kernel) -> list[str] | None:
         return None
 
 
-def expand(name: str) -> str:
-    """Return the text of `kernels/<name>` with its includes in place and `#line` directives."""
-    return "\n".join(_expanded_lines(PurePosixPath(name), set())) + "\n"
+def expand(name: str, folder: Path | None = None) -> str:
+    """Return the text of the kernel file `name` with its includes in place and `#line` directives. `folder`: where it
+    is; None: `kernel_folder`."""
+    return "\n".join(_expanded_lines(folder or kernel_folder(), PurePosixPath(name), set())) + "\n"
 
 
-def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
+def _expanded_lines(folder: Path, name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
     seen.add(name)
-    path = kernel_folder() / name
+    path = folder / name
     try:
         text = path.read_text()
     except OSError as error:
@@ -252,7 +253,7 @@ def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
             continue
         included = PurePosixPath(normpath(name.parent / include[1]))  # relative to the including file, as in C
         if included not in seen:
-            lines += _expanded_lines(included, seen)
+            lines += _expanded_lines(folder, included, seen)
         lines.append(f'#line {number + 1} "{name}"')
     return lines
 

@@ -60,8 +60,8 @@ class PacingStatistics:
 
 
 class Pacer:
-    """Paces rendered and extrapolated frames on a display of a steady rate. It has no clock and no thread: the caller
-    passes times in seconds, of one clock that only goes forward (`time.perf_counter`). ::
+    """Paces rendered and extrapolated frames on a display of a steady or a variable rate. It has no clock and no
+    thread: the caller passes times in seconds, of one clock that only goes forward (`time.perf_counter`). ::
 
         pacer = gffe.Pacer(display_rate=120)
         while playing:
@@ -85,13 +85,16 @@ class Pacer:
     Parameters
     ----------
     display_rate : float
-        Refreshes per second, 1e-6 to 1e6.
+        Refreshes per second, 1e-6 to 1e6; of a `variable` display the most that it can do.
     most_alpha : float
         Largest extrapolation, up to 16 intervals of rendered frames: of `Pipeline.interval`, or of the one before where
         that was shorter.
     fps : float
         Rendered frames per second, as of the `Pipeline`: used until two frames are known. What takes longer than four
         such frames is a stall.
+    variable : bool
+        Whether the display refreshes whenever a frame is presented (VRR). Every rendered frame then has its refresh,
+        and between two of them there are as many refreshes, evenly, as the display can do.
 
     Raises
     ------
@@ -99,7 +102,8 @@ class Pacer:
         For arguments out of range, for times beyond ±1e12 s, and for times that go back.
     """
 
-    def __init__(self, display_rate: float, most_alpha: float = HELD_ALPHA, fps: float = 30.0):
+    def __init__(self, display_rate: float, most_alpha: float = HELD_ALPHA, fps: float = 30.0, variable: bool = False):
+        self._is_variable = require_bool(variable, "pacer: variable")
         self._period = 1.0 / require_frame_rate(display_rate, "pacer: display_rate")
         self._most_alpha = require_within(most_alpha, "pacer: most_alpha", _LEAST_ALPHA, FAR_ALPHA)
         self._fps = require_frame_rate(fps, "pacer: fps")
@@ -136,19 +140,19 @@ class Pacer:
         if not self._times:
             raise GffeError("pacer: nothing to show (expected a rendered frame first)")
         self._began = now
-        newest, interval = self._times[0], self._usual_interval
-        refresh = self._refresh_after(now + self._usual_making)
+        newest, interval, soonest = self._times[0], self._usual_interval, now + self._usual_making
         if self._is_new or not self._delays:
-            delay = refresh - newest
+            delay = self._refresh_from(soonest) - newest
             if delay - min(self._delays, default=delay) > interval:  # the renderer's clock may have stood still
                 self._delays.clear()
             self._delays.append(delay)
+        refresh = self._even_refresh_from(soonest)
         ahead = min(max(refresh - min(self._delays) - newest, 0.0), self._most_alpha * interval)
         time = newest + ahead if ahead >= _SAME * self._period else newest
         alpha = min((time - newest) / interval_of(self._times, self._fps), self._most_alpha)
         plan = Plan(refresh, time, alpha)
         if self._last and time <= self._shown + _SAME * self._period:
-            plan = Plan(self._refresh_after(now), max(self._shown, newest), self._last.alpha, held=True)
+            plan = Plan(self._even_refresh_from(now), max(self._shown, newest), self._last.alpha, held=True)
         if self._last and self._shown > -math.inf:
             self._steps.append((plan.time - self._shown) - (plan.refresh - self._last.refresh))
         self._counts["held" if plan.held else "extrapolated" if alpha else "rendered"] += 1
@@ -198,10 +202,27 @@ class Pacer:
         self._now = now
         return now
 
-    def _refresh_after(self, now: float) -> float:
-        """Return the time of the first refresh from `now` on for which nothing is planned; refreshes are counted from
-        the first one on."""
+    def _refresh_from(self, now: float) -> float:
+        """Return the time of the first refresh from `now` on for which nothing is planned. A steady display's refreshes
+        are counted from the first one on, a variable one's from the last one on."""
         if self._last is None:
             return now
+        if self._is_variable:
+            return max(now, self._last.refresh + self._step)
         periods = math.ceil((now - self._last.refresh) / self._period - _SAME)
         return self._last.refresh + max(periods, 1) * self._period
+
+    def _even_refresh_from(self, now: float) -> float:
+        """Return the same; for a variable display that is quicker than the renderer the first refresh of those that
+        divide the interval of rendered frames evenly, counted from that of the newest frame."""
+        if not self._is_variable or self._last is None or self._step == self._period:
+            return self._refresh_from(now)
+        first, soonest = self._times[0] + min(self._delays), max(now, self._last.refresh + self._period)
+        return max(first + math.ceil((soonest - first) / self._step - _SAME) * self._step, soonest)
+
+    @property
+    def _step(self) -> float:
+        """Seconds between refreshes of a variable display: the interval of rendered frames in as many equal parts as
+        it can show."""
+        parts = math.floor(self._usual_interval / self._period + _SAME)
+        return self._usual_interval / parts if parts else self._period

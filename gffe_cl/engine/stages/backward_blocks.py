@@ -94,8 +94,11 @@ class BackwardBlocks(NearestStage):
 
     def __init__(self, board: Board):
         self.softens = Silhouettes.is_wanted(board.options)
+        self.finds = board.options.blocks and board.options.crack_closing
         board.facts["softens"] = self.softens
-        board.facts["copies"] = board.options.motion and board.options.blocks and board.options.crack_closing
+        board.facts["copies"] = board.options.motion and self.finds
+        if not self.finds:  # nothing is written to it
+            self.buffers = tuple(replace(spec, scratch=spec.scratch or spec.name == "reach") for spec in self.buffers)
         if not self.softens:  # it writes nothing of them
             find, classify = self.kernels
             nothing = Access("backward_blocks.block_class", planes=0)
@@ -105,7 +108,7 @@ class BackwardBlocks(NearestStage):
     def splatting(self) -> np.ndarray:
         """Return (rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
         reach, splatted = self.read("reach"), self.read("block_class") == SPLATTED
-        if not (self.board.options.blocks and self.board.options.crack_closing):
+        if not self.finds:
             return np.ones(reach.shape[:2], bool)
         sums = np.pad(np.cumsum(np.cumsum(splatted, 0), 1), ((1, 0), (1, 0)))
         x0, y0, x1, y1 = np.moveaxis(reach, -1, 0)
@@ -113,5 +116,6 @@ class BackwardBlocks(NearestStage):
         return (x1 >= x0) & (y1 >= y0) & (within > 0)
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("find_reach", step)
+        if self.finds:
+            self.launch("find_reach", step)
         self.launch("classify_blocks", step)

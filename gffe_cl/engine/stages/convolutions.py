@@ -40,7 +40,7 @@ def _convolution(name: str) -> Kernel:
         }
         | _WEIGHTS,
         _TARGET | {"again": "convolutions.{made_again}"},
-        step=(1, "ROWS"),
+        step=(1, "OUTPUT_ROWS"),
         group="GROUP_WIDTH",
         group_rows="GROUP_HEIGHT",
         repeats="parts",

@@ -116,7 +116,7 @@ class HiddenParts(NearestStage):
     @property
     def reach(self) -> int:
         """Distance in target pixels within which movers are searched for."""
-        return max(_CONSTANTS["LEAST_REACH"], self.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
+        return max(_CONSTANTS["MOVER_REACH"], self.sizes.target[0] // _CONSTANTS["MOVER_REACH_SHARE"])
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:

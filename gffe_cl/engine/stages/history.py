@@ -120,7 +120,7 @@ class HistoryTracking(Stage):
                 "motion_steps": "history.motion_steps",
             },
             step=("LANES", "RESIDUAL_ROWS"),
-            group="GROUP",
+            group="COUNT_GROUP",
         ),
         Kernel(
             "refine_threshold",
@@ -137,7 +137,7 @@ class HistoryTracking(Stage):
                 "quantization_error": "history.quantization_error",
             },
             step=("LANES", "RESIDUAL_ROWS"),
-            group="GROUP",
+            group="COUNT_GROUP",
         ),
         Kernel(
             "track_history",

@@ -39,9 +39,14 @@ class NetworkInput(Stage):
         Kernel(
             "depth_histogram",
             "target",
-            {"depth": Access("frame.depth", 1 / 8), "histogram": "network_input.histogram"},
+            {
+                "depth": Access("frame.depth", 1 / 8),
+                "median_depth": "network_input.median_depth",
+                "histogram": "network_input.histogram",
+            },
             {"histogram": "network_input.histogram"},
-            step=("LANES", "STRIP"),
+            step=("LANES", "COUNTED_STRIP"),
+            group="COUNTERS",
         ),
         Kernel(
             "find_median",

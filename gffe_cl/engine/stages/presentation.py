@@ -49,7 +49,7 @@ class Presentation(Stage):
             "target",
             {"color": "rendered.color"},
             {"out_color": "presentation.color"},
-            step=(1, "STRIP"),
+            step=(1, "PRESENTED_ROWS"),
         ),
         Kernel(
             "present_geometry",

@@ -156,4 +156,4 @@ class ShadingTrend(Stage):
 
 def reach_of(height: int) -> int:
     """Return how many cells around one count, in an image of so many rows: at least one."""
-    return max(1, height // _CONSTANTS["REACH_SHARE"])
+    return max(1, height // _CONSTANTS["TREND_REACH_SHARE"])

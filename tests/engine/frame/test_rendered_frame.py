@@ -40,3 +40,9 @@ def test_tensors_of_other_libraries():
     given[1] = TensorOnGpu(depth, lost=True)
     with pytest.raises(GffeError, match=r"^frame: depth must be an array of numbers, got a TensorOnGpu$"):
         host_arrays(RenderedFrame(*given, camera(W, H), time=0.0), H, W)
+
+
+def test_integer_color_is_refused_with_a_hint():
+    color, depth, motion = np.zeros((H, W, 3), np.uint8), np.ones((H, W), np.float32), np.zeros((H, W, 2), np.float32)
+    with pytest.raises(GffeError, match=r"color must be floating point, got uint8 .expected .*gffe.FrameFormat\(\)"):
+        host_arrays(RenderedFrame(color, depth, motion, camera(W, H), time=0.0))

@@ -145,7 +145,9 @@ def memory_of_kernels(name, *options):
              re.findall(r"^@(\w+)\.\S+ = .*addrspace\(3\) global (.*?) undef", code, re.M)]  # fmt: skip
     found = {}
     for head, kernel, body in re.findall(r"^define ([^\n]*?)@(\w+)\([^\n]*\{\n(.*?)^\}", code, re.M | re.S):
-        allocated = re.findall(r"= alloca (.*), align \d+$", body, re.M)
+        # Texels in i64, whose address vload_half4 takes, are in registers once that is inlined: the vendors' compilers
+        # tell so (Cost.private).
+        allocated = re.findall(r"= alloca (?!i64,)(.*), align \d+$", body, re.M)
         assert "spir_kernel" in head or not allocated, f"{name}, {kernel}: not inlined"
         found[kernel] = (
             sum(size for owner, size in local if owner == kernel),
@@ -319,7 +321,6 @@ _SCENES = "one large function; only test scenes use it"
 # exception, if it is one alone.
 EXCESSES = {
     ("upscaling.accumulate", "dg2-g10", "SIMD8"): ("16 taps of four channels; not among the defaults", "libigc1"),
-    ("silhouettes.soften", "dg2-g10", "SIMD8"): ("layers and coverage of a neighborhood", "libigc1"),
     ("background.fill_from_levels", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),

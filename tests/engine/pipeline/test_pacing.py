@@ -1,14 +1,15 @@
-"""Pacing under simulated clocks: a renderer, its delays, stalls of every kind, and displays that are waited for or
-block."""
+"""Pacing under simulated clocks: a renderer, its delays, stalls of every kind, and displays that are waited for, block
+or follow the program. Every call is made in Python and in the exported C, which must decide alike."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from paced import Pacer, library
 from parameters import few
 
-from gffe_cl import Camera, GffeError, Options, Pacer, Pipeline, RenderedFrame
+from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame
 from gffe_cl.engine.frame.intervals import FAR_ALPHA, HELD_ALPHA, interval_of
 
 MAKING = 0.002  # seconds of an extrapolated frame
@@ -83,17 +84,43 @@ def age(plans):
         (30, 60, {0, 0.5}),
         (48, 144, {0, 0.333, 0.667}),
         (30, 120, {0, 0.25, 0.5, 0.75}),
+        (40, 144, {k / 18 for k in range(18)}),
         (60, 60, {0}),
+        (60, 24, {0, 0.5}),
+        (144, 60, {0, 0.2, 0.4, 0.6, 0.8}),
     ],
 )
 def test_time_goes_on_evenly(rendered, shown, alphas):
-    pacer, plans = played(steady(4 * rendered, rendered), 3.9, shown)
+    pacer, plans = played(steady(7 * rendered, rendered), 6.9, shown)
     later = [plan for now, plan in plans if now > 1]
     assert np.allclose(np.diff([plan.refresh for plan in later]), 1 / shown)
     assert np.allclose(np.diff([plan.time for plan in later]), 1 / shown, atol=2e-5)
-    assert {round(plan.alpha, 3) for plan in later} == alphas
+    assert {round(plan.alpha, 3) for plan in later} == {round(alpha, 3) for alpha in alphas}
     told = pacer.statistics
-    assert told.late <= 1 and told.dropped <= 2 and told.jitter < 0.1  # how long making takes is not known at first
+    overtaken = max(rendered - shown, 0) * 6.9
+    assert told.late <= 1 and abs(told.dropped - overtaken) <= 4
+    assert told.jitter < 0.1  # how long making takes is not known at first
+
+
+@pytest.mark.parametrize(
+    ("rendered", "shown", "parts"), [(40, 144, 3), (24, 60, 2), (30, 144, 4), (60, 144, 2), (45, 60, 1), (200, 144, 0)]
+)
+def test_a_variable_display_gets_equal_parts_of_the_interval(rendered, shown, parts):
+    """Of a renderer that is slower; of a quicker one it gets a frame as often as it can."""
+    pacer, plans = played(steady(4 * rendered, rendered), 3.9, shown, variable=True)
+    later = [plan for now, plan in plans if now > 1]
+    step = 1 / rendered / parts if parts else 1 / shown
+    assert np.allclose(np.diff([plan.refresh for plan in later]), step, atol=1e-6)
+    assert np.allclose(np.diff([plan.time for plan in later]), step, atol=2e-5)
+    if parts:
+        assert {round(plan.alpha, 3) for plan in later} == {round(k / parts, 3) for k in range(parts)}
+    assert pacer.statistics.late <= 1
+
+
+def test_c_decides_as_python_does():
+    if not library():
+        pytest.skip("no C compiler, or no CL/cl.h (Debian: opencl-c-headers)")
+    assert Pacer(60)._c.raw.strip(b"\0")  # the tests here really call it
 
 
 def test_jitter_of_the_renderer_is_not_seen():
@@ -253,10 +280,12 @@ def seconds_like(rng):
 class AnyProgram:
     """A program with random clocks and rates, which checks each plan."""
 
-    def __init__(self, rng):
+    def __init__(self, rng, variable):
         self.rate, self.shown = int(rng.choice([24, 30, 48, 60])), int(rng.choice([60, 120, 144]))
         self.most = float(rng.choice([0.5, 1.0, HELD_ALPHA, FAR_ALPHA]))
-        self.pacer = Pacer(self.shown, self.most, fps=self.rate)
+        self.variable = variable
+        self.step = 1 / (self.rate * (self.shown // self.rate)) if self.variable else 1 / self.shown
+        self.pacer = Pacer(self.shown, self.most, fps=self.rate, variable=self.variable)
         self.now = float(rng.choice([0.0, 1e5, -1e5]))
         self.behind = rng.uniform(0, 1 / self.rate) + rng.choice([0.0, -1e6, 123.0])  # the renderer's clock
         self.times, self.last = [], None
@@ -284,13 +313,13 @@ class AnyProgram:
         return plan
 
 
-@pytest.mark.parametrize("seed", few(range(10), 0, 1, 2))
+@pytest.mark.parametrize("seed", few(range(10), 0, 1))
 def test_any_events_keep_the_limits_and_are_forgotten(seed):
     """Two hundred sequences for each seed. After random events 24 rendered frames come evenly, and are paced evenly
     from the third on, after a renderer's clock that stood still from the sixth on."""
     for turn in range(200):
         rng = np.random.default_rng([seed, turn])
-        program, stands_still = AnyProgram(rng), rng.random() < 0.3
+        program, stands_still = AnyProgram(rng, variable=turn % 4 == 3), rng.random() < 0.3
         rate, shown = program.rate, program.shown
         program.render(program.now)
         for _ in range(rng.integers(0, 40)):
@@ -309,7 +338,8 @@ def test_any_events_keep_the_limits_and_are_forgotten(seed):
             plans.append((count, program.show(0.2 / shown)))
             program.now = max(program.now, program.last.refresh)
         refreshes = [plan.refresh for count, plan in plans if count > (6 if stands_still else 3)]
-        assert np.allclose(np.diff(refreshes), 1 / shown, rtol=1e-3), turn
+        follows = program.variable and stands_still  # the display follows that clock
+        assert follows or np.allclose(np.diff(refreshes), program.step, rtol=1e-3), turn
         beat = rate // math.gcd(rate, shown)  # rendered frames, of which the quickest is the delay
         held = sum(plan.held for count, plan in plans if count > 2 + 2 * beat)
         assert program.most < 1 or stands_still or held <= 1, turn  # where the last quicker frame is thirty frames old

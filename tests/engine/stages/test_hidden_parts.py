@@ -97,10 +97,11 @@ def test_mover_comes_out_from_behind_bars(device):
     assert wrong[True] < 0.5 * wrong[False], wrong
 
 
-def test_mover_that_enters_goes_on_to_the_border(device):
+@pytest.mark.parametrize("row", [H / 2, H], ids=["side", "corner"])
+def test_mover_that_enters_goes_on_to_the_border(device, row):
     """Where it is known to the last pixel, and where no frame has shown it yet; without that it is torn."""
-    edge = camera(W, H).unproject(np.array([[0.0, H / 2]]), np.array([6.0]))[0, 0]
-    mover = Rect((edge - 1.8, 0, 6), (1.0, 0.6), velocity=(18, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+    edge, y, _ = camera(W, H).unproject(np.array([[0.0, row]]), np.array([6.0]))[0]
+    mover = Rect((edge - 1.8, y, 6), (1.0, 1.2), velocity=(18, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
     wrong = {}
     for entering in (True, False):
         out, truth, frame = last_frame(device, [WALL, mover], Options(entering=entering), count=4)

@@ -115,6 +115,18 @@ def test_holes_below_the_horizon_are_not_sky(device):
     np.testing.assert_allclose(depth[near & np.isfinite(depth)], 8, rtol=1e-3)
 
 
+def test_slit_between_a_bar_and_a_mover_shows_what_is_behind_them(device):
+    """The hole between them meets nothing else: it is the wall's, which is seen beyond them."""
+    bar, mover = Rect((-0.1, 0, 4), (0.1, 3)), Rect((-0.4, 0, 5), (0.2, 3), velocity=(9, 0, 0))
+    options = Options(levels=0, hidden_parts=False, reappearing=False)
+    still, pipeline = camera(W, H), Pipeline(device, W, H, options)
+    submit(pipeline, Rects([Rect((0, 0, 10)), bar, mover]), [still] * 3, [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(still, 2.5 / 30)
+    hole, columns = out.numpy("filled_by") == 255, np.nonzero(out.numpy("depth")[0] < 6)[0]
+    assert hole.sum() >= H and not hole[:, : columns[0]].any() and not hole[:, columns[-1] :].any()
+    np.testing.assert_allclose(out.numpy("depth")[hole], 10, rtol=1e-3)
+
+
 def test_turning_away_fills_everything(device):
     """Nothing of the rendered frame is in view: the frame is filled all the same, without NaN."""
     pipeline = Pipeline(device, W, H)

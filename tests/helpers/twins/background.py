@@ -81,7 +81,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
         shown = depth[sy, sx]
         if invalid(shown):
             return True, F(0), True
-        margin = BACKGROUND.SAME_SURFACE * shown + slopes[sy, sx]
+        margin = BACKGROUND.SAME_LEVEL * shown + slopes[sy, sx]
         behind = not np.isinf(shown) if np.isinf(z) else z > shown + margin
         in_front = not np.isinf(z) if np.isinf(shown) else z < shown - margin
         return not in_front and (behind or not dynamic[sy, sx]), margin, behind
@@ -117,7 +117,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
                 offer(fill, cell, z[i], i)
             elif level + 1 < count:
                 base = current["depth"][cell]
-                level_margin = margin if level == 0 else F(2) * BACKGROUND.SAME_SURFACE * base
+                level_margin = margin if level == 0 else F(2) * BACKGROUND.SAME_LEVEL * base
                 if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
                     offer(push, (sy >> (level + 1), sx >> (level + 1)), z[i], i)
         settle(fill, level, color, now)
@@ -151,7 +151,7 @@ def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
     for tap in range(4):
         at = y0 + (tap >> 1), x0 + (tap & 1)
         d = depth_prev[at]
-        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_SURFACE * z_prev):
+        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_LEVEL * z_prev):
             return None
         weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
         found = found + weight * load_code(color_prev[at])
@@ -172,24 +172,24 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
         wide = level["depth"].shape[1]
         for ty, tx in np.argwhere(level["state"] == REMEMBERED):
             x, y, z = there[number][ty, tx]
-            reach = BACKGROUND.REACH
+            reach = BACKGROUND.TEXEL_REACH
             if not (z > 0 and -reach < x < width + reach and -reach < y < height + reach):
                 continue
             nearer = F(1) if np.isinf(z) else level["depth"][ty, tx] / z
-            side = F(1 << number) * BACKGROUND.FOOTPRINT_HALF * nearer
+            side = F(1 << number) * BACKGROUND.TEXEL_HALF * nearer
             half = [min(max(side * zoom[k], F(0.5)), reach) for k in range(2)]
             x0, x1 = max(int(np.ceil(x - half[0] - F(0.5))), 0), min(int(np.floor(x + half[0] - F(0.5))), width - 1)
             y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
             key = (z, number, ty * wide + tx)
             for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
                 shown = warped["depth"][cell]
-                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_SURFACE * shown
+                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_LEVEL * shown
                 if holes[cell] or (warped["mixed"][cell] and alike):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centers(height, width)
 
     def of_one_surface(d, winner):
-        return np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner
+        return np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_LEVEL * winner
 
     for (y, x), (z, number, i) in best.items():
         if warped["filled_by"][y, x] in (COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING):

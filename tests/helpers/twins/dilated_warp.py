@@ -38,7 +38,7 @@ def with_surfaces_beside(keys, z_there, zoom):
         come_from = components(words_of(offered)) + own[y, x]
         sx, sy = np.clip(np.trunc(come_from), 0, np.array(z_there.shape)[::-1] - 1).astype(int).T
         depth = (offered >> np.uint64(32)).astype(np.uint32).view(F)
-        return z_there[sy, sx] >= SPLAT.SHOWS * depth
+        return z_there[sy, sx] >= SPLAT.NEARER * depth
 
     return with_neighbors(keys, shows_itself)
 

@@ -29,7 +29,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
             if not dynamic[q]:
                 before += [] if holes[q] else [depth[q]]
                 continue
-            if any(not z < depth[q] * HIDDEN.STANDS_BEFORE for z in before):
+            if any(not z < depth[q] * HIDDEN.NEARER for z in before):
                 return None
             px = moves_along(q, y, x)
             if not (0 <= px[0] < width and 0 <= px[1] < height):
@@ -56,14 +56,21 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         """Return the pixel of the mover that goes on to the border, or None."""
         rows, columns = depth.shape
         from_x, from_y, border = min(x, columns - 1 - x), min(y, rows - 1 - y), columns // HIDDEN.BORDER_SHARE
-        if min(from_x, from_y) >= border:
-            return None
-        d = (1 if 2 * x < columns else -1, 0) if from_x <= from_y else (0, 1 if 2 * y < rows else -1)
-        q = next((q for _, q in march(y, x, d, border, depth.shape) if not holes[q]), None)
-        if q is None or not dynamic[q]:
-            return None
-        px = moves_along(q, y, x)[0 if d[0] else 1]
-        return q if (px < 0 if sum(d) > 0 else px >= (width if d[0] else height)) else None
+        ways = [(from_x, (1 if 2 * x < columns else -1, 0)), (from_y, (0, 1 if 2 * y < rows else -1))]
+        most = border
+        for away, d in sorted(ways, key=lambda way: way[0]):
+            shown = [m for m in march(y, x, d, most, depth.shape) if not holes[m[1]]]
+            if away >= border:
+                return None
+            if not shown:
+                continue
+            distance, q = shown[0]
+            if dynamic[q]:
+                px = moves_along(q, y, x)[0 if d[0] else 1]
+                if px < 0 if sum(d) > 0 else px >= (width if d[0] else height):
+                    return q
+            most = distance - 1
+        return None
 
     def same(a, b):
         return abs(a - b) <= HIDDEN.ONE_OBJECT * min(a, b)

@@ -79,8 +79,8 @@ def border_lines(codes):
         if 0 < y < found.shape[1] - 1 and 0 < x < found.shape[2] - 1:
             continue
         first = [max(min(k * cell, side - cell), 0) + 1 for k, side in ((y, height), (x, width))]
-        for sy in range(first[0], min(first[0] + cell - 1, height - 1), HOLES.SAMPLE_STRIDE):
-            for sx in range(first[1], min(first[1] + cell - 1, width - 1), HOLES.SAMPLE_STRIDE):
+        for sy in range(first[0], min(first[0] + cell - 1, height - 1), HOLES.LINE_STRIDE):
+            for sx in range(first[1], min(first[1] + cell - 1, width - 1), HOLES.LINE_STRIDE):
                 dx = (codes[sy, sx + 1] - codes[sy, sx - 1]) / 2
                 dy = (codes[sy + 1, sx] - codes[sy - 1, sx]) / 2
                 found[:, y, x] += dx @ dx, dx @ dy, dy @ dy
@@ -95,9 +95,9 @@ def _lines_at(along, cells, side):
     around = HOLES.CELLS_AROUND
     k = k[(k > np.floor(at) - around) & (k <= np.floor(at) + around)]
     off = at - k
-    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.NEAR * off**2)
+    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.CLOSE_COUNTS * off**2)
     across, both, inward = (cells[:, k] * weight).sum(1)
-    sure = across + HOLES.NOISE
+    sure = across + HOLES.CELL_NOISE
     slope = np.clip(-both / sure, -HOLES.STEEPEST, HOLES.STEEPEST)
     return slope, np.sqrt(max(inward + slope * (2 * both + slope * across), 0) / sure)
 
@@ -134,21 +134,17 @@ def is_outside(at, image):
     return not (at[2] > 0 and 0 <= at[0] < width and 0 <= at[1] < height)
 
 
-def surface_behind(met, ways, source_depth):
-    """Return [(weight, values)] of the surface behind a disocclusion, from the surfaces `met` beside it: static ones
-    that do not lie in front of the rendered frame's at `ways` (x, y, depth there); else those of the far side."""
+def surface_behind(met):
+    """Return [(weight, values)] of the surface behind a disocclusion, from [(inverse depth, weight, values, whether it
+    can be there)] beside it; without candidates of the far side."""
 
     def are_as_far(a, b):
         return not a > b * HOLES.FAR_SIDE and not b > a * HOLES.FAR_SIDE
 
-    candidates = []
-    for (inverse, closeness, values, stands), at in zip(met, ways, strict=True):
-        shown = source_depth[int(at[1]), int(at[0])]
-        if stands and shown > 0 and not at[2] < F(HOLES.IN_FRONT) * shown:
-            candidates.append((inverse, closeness, values))
+    candidates = [(inverse, w, values) for inverse, w, values, can_be_there in met if can_be_there]
     if not candidates:
         least = min(inverse for inverse, *_ in met)
-        return [(closeness, values) for inverse, closeness, values, _ in met if not inverse > least * HOLES.FAR_SIDE]
+        return [(w, values) for inverse, w, values, _ in met if not inverse > least * HOLES.FAR_SIDE]
     sums = [sum((w for b, w, _ in candidates if are_as_far(a, b)), F(0)) for a, *_ in candidates]
     first = candidates[int(np.argmax(sums))][0]
     return [(w, values) for inverse, w, values in candidates if are_as_far(inverse, first)]
@@ -157,29 +153,65 @@ def surface_behind(met, ways, source_depth):
 def continued_surface(warped, y, x, reach, to_source, source_color, source_depth, lines):
     """Return (color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width,
     3); `lines`: `border_lines`."""
-    met = []
-    for d in _DIRECTIONS:
-        for distance, q in march(y, x, d, reach, warped["depth"].shape):
-            if warped["filled_by"][q] != COMMON.BY_NOTHING:
-                z = warped["depth"][q]
-                inverse = F(0) if np.isinf(z) else F(1) / z
-                stands = not warped["dynamic"][q] and warped["filled_by"][q] != COMMON.BY_HIDDEN_PART
-                met.append((inverse, F(1) / distance, np.append(load_code(warped["color"][q]), inverse), stands))
+    depth, filled_by = warped["depth"], warped["filled_by"]
+
+    def is_made_up(q):
+        return filled_by[q] in (COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING)
+
+    def is_of_mover(q):
+        return bool(warped["dynamic"][q]) or is_made_up(q)
+
+    def inverse(q):
+        return F(0) if np.isinf(depth[q]) else F(1) / depth[q]
+
+    def place(q):
+        return source_of(y, x, inverse(q), to_source)
+
+    def can_be_there(q):
+        at = place(q)
+        if is_of_mover(q) or is_outside(at, source_color):
+            return False
+        shown = source_depth[int(at[1]), int(at[0])]
+        return shown > 0 and not at[2] < F(HOLES.IN_FRONT) * shown
+
+    def behind(way):
+        """Return the first pixel of `way` that can be there; else the first of all, unless it was made up."""
+        before = F(0)
+
+        def steps(q):
+            return max(abs(q[0] - y), abs(q[1] - x))
+
+        last = steps(way[0][1]) + reach // HOLES.PAST_SHARE
+        for distance, q in way:
+            if steps(q) > last:
                 break
-    if not met:
-        return None
+            if is_of_mover(q) or not depth[q] > before:
+                continue
+            if can_be_there(q):
+                return distance, q
+            before = depth[q]
+        return None if is_made_up(way[0][1]) else way[0]
 
     def mean(weighted):
         found = sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
         return np.append(decode_color(found[:3]), found[3])
 
-    ways = [source_of(y, x, inverse, to_source) for inverse, *_ in met]
-    outside = [(w * w, values) for at, (_, w, values, _) in zip(ways, met, strict=True) if is_outside(at, source_color)]
+    def values(q):
+        return np.append(load_code(warped["color"][q]), inverse(q))
+
+    marches = [march(y, x, d, reach, depth.shape) for d in _DIRECTIONS]
+    ways = [way for steps in marches if (way := [m for m in steps if filled_by[m[1]] != COMMON.BY_NOTHING])]
+    if not ways:
+        return None
+    outside = [(F(1) / d, q) for d, q in (way[0] for way in ways) if is_outside(place(q), source_color)]
     if outside:
-        found = mean(outside)
+        found = mean([(w * w, values(q)) for w, q in outside])
         at = source_of(y, x, found[3], to_source)
         return np.append(beyond(at, source_color, lines), found[3]) if at[2] > 0 else found
-    return mean(surface_behind(met, ways, source_depth))
+    met = [way[0] for way in ways]
+    if not all(is_of_mover(q) for _, q in met):
+        met = [m for way in ways if (m := behind(way))]
+    return mean(surface_behind([(inverse(q), F(1) / d, values(q), can_be_there(q)) for d, q in met]))
 
 
 def mix_far_side(warped):

@@ -18,7 +18,7 @@ def _brightness(color, x, y):
 
 def _contrast(color, x, y, dx, dy):
     a, b = _brightness(color, x - dx, y - dy), _brightness(color, x + dx, y + dy)
-    return (b - a) / ((a + b) + CUTS.DARK)
+    return (b - a) / ((a + b) + CUTS.TOO_DARK)
 
 
 def _depth_before(px, px_prev, mv, z, to_previous):

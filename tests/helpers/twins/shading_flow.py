@@ -85,7 +85,7 @@ def _step(a, b):
     determinant = xx * yy - xy * xy
     step = np.stack([(xy * yr - yy * xr) / determinant, (xy * xr - xx * yr) / determinant])
     longer = np.maximum(np.abs(step[0]), np.abs(step[1]))
-    return step / np.maximum((F(1) / FLOW.LONGEST) * longer, F(1))
+    return step / np.maximum((F(1) / FLOW.LONGEST_STEP) * longer, F(1))
 
 
 def _summed(plane):

@@ -44,7 +44,7 @@ def cubic_at(px, image):
     height, width = image.shape[:2]
     corner = px - F(0.5)
     first = np.floor(corner)
-    wx, wy = (_weights(t, UP.SLOPE) for t in np.moveaxis(corner - first, -1, 0))
+    wx, wy = (_weights(t, UP.SHARP_SLOPE) for t in np.moveaxis(corner - first, -1, 0))
     x, y = np.moveaxis(first.astype(int), -1, 0)
 
     def tap(i, j):
@@ -68,7 +68,7 @@ def nearest_around(depth):
     y, x = np.mgrid[:height, :width]
     best_y, best_x = y.copy(), x.copy()
     with np.errstate(invalid="ignore"):
-        least = np.where(invalid(depth), F(np.inf), UP.SAME_DEPTH * depth)
+        least = np.where(invalid(depth), F(np.inf), UP.NOT_NEARER * depth)
         for j in (-1, 0, 1):
             for i in (-1, 0, 1):
                 ny, nx = np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)
@@ -84,7 +84,7 @@ def share_seen(px, expected, depth_prev):
     corner = px - F(0.5)
     first = np.floor(corner)
     u, v = np.moveaxis(corner - first, -1, 0)
-    nearest = np.where(np.isinf(expected), np.finfo(F).max, UP.SAME_DEPTH * expected)
+    nearest = np.where(np.isinf(expected), np.finfo(F).max, UP.NOT_NEARER * expected)
     seen = np.zeros(px.shape[:-1], F)
     inside = within(px, depth_prev.shape)
     x, y = np.moveaxis(np.where(inside[..., None], first, 0).astype(int), -1, 0)
@@ -136,7 +136,7 @@ def survey(compressed, surprise):
     scatter = np.maximum(off_square[..., 0] / known - bias * bias, F(0))
     shift = bias * (bias * bias / (bias * bias + UP.SCATTER * scatter + F(1e-8)))
     missed = np.maximum(off_square[..., :3].sum(-1) / known - shift * (F(2) * bias - shift), F(0))
-    error = np.sqrt(missed / (variance.sum(-1) + UP.NOISE * UP.NOISE))
+    error = np.sqrt(missed / (variance.sum(-1) + UP.COMPRESSED_NOISE * UP.COMPRESSED_NOISE))
     error = np.minimum(error, UP.MOST_ERROR)
     mean = np.concatenate([mean[..., :3], error[..., None]], -1)
     return mean.astype(np.float16), np.concatenate([np.sqrt(variance), shift[..., None]], -1).astype(np.float16)
@@ -146,7 +146,7 @@ _THREE = np.array([-1, 0, 1], F)
 
 
 def _near_weights(off, step):
-    t = (off[..., None] + _THREE * step) * (F(1) / UP.REACH)
+    t = (off[..., None] + _THREE * step) * (F(1) / UP.FILTER_REACH)
     return np.maximum(F(1) - t * t, F(0)) ** 3
 
 
@@ -201,13 +201,13 @@ def accumulate(
     found, _, _ = cubic_at(at, history)
     past = compressed_of(found[..., :3], exposure)
     past = past * (np.maximum(past[..., :1] + around[..., 3:], F(0)) / (past[..., :1] + F(1e-4)))
-    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE + np.where(thin, UP.LOCKED_ROOM, F(0))[..., None]
+    room = UP.DEVIATIONS * around[..., :3] + UP.COMPRESSED_NOISE + np.where(thin, UP.LOCKED_ROOM, F(0))[..., None]
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
     believed = np.where(known, trust * np.where(thin, F(1), seen), F(0))
     most = UP.MOVED_WEIGHT + (UP.MOST_WEIGHT - UP.MOVED_WEIGHT) * rest
     own = np.where(known, np.minimum(found[..., 3] * believed, most), F(0))
-    held = np.maximum(own, UP.LEAST_WEIGHT)
-    part = np.minimum(own * (F(1) / UP.LEAST_WEIGHT), F(1))[..., None]
+    held = np.maximum(own, UP.LEAST_SHOWN)
+    part = np.minimum(own * (F(1) / UP.LEAST_SHOWN), F(1))[..., None]
     past = np.where(known[..., None], kept + (fresh[..., :3] - kept) * (UP.FRESH * (F(1) - part)), fresh[..., :3])
     counted = np.where(known, part[..., 0], F(1))
     total = counted * total + held

@@ -56,7 +56,7 @@ def unmixed(depth, dynamic):
     for dy in around:
         for dx in around:
             with np.errstate(invalid="ignore"):
-                nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.NEARER
+                nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.MIXES_IN
             keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
     return keep.astype(np.uint8)
 

@@ -47,7 +47,7 @@ class RunningProgram:
     """
 
     def __init__(self, name: str, frames: int = FRAMES):
-        self.name, self.ended = name, False
+        self.name, self.frames, self.ended = name, frames, False
         self.pacing: deque[PacingStatistics] = deque(maxlen=_PACINGS)
         self.specs: dict[str, LayerSpec] = {}
         self._channel = connect(name)

@@ -28,7 +28,7 @@ from .motion_trail import Passed, way_of
 from .pixel_explain_types import Link, Step, Story
 from .refusals import what_was_taken, where_it_reappears_from, why_no_background, why_no_mover
 
-_MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
+_MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within which texels of a level are mixed
 
 
 def pixel_story(

@@ -54,7 +54,7 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
     """Return why hidden parts of movers left the pixel; None where that stage does not run."""
     if "hidden_parts" not in pipeline.stages:
         return None
-    reach = max(_MOVERS["LEAST_REACH"], pipeline.sizes.target[0] // _MOVERS["REACH_SHARE"])
+    reach = max(_MOVERS["MOVER_REACH"], pipeline.sizes.target[0] // _MOVERS["MOVER_REACH_SHARE"])
     wanted = (names.DYNAMIC, names.DEPTH, names.MOTION, names.DISOCCLUDED)
     block = _Block(pipeline, shot, pixel, reach, wanted)
     met = (block.first(direction, lambda x, y: bool(block.at(names.DYNAMIC, x, y)[0])) for direction in _DIRECTIONS)
@@ -93,7 +93,7 @@ def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -
             block.pixel[0] + t * (x - block.pixel[0]) // steps, block.pixel[1] + t * (y - block.pixel[1]) // steps
         )  # fmt: skip
         depth = float(block.at(names.DEPTH, *between)[0])
-        if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["STANDS_BEFORE"] * z:
+        if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["NEARER"] * z:
             return f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
     return (
         f"{was}, behind depth {shown:.4g}. But the mover is on one side only and not close by, or the frame before"
@@ -215,7 +215,7 @@ def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[flo
     image, behind what hides it, and moves as the mover beside that does."""
     if source_px is None:
         return None
-    reach = max(_MOVERS["LEAST_REACH"], pipeline.sizes.target[0] // _MOVERS["REACH_SHARE"])
+    reach = max(_MOVERS["MOVER_REACH"], pipeline.sizes.target[0] // _MOVERS["MOVER_REACH_SHARE"])
     pixel = math.floor(source_px[0]), math.floor(source_px[1])
     if not all(0 <= at < side for at, side in zip(pixel, pipeline.sizes.source, strict=True)):
         return None

@@ -71,6 +71,10 @@ class SceneSource(Live, FrameSource):
         other.restart()
         return other
 
+    @property
+    def nbytes(self):
+        return sum(BYTES_PER_PIXEL) * math.prod(self.render_size) * len(self._ring)
+
     def _empty_ring(self) -> None:
         """Drop the frames on the device, and set how many of the present size may be kept."""
         self._ring: OrderedDict[tuple, _Made] = OrderedDict()

@@ -51,6 +51,10 @@ class RecordedSource(Recorded, FrameSource):
         self.has_truth = bool(truths)
 
     @property
+    def nbytes(self):
+        return self._cache.nbytes
+
+    @property
     def changed_on_disk(self):
         return self._rewritten.found
 
@@ -117,7 +121,7 @@ class _ReadAhead:
     """Results of reading, by (kind, …): the last `nbytes` of them are kept, some are read ahead on a thread."""
 
     def __init__(self, nbytes: int):
-        self._most, self._bytes = nbytes, 0
+        self._most, self.nbytes = nbytes, 0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._coming: dict[tuple, Future] = {}
         self._background = Background("read")
@@ -129,9 +133,9 @@ class _ReadAhead:
             return self._kept[key]
         future = self._coming.pop(key, None)
         value = self._kept[key] = read() if future is None else future.result()
-        self._bytes += _nbytes(value)
-        while self._bytes > self._most and len(self._kept) > 1:
-            self._bytes -= _nbytes(self._kept.popitem(last=False)[1])
+        self.nbytes += _nbytes(value)
+        while self.nbytes > self._most and len(self._kept) > 1:
+            self.nbytes -= _nbytes(self._kept.popitem(last=False)[1])
         return value
 
     def ahead(self, kind: str, wanted: dict[tuple, Callable[[], Any]]) -> None:

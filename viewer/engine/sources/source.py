@@ -28,7 +28,8 @@ class FrameSource(Source, Protocol):
     so many stay as they are; `follows`: shows what a running program does: the only slot is another frame whenever it
     is asked for; `options`: of the running program that the frames are from; `generated`: its new frames after each
     rendered one; `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its frames
-    are others than when it was opened; `format`: the description of `stored` frames.
+    are others than when it was opened; `nbytes`: bytes of frames that it keeps; `format`: the description of
+    `stored` frames.
     """
 
     target: str = ""
@@ -42,6 +43,7 @@ class FrameSource(Source, Protocol):
     generated: int = 1
     suspicions: Iterable[str] = ()
     changed_on_disk: bool = False
+    nbytes: int = 0
     format: FrameFormat | None = None
 
     def sibling(self) -> FrameSource:

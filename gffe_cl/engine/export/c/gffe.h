@@ -198,6 +198,52 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found);
 /* Returns the name of buffer 0, 1 ...; NULL after the last one. */
 const char *gffe_buffer_name(const gffe *g, int number);
 
+/* ---- pacing: which frame to show when; no call here uses OpenCL or a gffe ------------------------------ */
+
+/* Frame to show at a refresh. */
+typedef struct gffe_paced {
+    double refresh; /* when it is, seconds of your clock */
+    double time; /* of the frame, on the renderer's clock, for gffe_extrapolate */
+    double alpha; /* the same in intervals from the last rendered frame on, 0 for that one itself */
+    int held; /* whether to keep showing the present frame, whose time and alpha these are */
+} gffe_paced;
+
+/* Counts since the beginning: refreshes that were planned; of these shown as rendered, extrapolated or held; frames
+   that were ready too late for their refresh; rendered frames that a newer one overtook before their turn; and the
+   standard deviation of recent steps of time from refresh to refresh, ms. */
+typedef struct gffe_pacing {
+    int rendered, extrapolated, held, late, dropped;
+    double jitter;
+} gffe_pacing;
+
+/* A pacer: yours to store, its members are not yours to use. It may be copied. */
+typedef struct gffe_pacer {
+    double period, most_alpha, fps, now, began, shown;
+    double times[3], delays[30], making[8], steps[120]; /* newest first */
+    int times_count, delays_count, making_count, steps_count, is_variable, is_new, has_last;
+    gffe_paced last;
+    gffe_pacing counts;
+} gffe_pacer;
+
+/* Begins pacing for a display of `display_rate` refreshes per second, 1e-6 to 1e6; of a variable one (VRR) the most
+   that it can do. `most_alpha`: the largest extrapolation, 1e-6 to 16 intervals, 2 is usual. `fps`: rendered frames per
+   second, used until two are known. Numbers out of range are GFFE_INVALID. The decisions are those of Python's Pacer.
+ */
+gffe_status gffe_pacer_start(gffe_pacer *pacer, double display_rate, double most_alpha, double fps, int is_variable);
+
+/* Notes that a rendered frame of this `time`, on the renderer's clock, is here. After a reset its time may be any, else
+   a time that is not after the last one is GFFE_INVALID. */
+gffe_status gffe_pacer_rendered(gffe_pacer *pacer, double time, int reset);
+
+/* Plans the frame for the next refresh for which one can be ready. `now`, seconds of a clock that only goes forward: a
+   time before the last call's is GFFE_INVALID, and so is a plan before the first rendered frame. */
+gffe_status gffe_pacer_plan(gffe_pacer *pacer, double now, gffe_paced *plan);
+
+/* Notes that the frame planned last is ready: made and passed to the display. */
+gffe_status gffe_pacer_ready(gffe_pacer *pacer, double now);
+
+gffe_pacing gffe_pacer_statistics(const gffe_pacer *pacer);
+
 #ifdef __cplusplus
 }
 #endif

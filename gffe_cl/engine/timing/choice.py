@@ -1,0 +1,111 @@
+"""Choice of options for real time: measured on the device, the best that fit into a budget."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_list, require_within
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame, host_arrays
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import PRESETS, Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.timing.footage import SETTLED, FrameLoop
+
+# The best first.
+LADDER = {
+    "quality": PRESETS["quality"].values,
+    "balanced": PRESETS["balanced"].values,
+    "balanced without the network": {"shading_correction": False},
+    "performance": PRESETS["performance"].values,
+}
+_BUDGETS = (1e-3, 1e5)  # ms
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Options that were chosen: `options`; their `name`; whether they fit the budget of `budget_ms` (where nothing does
+    they are the cheapest); `milliseconds` of all that were measured by name, the best first."""
+
+    options: Options
+    name: str
+    fits: bool
+    budget_ms: float
+    milliseconds: dict[str, float]
+
+    @property
+    def sentence(self) -> str:
+        """The name of the options, their time, and why no better ones were chosen."""
+        *others, (name, last) = self.milliseconds.items()
+        better = "".join(f"; {name} takes {taken:.2f} ms" for name, taken in reversed(others))
+        relation = "fits into" if self.fits else "takes the least, but does not fit into"
+        return f"{name}: {last:.2f} ms {relation} {self.budget_ms:g} ms{better}"
+
+
+def choose_options(
+    device: Device, frames: Sequence[RenderedFrame], budget_ms: float, options: Options | None = None, repeats: int = 9
+) -> Choice:
+    """Measure presets on `device` with rendered frames of your program, and return the best that fits.
+
+    The cost is that of one rendered and one new frame, by the clock, from `Pipeline.submit` until the new frame is
+    there: the median of `repeats`. It depends on the picture, so take frames of a scene that is hard.
+
+    Parameters
+    ----------
+    device : Device
+        Nothing else should use it meanwhile.
+    frames : sequence of RenderedFrame
+        Three or more of NumPy arrays, one after another, of the size that you will use.
+    budget_ms : float
+        Milliseconds, 0.001 to 100000.
+    options : Options
+        Values of all options that no preset sets.
+    repeats : int
+        Number of timed pairs for each preset.
+
+    Raises
+    ------
+    GffeError
+        For fewer than three frames, and for a budget out of range.
+    """
+    listed = require_list(frames, RenderedFrame, "choose_options: frames", "a list of RenderedFrame")
+    if len(listed) <= SETTLED:
+        raise GffeError(f"choose_options: frames must be at least {SETTLED + 1}, got {len(listed)}")
+    height, width = host_arrays(listed[0]).color.shape[:2]
+    interval = listed[1].time - listed[0].time
+    loop = FrameLoop("", width, height, 1.0, interval, tuple(listed), (None,) * len(listed), forward=True)
+    return choose_for(device, loop, budget_ms, options or Options(), repeats)
+
+
+def choose_for(device: Device, loop: FrameLoop, budget_ms: float, options: Options, repeats: int) -> Choice:
+    """Return the same for a loop of frames."""
+    budget = require_within(budget_ms, "budget_ms", *_BUDGETS)
+    loop, taken, tried, name = loop.on(device), {}, options, ""
+    usual = {option: getattr(Options(), option) for values in LADDER.values() for option in values}
+    usual["shading_correction"] = options.shading_correction
+    for name, values in LADDER.items():
+        tried = replace(options, **usual | values)
+        if name == "balanced without the network" and not options.corrects_shading:
+            continue  # so is the rung above
+        taken[name] = _milliseconds(device, loop, tried, repeats)
+        if taken[name] <= budget:
+            return Choice(tried, name, True, budget, taken)
+    return Choice(tried, name, False, budget, taken)
+
+
+def _milliseconds(device: Device, loop: FrameLoop, options: Options, repeats: int) -> float:
+    """Return the median time of a pair."""
+    pipeline, walls = Pipeline(device, loop.width, loop.height, options, render_size=loop.render_size), []
+    pipeline.exposure = loop.exposure
+    for turn in loop.turns(repeats):
+        device.queue.finish()
+        start = time.perf_counter()
+        pipeline.submit(turn.frame)
+        made = pipeline.extrapolate(turn.camera, turn.time(loop.interval))
+        assert made.color  # waits for a network on the host
+        device.queue.finish()
+        walls += [1e3 * (time.perf_counter() - start)] * turn.counts
+    return statistics.median(walls)

@@ -1,0 +1,101 @@
+"""Stored slots: pictures of another sequence, or of an output or stage dump of `gffe run`, beside computed ones."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.captures.formats import open_capture
+from gffe_cl.captures.offline.run import MASKS, alphas_for
+from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.captures.sequence.exr import read_channels
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX
+from .. import names
+from ..buffers import Moment
+from ..layers import FRAME_LAYERS, LayerSpec
+from ..messages import Frame, Key
+from .preview import place_of
+from .source import FrameSource
+
+_IN_OUTPUT = {names.DEPTH: ("Z",), names.MOTION: ("motion.x", "motion.y")} | {
+    f"frame.{name}": (channel,) for channel, name in MASKS.items()
+}
+
+
+class StoredSlots:
+    """Frames on disk as slots. Raises GffeError if `place` cannot be opened.
+
+    A slot's picture is the frame of its time: of a generated slot the extrapolated one, else ground truth, else a
+    rendered one. Depth, motion and masks are those of the output's files, all other layers those of its stage dump
+    (`gffe run --dump-stages`).
+    """
+
+    def __init__(self, place: str):
+        self.place, self._sequence = place, open_capture(place_of(place))
+
+    def make(self, key: Key, layers: frozenset[str], source: FrameSource, known: Mapping[str, LayerSpec]) -> Frame:
+        """Return a slot with those of `layers` that are stored. `source`: of A's frames, whose times count; `known`:
+        A's layers. Raises GffeError if there is no such frame."""
+        start, sequence = time.perf_counter(), self._sequence
+        if (sequence.width, sequence.height) != (source.width, source.height):
+            sizes = f"{sequence.width}×{sequence.height} pixels, expected {source.width}×{source.height}"
+            raise GffeError(f"{self.place}: {sizes}")
+        alphas = (0.0, *alphas_for(key.recipe.setup.n))
+        k, j = divmod(key.slot, len(alphas))
+        at = source.time(k, alphas[j])
+        kinds = ("extrapolated", "ground_truth", "rendered") if j else ("rendered",)
+        entry = next((found for kind in kinds if (found := sequence.at(kind, at)) is not None), None)
+        if entry is None:
+            raise GffeError(f"{self.place}: no frame at {at:.4f} s")
+        images = {name: made for name in layers if (made := self._image(entry, name, known.get(name))) is not None}
+        if j and names.TRUTH in layers and (truth := source.truth(k, alphas[j])) is not None:
+            images[names.TRUTH] = _rgba(truth)
+        camera = entry.display_camera or source.camera(k, alphas[j])
+        assert camera is not None  # every frame of a sequence has one
+        base = sequence.at("rendered", source.time(k))
+        seen = (camera, camera) if base is None else (base.render_camera or camera, base.display_camera or camera)
+        size = (sequence.width, sequence.height) if base is None else sequence.size_of(base)
+        specs = {name: spec for name, spec in known.items() if name in images} | {
+            names.FINAL: FRAME_LAYERS[names.FINAL]
+        }
+        moment = Moment(k, alphas[j], at, camera, *seen, None)
+        wall_ms = (time.perf_counter() - start) * 1e3
+        return Frame(key, layers, moment, images, specs, {}, wall_ms, wall_ms, render_size=size)
+
+    def _image(self, entry: FrameEntry, name: str, spec: LayerSpec | None) -> np.ndarray | None:
+        if name == names.FINAL:
+            return _rgba(self._sequence.read_color(entry))
+        if spec is None or entry.kind != "extrapolated":
+            return None
+        dumped = Path(self._sequence.path) / "stages" / Path(entry.file).stem / f"{name}.exr"
+        if dumped.is_file():
+            return _dumped(dumped, spec)
+        if name not in _IN_OUTPUT:
+            return None
+        read = self._sequence.read_channels(entry, _IN_OUTPUT[name])
+        return _typed(np.stack([read[channel] for channel in _IN_OUTPUT[name]], -1), spec)
+
+
+def _dumped(path: Path, spec: LayerSpec) -> np.ndarray:
+    """Return a layer, (planes?, H, W, channels?), from a stage dump's file."""
+    planes = [f"{plane + 1}." for plane in range(spec.planes)] if spec.planes > 1 else [""]
+    wanted = [[prefix + component for component in spec.components or ("Y",)] for prefix in planes]
+    read = read_channels(path, [channel for plane in wanted for channel in plane], path.name)
+    made = np.stack([np.stack([read[channel] for channel in plane], -1) for plane in wanted])
+    return _typed(made if spec.planes > 1 else made[0], spec)
+
+
+def _typed(image: np.ndarray, spec: LayerSpec) -> np.ndarray:
+    """Return a layer in the type that shaders take, without the axis of a single channel."""
+    image = image if spec.components else image[..., 0]
+    return image.astype(np.uint8) if spec.view in ("mask", "label") else image
+
+
+def _rgba(color: np.ndarray) -> np.ndarray:
+    rgba = np.zeros((*color.shape[:2], 4), np.float16)
+    rgba[..., :3] = np.clip(color, -HALF_MAX, HALF_MAX)
+    return rgba

@@ -1,0 +1,364 @@
+"""Studies of the shown frame, found in the background: layers that differ, what modules gain, a row of pixels over
+time.
+
+A study is a list of wants and a function of their frames. A new one is a subclass of `Study` and a name in
+`Studies.__init__`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.engine.options import OPTIONS
+from gffe_cl.lab.metrics import METRICS, squared_error
+from ..engine import names
+from ..engine.background import Background
+from ..engine.figures import NEEDED, displayed, parts_of, region_labels
+from ..engine.layers import FRAME_GROUP, LayerSpec
+from ..engine.messages import Failure, Frame, Key, Recipe, Setup
+from ..engine.store import Store, Want
+from ..picture.displays import FrameInfo
+from .parameters import ALWAYS, UPSCALING
+from .survey import Side
+
+_PATIENCE = 4  # frames of the interface that a study goes on after it was shown
+_AHEAD = 2  # answers that are made at once
+_MOST_SLOTS = 120  # of a row of pixels
+_OF_ROWS = ("color", "depth", "motion", "mask", "label", "scalar")
+ALL = "all"  # the whole image, beside its regions
+
+
+@dataclass(frozen=True)
+class Here:
+    """Place and settings of a study.
+
+    Attributes
+    ----------
+    slot : int
+    a, b : Side, Side or None
+    layers : tuple of LayerSpec
+        All of A.
+    shown : str
+        Name of the displayed layer.
+    pixel : (x, y) or None
+        The picked pixel.
+    slots : range
+        Between the in and the out point.
+    exposure : float
+    recipe, info : callable
+        Return the recipe of a setup, and the frame of reference of a frame's layers.
+    """
+
+    slot: int
+    a: Side
+    b: Side | None
+    layers: tuple[LayerSpec, ...]
+    shown: str
+    pixel: tuple[int, int] | None
+    slots: range
+    exposure: float
+    recipe: Callable[[Setup], Recipe]
+    info: Callable[[Frame], FrameInfo]
+
+
+class Study:
+    """One question about the shown frame, answered part by part.
+
+    Attributes
+    ----------
+    on : bool
+        Whether it is made: for every frame that is shown, as long as somebody calls `look`.
+    found : dict
+        Answers by the part's name, in order, as far as they are known: what `find` returns, or a `Failure`.
+    parts : int
+        Number of parts of the present question.
+    """
+
+    def __init__(self):
+        self.parts, self._looks = 0, 0
+        self.found: dict[Any, Any] = {}
+
+    def look(self) -> None:
+        """Have it made. Call once per frame of the interface in which it is shown."""
+        self._looks = _PATIENCE
+
+    def pass_time(self) -> None:
+        """Count a frame of the interface."""
+        self._looks = max(self._looks - 1, 0)
+
+    @property
+    def on(self) -> bool:
+        return self._looks > 0
+
+    @property
+    def busy(self) -> bool:
+        return self.on and len(self.found) < self.parts
+
+    def why_not(self, here: Here) -> str | None:
+        """Return why there is no answer here; None if there is one."""
+        raise NotImplementedError
+
+    def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
+        """Return the frames that each part needs, in order."""
+        raise NotImplementedError
+
+    def find(self, here: Here, name: Any, *frames: Frame) -> Any:
+        """Return the answer of a part. Runs in the background."""
+        raise NotImplementedError
+
+
+class Studies:
+    """All studies. `background` runs their computations."""
+
+    def __init__(self, store: Store, background: Background):
+        self._store, self._background = store, background
+        self.differing, self.ablation, self.over_time = Differing(), Ablation(), OverTime()
+        self.all: tuple[Study, ...] = (self.differing, self.ablation, self.over_time)
+        self._jobs: dict[tuple, Future] = {}
+        self._known: dict[tuple, Any] = {}  # by study and wants
+        self._asked: dict[Study, tuple[Here, dict]] = {}  # what each wants, and where
+        self.here: Here | None = None
+
+    @property
+    def busy(self) -> bool:
+        return any(study.busy for study in self.all)
+
+    def forget(self) -> None:
+        """Drop everything after a change of the source."""
+        self._jobs, self._known, self._asked, self.here = {}, {}, {}, None
+        for study in self.all:
+            study.found, study.parts = {}, 0
+
+    def update(self, here: Here, may_run: bool) -> list[Want]:
+        """Take what has been found, and return the frames that are missing. Call once per frame of the interface;
+        `may_run`: whether there is nothing else to do."""
+        self.here, wants, keys = here, [], set()
+        for study in self.all:
+            study.pass_time()
+            parts = self._parts(study, here)
+            found = {}
+            for name, needed in parts.items():
+                keys.add(key := (study, needed))
+                if (made := self._answer(study, here, name, needed, may_run)) is not None:
+                    found[name] = made
+                elif may_run and key not in self._jobs and len(wants) < _AHEAD:
+                    wants += needed
+            study.found, study.parts = found, len(parts)
+        for key in [key for key in self._jobs if key not in keys]:
+            self._jobs.pop(key).cancel()
+        self._known = {key: made for key, made in self._known.items() if key in keys}
+        return list(dict.fromkeys(wants))
+
+    def _parts(self, study: Study, here: Here) -> dict[Hashable, tuple[Want, ...]]:
+        if not study.on or study.why_not(here) is not None:
+            return {}
+        if (asked := self._asked.get(study)) is None or asked[0] != here:
+            self._asked[study] = asked = here, study.wanted(here)
+        return asked[1]
+
+    def _answer(self, study: Study, here: Here, name: Hashable, needed: tuple[Want, ...], may_run: bool) -> Any:
+        key = study, needed
+        if key in self._known:
+            return self._known[key]
+        job = self._jobs.get(key)
+        if job is None and may_run:
+            frames = [self._store.get(want) for want in needed]
+            failed = next((frame for frame in frames if isinstance(frame, Failure)), None)
+            if failed is not None:
+                self._known[key] = failed
+            elif all(isinstance(frame, Frame) for frame in frames):
+                self._jobs[key] = self._background.run(study.find, here, name, *frames)
+        elif job is not None and job.done():
+            error = None if job.cancelled() else job.exception()
+            self._known[key] = Failure(f"{type(error).__name__}: {error}") if error else job.result()
+            del self._jobs[key]
+        return self._known.get(key)
+
+
+# ---- layers that differ ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Difference between a layer of A and of B. `pixels` of `of` differ, at most by `largest` (NaN where no numbers can
+    be subtracted); `remark`: why they cannot be compared, if so."""
+
+    spec: LayerSpec
+    pixels: int
+    of: int
+    largest: float
+    remark: str = ""
+
+    @property
+    def differs(self) -> bool:
+        return bool(self.pixels or self.remark)
+
+
+class Differing(Study):
+    """Differences of every layer of this frame between A's and B's settings, in the order of the stages."""
+
+    def why_not(self, here: Here) -> str | None:
+        return "B is not other settings (K keeps them)" if here.b is None else None
+
+    def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
+        assert here.b is not None  # or it has no answer
+        groups: dict[Hashable, frozenset[str]] = {}
+        for spec in _by_stage(here.layers):
+            groups[_stage_of(spec)] = groups.get(_stage_of(spec), frozenset()) | {spec.name}
+        sides = here.a.recipe, here.b.recipe
+        return {
+            stage: tuple(Want(Key(recipe, here.slot), layers, keep=False) for recipe in sides)
+            for stage, layers in groups.items()
+        }
+
+    def find(self, here: Here, name: Any, *frames: Frame) -> list[Difference]:
+        a, b = frames
+        specs = [spec for spec in _by_stage(here.layers) if _stage_of(spec) == name]
+        return [made for spec in specs if (made := difference(spec, a, b)) is not None]
+
+    @property
+    def all(self) -> list[Difference]:
+        """The layers of the stages that are known, in order."""
+        return [one for made in self.found.values() if isinstance(made, list) for one in made]
+
+    @property
+    def first(self) -> Difference | None:
+        """The first layer whose pixels differ, else the first that only one side has; None if there is none so far."""
+        differing = [one for one in self.all if one.differs]
+        return next((one for one in differing if one.pixels), differing[0] if differing else None)
+
+
+def _stage_of(spec: LayerSpec) -> str:
+    """Return the name of a layer's stage: the input's come first, and the displayed image last."""
+    if spec.group != FRAME_GROUP or spec.name.startswith("frame."):
+        return spec.group if spec.group != FRAME_GROUP else "new frame"
+    return "input" if spec.name.startswith("rendered.") else "displayed"
+
+
+def _by_stage(layers: tuple[LayerSpec, ...]) -> list[LayerSpec]:
+    """Return the layers in the order in which they are made, without those of ground truth."""
+    own = [spec for spec in layers if spec.name not in (names.TRUTH, names.FOCUS_TRUTH)]
+    ranks = {"input": 0, "new frame": 2, "displayed": 3}
+    return sorted(own, key=lambda spec: (ranks.get(_stage_of(spec), 1), spec.name == names.FINAL))
+
+
+def difference(spec: LayerSpec, a: Frame, b: Frame) -> Difference | None:
+    """Return how a layer differs between two frames; None if neither has it."""
+    first, second = a.images.get(spec.name), b.images.get(spec.name)
+    if first is None and second is None:
+        return None
+    if first is None or second is None:
+        return Difference(spec, 0, 0, float("nan"), f"only {'B' if first is None else 'A'}")
+    if first.shape != second.shape:
+        return Difference(spec, 0, 0, float("nan"), "other size")
+    numbers = first.dtype.kind == "f"
+    differs = (first != second) & ~((first != first) & (second != second)) if numbers else first != second
+    channels = differs.ndim - 2 - (spec.planes > 1)
+    pixels = differs.any(-1) if channels else differs
+    pixels = pixels.any(0) if spec.planes > 1 else pixels
+    if spec.view == "label" or not differs.any():
+        return Difference(spec, int(np.count_nonzero(pixels)), pixels.size, 0.0 if not differs.any() else float("nan"))
+    with np.errstate(invalid="ignore", over="ignore"):
+        by = np.abs(first[differs].astype(np.float64) - second[differs].astype(np.float64))
+    by = by[~np.isnan(by)]
+    return Difference(spec, int(np.count_nonzero(pixels)), pixels.size, float(by.max()) if by.size else float("nan"))
+
+
+# ---- what modules gain -----------------------------------------------------------------------------------------
+
+
+class Ablation(Study):
+    """Gain of each module in this frame, dB of PSNR, over the whole image and by region of A."""
+
+    def why_not(self, here: Here) -> str | None:
+        if here.slot % (here.a.setup.n + 1) == 0:
+            return "a rendered frame: modules work on generated ones"
+        if all(spec.name != names.TRUTH for spec in here.layers):
+            return "this sequence has no ground truth"
+        return None
+
+    def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
+        whole = Want(Key(here.a.recipe, here.slot), NEEDED, keep=False)
+        return {
+            name: (whole, replace(whole, key=Key(here.recipe(without(here.a.setup, name)), here.slot)))
+            for name in modules_of(here.a.setup)
+        }
+
+    def find(self, here: Here, name: Any, *frames: Frame) -> dict[str, float]:
+        whole, part = frames
+        labels = region_labels(whole, here.exposure)
+        errors = [squared_error(*displayed(frame, here.exposure)) for frame in (whole, part)]
+        if errors[0].shape != errors[1].shape:
+            return {}
+        levels = [{region: part.psnr for region, part in parts_of(labels, error).items()} for error in errors]
+        for level, error in zip(levels, errors, strict=True):
+            level[ALL] = METRICS["psnr"].of_mean(float(error.mean()))
+        return {region: levels[0][region] - levels[1][region] for region in levels[0]}
+
+    @property
+    def sorted(self) -> list[tuple[str, dict[str, float]]]:
+        """The modules whose gain is known, the largest first."""
+        known = [(str(name), gains) for name, gains in self.found.items() if isinstance(gains, dict) and gains]
+        return sorted(known, key=lambda one: -one[1][ALL])
+
+
+def modules_of(setup: Setup) -> list[str]:
+    """Return the names of the modules that are on and can be off without another size of the image."""
+    return [
+        name
+        for name, option in OPTIONS.items()
+        if option.is_module and getattr(setup.options, name) != option.off and name not in (UPSCALING, *ALWAYS)
+    ]
+
+
+def without(setup: Setup, module: str) -> Setup:
+    """Return the setup with a module off."""
+    return replace(setup, options=setup.options.changed(module, OPTIONS[module].off))
+
+
+# ---- a row of pixels over time -----------------------------------------------------------------------------------
+
+
+class OverTime(Study):
+    """The row of the displayed layer through the picked pixel, in every slot between the in and the out point."""
+
+    def why_not(self, here: Here) -> str | None:
+        spec = next((spec for spec in here.layers if spec.name == here.shown), None)
+        if here.pixel is None or spec is None:
+            return "click a pixel of the picture: its row is shown in every frame"
+        return None if spec.view in _OF_ROWS else "positions and vectors to places have no rows over time"
+
+    def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
+        first = max(min(here.slot - _MOST_SLOTS // 2, here.slots.stop - _MOST_SLOTS), here.slots.start)
+        slots = [slot for slot in here.slots if first <= slot < first + _MOST_SLOTS]
+        layers = frozenset({here.shown})
+        near = sorted(slots, key=lambda slot: abs(slot - here.slot))
+        return {slot: (Want(Key(here.a.recipe, slot), layers, keep=False),) for slot in near}
+
+    def find(self, here: Here, name: Any, *frames: Frame) -> np.ndarray | None:
+        """Return (W, channels?) of the row, W being the width of the layer's part that is displayed."""
+        image, spec = frames[0].images.get(here.shown), frames[0].specs.get(here.shown)
+        if image is None or spec is None or here.pixel is None:
+            return None
+        image = image[0] if spec.planes > 1 else image
+        x0, y0, x1, y1 = (info := here.info(frames[0])).area(spec)
+        height, width = image.shape[:2]
+        row = int((y0 + (here.pixel[1] + 0.5) / info.display_size[1] * (y1 - y0)) * height)
+        columns = slice(max(round(x0 * width), 0), max(round(x1 * width), 1))
+        return image[min(max(row, 0), height - 1), columns].copy()
+
+    def picture(self, here: Here) -> tuple[np.ndarray, range] | None:
+        """Return (slots, W, channels?) of the rows that are known, zero where they are not, and their slots; None
+        without any."""
+        rows = {int(slot): row for slot, row in self.found.items() if isinstance(row, np.ndarray)}
+        if not rows:
+            return None
+        slots = range(min(rows), max(rows) + 1)
+        shape = rows[slots[0]].shape
+        nothing = np.zeros(shape, rows[slots[0]].dtype)
+        return np.stack([row if (row := rows.get(slot, nothing)).shape == shape else nothing for slot in slots]), slots
