@@ -33,7 +33,7 @@ quality: $(VENV)/.installed-for-tests
 	$(VENV)/bin/python docs/tools/quality.py
 
 # Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
-recorded: $(VENV)/.installed-for-tests
+recorded: $(VENV)/.installed-for-tests $(if $(PICTURES),$(VENV)/.installed-for-examples)
 	$(VENV)/bin/python docs/tools/record_selftest.py
 	$(VENV)/bin/gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json
 	test -z "$(GFFE_GPU_COMPILERS)" || $(VENV)/bin/python docs/tools/gpu_compilers.py
@@ -43,6 +43,7 @@ ifdef PICTURES
 	$(VENV)/bin/python docs/tools/make_pictures.py
 	$(VENV)/bin/python docs/tools/make_stage_pictures.py
 	$(VENV)/bin/python docs/tools/make_symptoms.py
+	$(VENV)/bin/python docs/tools/make_live.py
 endif
 	$(VENV)/bin/python docs/tools/quality.py --write
 	$(VENV)/bin/python docs/tools/make_lessons.py

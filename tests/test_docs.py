@@ -149,12 +149,23 @@ def test_tables_are_up_to_date():
 
 
 def test_tables_of_performance_are_those_of_the_records():
-    from make_performance import TABLES, methods_plot, with_tables
+    from make_performance import TABLES, methods_plot, with_tables, with_times
 
     assert methods_plot() == (ROOT / "docs" / "pictures" / "methods.svg").read_text()
     page = TEXTS["docs/performance.md"]
     assert with_tables(page) == page, "run python docs/tools/make_performance.py"
+    readme = TEXTS["README.md"]
+    assert with_times(readme) == readme and "times:begin" in readme, "run python docs/tools/make_performance.py"
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
+
+
+def test_findings_in_pages_are_those_of_the_doctor():
+    from gffe_cl.captures.doctor.findings import ENTRIES
+
+    known = {entry.partition("/")[0].lower().replace(": ", "-").replace(" ", "-") for entry in ENTRIES}
+    for name in ("doctor", "symptoms", "tutorial_live", "tutorial_own_capture", "sequences"):
+        found = re.findall(r"`((?:color|depth|motion|camera|frames)-[a-z0-9-]+)`", TEXTS[f"docs/{name}.md"])
+        assert set(found) <= known, name
 
 
 def test_tables_of_gpu_compilers_are_those_of_the_record():

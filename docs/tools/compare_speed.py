@@ -14,7 +14,6 @@ runs from submitting a rendered frame to having the extrapolated one; stages are
 medians. A ratio is the median of the ratios within a turn: a quotient of two least times favors the faster version on
 a busy machine, since a short frame fits between the bursts of other programs and a long one does not. "CPU time" is the
 whole process's, per core: where it is far below the wall time, the machine was busy.
-compare_clocks.py compares it with the wall time of `gffe bench` and of a plain loop.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Model of the time that a frame pair takes on GPUs: computed from what is recorded, never measured.
 
 Instructions are those that `gffe bench --traffic` counts, as LLVM has them, times what a GPU's compiler makes of them
-(docs/measured/gpu_compilers.json). Bytes are those that stages declare. The network's convolutions are counted from its
-layers. The rest are the constants here.
+(docs/measured/gpu_compilers.json). Bytes are those that it counts, as far as caches do not serve them. The network's
+convolutions are counted from its layers. The rest are the constants here.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class Assumptions:
     machine: float  # instructions of the reference GPU for one of LLVM, which may compute a vector of four
     active: float  # share of active work-items among those that run in step
     issued: float  # share of the instructions per second that kernels reach, at half of the hardware's threads or more
-    caches: float  # bytes that move for each that must
+    caches: float  # share of the bytes loaded and stored that caches do not serve
     bandwidth: float  # share of the data sheet's bandwidth that is reached
     per_command: float  # microseconds from the end of a command to the start of the next
     host: float  # microseconds of the host's processor for each command
 
 
-KIND = Assumptions(1.5, 0.9, 0.8, 1.0, 0.9, 2, 30)
-HARSH = Assumptions(2.5, 0.7, 0.6, 1.2, 0.7, 6, 80)
+KIND = Assumptions(1.5, 0.9, 0.8, 0.36, 0.9, 2, 30)
+HARSH = Assumptions(2.5, 0.7, 0.6, 0.44, 0.7, 6, 80)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Times:
 
 def model(gpu: Gpu, assumed: Assumptions, group: str) -> Times:
     """Return the time of a frame pair's "GAE" or "SCN", the shading correction without its convolutions."""
-    from gffe_cl.engine.timing.traffic import group as group_of
+    from gffe_cl.engine.timing.parts import group as group_of
 
     kernels = {
         name: moved
@@ -79,8 +79,8 @@ def model(gpu: Gpu, assumed: Assumptions, group: str) -> Times:
     }
     instructions = {name: PIXELS * _nanoseconds(gpu, assumed, name, moved) * 1e-6 for name, moved in kernels.items()}
     per_byte = assumed.caches / (assumed.bandwidth * gpu.bandwidth * 1e6)  # milliseconds
-    memory = {name: PIXELS * moved["declared"] * per_byte for name, moved in kernels.items()}
-    number = recorded("must_move")[SCENE]["commands"][group]
+    memory = {name: PIXELS * (moved["loaded"] + moved["stored"]) * per_byte for name, moved in kernels.items()}
+    number = recorded("memory")[SCENE]["commands"][group]
     commands = number * assumed.per_command * 1e-3
     longer = sum(max(instructions[name], memory[name]) for name in kernels)
     host = number * assumed.host * 1e-3
@@ -101,7 +101,7 @@ def _nanoseconds(gpu: Gpu, assumed: Assumptions, kernel: str, counted: dict[str,
 
 def convolutions(gpu: Gpu, assumed: Assumptions) -> Times:
     """Return the time of the network's convolutions: an instruction for each product in floats, and for four products
-    of bytes; an image is read and written once by each layer."""
+    of bytes; an image moves once for each layer that reads or writes it."""
     from gffe_cl.engine.inference.integer_layers import read_layers
     from gffe_cl.engine.inference.model_interface import CANDIDATE_PLANES, INPUT_PLANES, JUDGEMENT_PLANES
     from gffe_cl.engine.inference.providers import PACKAGED, cpu_model
@@ -111,7 +111,7 @@ def convolutions(gpu: Gpu, assumed: Assumptions) -> Times:
     pixels = [math.prod(sizes.of(f"network{level}")) for level in range(5)]
     given = {"first": 4 * INPUT_PLANES * pixels[0], "taken": 4 * CANDIDATE_PLANES * pixels[1]}
     issued = assumed.active * assumed.issued * gpu.instructions * 1e6 / assumed.machine  # a millisecond
-    per_byte = assumed.caches / (assumed.bandwidth * gpu.bandwidth * 1e6)
+    per_byte = 1 / (assumed.bandwidth * gpu.bandwidth * 1e6)
     layers = read_layers(cpu_model(PACKAGED)).layers
     times = []
     for layer in layers:
@@ -147,12 +147,17 @@ def model_table() -> str:
     return table(heads, rows)
 
 
+def on_the_gpu(group: str) -> str:
+    """Return the range of milliseconds on the first GPU."""
+    return _range(model(GPUS[0], assumed, group).gpu for assumed in (KIND, HARSH))
+
+
 def assumptions_table() -> str:
     said = {
         "machine": "instructions of sm_86 for one of LLVM",
         "active": "active work-items among those that run in step",
         "issued": "instructions per second, share of the data sheet's",
-        "caches": "bytes that move for each that must",
+        "caches": "share of loads and stores that caches do not serve",
         "bandwidth": "memory bandwidth, share of the data sheet's",
         "per_command": "between two commands, µs",
         "host": "processor time of the host for each command, µs",

@@ -1,6 +1,6 @@
-"""Make the film, the picture and the table of mistakes in docs/tutorial_live.md, of the live Panda3D example.
+"""Make the film, the picture and the tables of docs/tutorial_live.md, of the live Panda3D example.
 
-    python docs/tools/make_live.py                 all of them; needs the extra `examples`
+    python docs/tools/make_live.py [quality] [mistakes] [film]     all, if none is named; needs the extra `examples`
 
 A mistake is made on the way from the renderer to gffe-cl; the picture shows what comes out, the table what `gffe.check`
 and `gffe check` find and how far PSNR falls. Nothing may be tuned on this: it shows that conventions matter, not how
@@ -9,6 +9,8 @@ good anything is.
 
 from __future__ import annotations
 
+import json
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,6 +31,7 @@ SIZE, RATE = (480, 270), 15
 FIRST, FRAMES = 66, 6  # of the stretch that mistakes are made on
 CROP = (120, 90, 300, 225)
 AHEAD = 0.9  # intervals after the last rendered frame
+QUALITY = {"15 → 30 frames/s": "", "30 → 60": "--rate 30 --shown 60", "15 → 30, as a game": "--game"}  # options
 FILM_SIZE, FILM_FRAMES = (320, 180), 40
 NEAR, FAR = 0.2, 3000  # of the example's lens
 
@@ -97,6 +100,19 @@ def generated(frames: list[gffe.RenderedFrame], camera: gffe.Camera, time: float
     return gffe.to_display(pipeline.extrapolate(camera, time).numpy("color"))
 
 
+def quality() -> None:
+    """Write the table of quality, which the example prints."""
+    command = [sys.executable, str(DOCS / "examples/panda3d_live.py"), "--offscreen", "--measure", "--frames", "30"]
+    rows = []
+    for rates, options in QUALITY.items():
+        done = subprocess.run([*command, *options.split()], capture_output=True, text=True, check=True)
+        found = json.loads(done.stdout.splitlines()[-1])
+        figures = (f"{found[name]:.2f}" for name in ("repeat", "gffe", "gffe_network"))
+        rows.append((rates, f"`{options}`" if options else "", *figures))
+    heads = "frame rates", "options", "repeat the last frame", "GFFE without its network", "GFFE"
+    write_tables("tutorial_live.md", {"quality": table(heads, rows)})
+
+
 def mistakes(game: Game) -> None:
     """Write the picture and the table."""
     time = (FIRST + FRAMES - 1 + AHEAD) / RATE
@@ -149,7 +165,16 @@ def film(game: Game) -> None:
     print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")
 
 
+def main() -> None:
+    asked = set(sys.argv[1:]) or {"quality", "mistakes", "film"}
+    if "quality" in asked:
+        quality()
+    game = Game(SIZE, offscreen=True) if asked & {"mistakes", "film"} else None
+    if game and "mistakes" in asked:
+        mistakes(game)
+    if game and "film" in asked:
+        film(game)
+
+
 if __name__ == "__main__":
-    game = Game(SIZE, offscreen=True)
-    mistakes(game)
-    film(game)
+    main()

@@ -1,8 +1,8 @@
-"""Writes the tables of docs/performance.md and the plot of methods, from the figures in docs/measured/.
+"""Writes the tables of docs/performance.md, the times in the README and the plot of methods, from docs/measured/.
 
     python docs/tools/make_performance.py                              the tables, from what is recorded
-    python docs/tools/make_performance.py --measure [--sequence DIR]   counts first what must move, on plaza, forest
-                                                                       and a sequence: the same on any machine
+    python docs/tools/make_performance.py --measure [--sequence DIR]   counts first commands and memory, on plaza,
+                                                                       forest and a sequence: the same anywhere
 
 The other records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and on a quiet machine
 `gffe bench --methods --json docs/measured/methods.json`, `gffe bench --io --json docs/measured/io.json` and
@@ -13,16 +13,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gpu_model
-from pages import DOCS, MEASURED, PICTURES, recorded, table, with_all
+from pages import DOCS, MEASURED, PICTURES, REPOSITORY, recorded, table, with_all
 from scatter import Point, scatter
 
-PAGE = DOCS / "performance.md"
+PAGE, README = DOCS / "performance.md", REPOSITORY / "README.md"
 LINE = 120  # characters of a line of text
 REMAP = "remap-bilinear"  # the simplest method that uses motion vectors
 PEER = "dilate-splat"  # the cheapest one with a depth test, on the same runtimes
@@ -31,29 +30,24 @@ BY_REGION = (REMAP, PEER, "no-scn", "gffe")  # columns of the table of regions
 SIZE, SCENES = (1920, 1080), ("plaza", "forest")
 
 
-def must_move_table() -> str:
-    found = recorded("must_move")
-    parts = dict.fromkeys(part for one in found.values() for part in one["must_move"])
+def memory_table() -> str:
+    found = recorded("memory")
     rows = [
-        (_bold(part), *(_number(one["must_move"].get(part), bold=_is_sum(part)) for one in found.values()))
-        for part in parts
+        ("commands, GAE", *(str(one["commands"]["GAE"]) for one in found.values())),
+        ("device memory, GAE, MiB", *(f"{one['memory_gae'] / 2**20:.0f}" for one in found.values())),
     ]
-    rows.append(("commands, GAE", *(str(one["commands"]["GAE"]) for one in found.values())))
-    rows.append(("device memory, GAE, MiB", *(f"{one['memory_gae'] / 2**20:.0f}" for one in found.values())))
-    for share in ("dynamic", "disoccluded", "remembered", "splatted"):
-        rows.append((f"{share} pixels", *(f"{one['shares'][share]:.2%}" for one in found.values())))
-    return table(("bytes per pixel", *(f"`{name}`" for name in found)), rows)
+    return table(("", *(f"`{name}`" for name in found)), rows)
 
 
 def traffic_table() -> str:
     lanes = recorded("traffic")["lanes"]
     first = next(iter(lanes.values()))
     rows = []
-    for name, moved in first.items():
-        counted = (_number(kernels[name]["loaded"] + kernels[name]["stored"], 1) for kernels in lanes.values())
-        rows.append((f"`{name}`", _number(moved["declared"], 1), *counted))
+    for name in first:
+        counted = (f"{kernels[name]['loaded'] + kernels[name]['stored']:.1f}" for kernels in lanes.values())
+        rows.append((f"`{name}`", *counted))
     heads = (f"loaded and stored, {'one pixel' if n == '1' else f'{n} pixels'} a work-item" for n in lanes)
-    return table(("bytes per pixel", "must move", *heads), rows)
+    return table(("bytes per pixel", *heads), rows)
 
 
 def size_of_traffic() -> str:
@@ -163,6 +157,27 @@ def methods_text() -> str:
     return "\n".join(textwrap.wrap(text, LINE, break_on_hyphens=False))
 
 
+def times_text() -> str:
+    """Return the times of a frame of 1920×1080, for the README."""
+    default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
+    gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
+    wall, preset, computed = default["wall"], fast["milliseconds"]["GAE"], gpu_model.on_the_gpu("GAE")
+    rows = {name: _method(name) for name in ("gffe", "no-scn", "performance", PEER)}
+    of_full, of_gae, of_preset, of_peer = (_milliseconds(row["milliseconds"]) for row in rows.values())
+    less = {name: rows["gffe"]["psnr"] - row["psnr"] for name, row in rows.items()}
+    return (
+        f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
+        f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
+        f" ([by stage](docs/performance.md#gpus-measured)). On two cores of an AMD EPYC {of_full} ms with the network,"
+        f" {of_gae} ms without it, and {of_preset} ms with `--preset performance`, which gives"
+        f" {less['performance']:.1f} dB less than the default on `plaza`. The cheapest"
+        f" [other method](docs/performance.md#other-methods) takes {of_peer} ms, with"
+        f" {less[PEER]:.1f} dB less there. Computed for a GeForce RTX 4070 Ti Super"
+        f" ([the model](docs/performance.md#gpus-a-model)): {computed} ms of kernels without the network."
+        " `gffe bench --device gpu` measures yours."
+    )
+
+
 def methods_plot() -> str:
     points = [
         Point(row["milliseconds"], row["psnr"], _label(row), "#2f6fde" if row["method"] in OURS else "#d98b1f")
@@ -172,7 +187,7 @@ def methods_plot() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "must_move": must_move_table,
+    "memory": memory_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
     "model": gpu_model.model_table,
@@ -191,12 +206,17 @@ def with_tables(text: str) -> str:
     return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
+def with_times(text: str) -> str:
+    """Return the README with the times as the records have them now."""
+    return with_all(text, {"times": times_text()})
+
+
 def measure(sequence: Path | None, device: str | None) -> None:
-    """Record what must move, the commands and the memory."""
+    """Record the commands and the memory."""
     from gffe_cl.engine.opencl.device import open_device
 
     found = dict(counted(open_device(device), [*SCENES, *([str(sequence)] if sequence else [])]))
-    (MEASURED / "must_move.json").write_text(json.dumps(found, indent=1) + "\n")
+    (MEASURED / "memory.json").write_text(json.dumps(found, indent=1) + "\n")
 
 
 def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
@@ -215,8 +235,6 @@ def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
                 "commands": result.commands,
                 "memory_gae": result.memory_gae,
                 "memory_by_stage": result.memory_by_stage,
-                "must_move": {part: round(nbytes, 2) for part, nbytes in result.must_move.items()},
-                "shares": {name: round(share, 5) for name, share in result.shares.items()},
             },
         )
 
@@ -251,19 +269,6 @@ def _milliseconds(value: float) -> str:
     return f"{value:.1f}" if value < 10 else f"{value:.0f}"
 
 
-def _number(value: float | None, digits: int = 0, bold: bool = False) -> str:
-    text = "" if value is None or math.isnan(value) else f"{value:.{digits}f}"
-    return f"**{text}**" if bold else text
-
-
-def _is_sum(part: str) -> bool:
-    return part in ("GAE", "SCN")
-
-
-def _bold(part: str) -> str:
-    return f"**{part}**" if _is_sum(part) else part
-
-
 def _runtime(device: str) -> str:
     """Return the short name of a device, from "name (platform)"."""
     known = {"Intel(R) OpenCL": "Intel's runtime", "Portable Computing Language": "PoCL"}
@@ -279,6 +284,7 @@ def main() -> None:
     if asked.measure:
         measure(asked.sequence, asked.device)
     PAGE.write_text(with_tables(PAGE.read_text()))
+    README.write_text(with_times(README.read_text()))
     (PICTURES / "methods.svg").write_text(methods_plot())
 
 

@@ -25,7 +25,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.backward_blocks import BACKWARD
-from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, texel_of
+from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import contact_sheet, error_image
 from gffe_cl.viewer.picture.colors import color_table
@@ -74,7 +74,7 @@ class Moment:
         array = owner.read(spec.name)
         if spec.planes > 1:
             array = np.moveaxis(array, 0, -1)
-        x, y = texel_of(spec.grid)
+        x, y = grid_of(spec.grid).texel
         return array.repeat(y, 0).repeat(x, 1)[: SIZE[1], : SIZE[0]]
 
     def color(self, name: str) -> np.ndarray:

@@ -219,7 +219,7 @@ def cuts(device: Device) -> Panels:
 
 
 def slow(device: Device) -> Panels:
-    footage = Footage(device, "plaza", fps=12)
+    footage = Footage(device, "rotors", alpha=0.5)
     return [
         ("--preset performance", footage.made(footage.frames, Options.preset("performance")).image),
         ("the default without its network", footage.made(footage.frames).image),
@@ -262,7 +262,7 @@ MAKERS: dict[str, tuple[Callable[[Device], Panels], Part | None]] = {
     "invalid": (invalid, Part(374, 88, 96, 54)),
     "hud": (hud, Part(0, 0, 160, 90)),
     "cuts": (cuts, NEAR),
-    "slow": (slow, Part(161, 178, 128, 72)),
+    "slow": (slow, Part(240, 0, 128, 72)),
 }
 
 

@@ -153,11 +153,10 @@ def _accessed(stage: type[Stage], kind: str) -> list[str]:
     """Return the buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
     scratch = ("keys", "winners", ".l", ".weightsl", ".numbersl")  # the last three: of the network's layers
     names = [
-        a.buffer.format_map(_Chosen(kernel.choices, k))
+        name.format_map(_Chosen(kernel.choices, k))
         for kernel in stage.kernels
-        for which, _, a in kernel.accesses()
+        for name in getattr(kernel, kind).values()
         for k in range(max(map(len, kernel.choices.values()), default=1))
-        if which == kind
     ]
     names = [Background.of_level(0).get(name.strip("{}"), name) for name in names]
     names = [re.sub(r"\{\w+\}", "l", name) for name in names]

@@ -9,15 +9,8 @@ import moderngl
 import numpy as np
 
 import gffe_cl as gffe
-from unseen.opengl import (
-    Target,
-    array_bytes,
-    matrix_bytes,
-    mean_of_blocks,
-    offscreen_context,
-    repeating_texture,
-)
-from unseen.recording import Picture, noise_texture, placed, with_sky, wobble
+from unseen.opengl import SupersampledScene, Target, array_bytes, matrix_bytes, repeating_texture
+from unseen.recording import noise_texture, placed, wobble
 
 _SUPERSAMPLING = 3
 _SPEED = 15.0  # of the vehicle, units per second
@@ -117,39 +110,22 @@ void main() {
 _TERRAIN, _DASHBOARD, _GAUGE = 1, 2, 3  # materials; 0: painted
 
 
-class Cockpit:
+class Cockpit(SupersampledScene):
     """A drive through hills: a truck comes, the wiper swings, the steering wheel turns, the head shakes."""
 
     fps = 24.0
 
     def __init__(self, width: int = 640, height: int = 360, frames: int = 16):
-        self.width, self.height, self.frames = width, height, frames
-        self._context = offscreen_context()
+        super().__init__(width, height, frames, _SUPERSAMPLING)
         self._program = self._context.program(vertex_shader=_VERTEX, fragment_shader=_FRAGMENT)
         self._sky = self._context.program(vertex_shader=_SKY_VERTEX, fragment_shader=_SKY)
         corners = self._context.buffer(array_bytes([-1, -1, 3, -1, -1, 3]))
         self._sky_vertices = self._context.vertex_array(self._sky, [(corners, "2f", "corner")])
         repeating_texture(self._context, noise_texture(512, 71, 7, 0.75)[..., None]).use(0)
-        self._targets = [Target(self._context, width * k, height * k, 2) for k in (_SUPERSAMPLING, 1)]
         self._bodies = [(self._mesh(soup), matrix) for soup, matrix in _bodies()]
 
-    def picture(self, time: float, previous: float | None) -> Picture:
-        """Return what is seen at `time` (seconds), with motion since `previous`."""
-        earlier = time if previous is None else previous
-        camera, before = self._camera(time), self._camera(earlier)
-        for target, scale in zip(self._targets, (_SUPERSAMPLING, 1), strict=True):
-            self._draw(target, camera.scaled(scale, scale), before, time, earlier)
-        color = mean_of_blocks(np.clip(self._targets[0].read()[..., :3], 0, 8), _SUPERSAMPLING)
-        found = self._targets[1].read(1)
-        depth, motion = with_sky(found[..., 0], found[..., 1:3], camera, None if previous is None else before)
-        return Picture(color, depth, motion, camera)
-
-    def close(self) -> None:
-        """Release the context."""
-        self._context.release()
-
-    def _draw(self, target: Target, camera: gffe.Camera, before: gffe.Camera, time: float, earlier: float) -> None:
-        target.clear()
+    def draw(self, target: Target, camera: gffe.Camera, before: gffe.Camera, now: float, earlier: float) -> None:
+        """Draw the sky, and before it everything else as it is placed `now`."""
         sun = array_bytes(np.array([-0.55, 0.45, 0.6]) / np.linalg.norm([0.55, 0.45, 0.6]))
         pinhole = array_bytes(camera.intrinsics)
         shared = {"view_to_world": matrix_bytes(camera.view_to_world), "pinhole": pinhole, "sun": sun}
@@ -166,11 +142,12 @@ class Cockpit:
         for name, value in shared.items():
             self._program[name].write(value)
         for vertices, matrix in self._bodies:
-            self._program["model"].write(matrix_bytes(matrix(time)))
+            self._program["model"].write(matrix_bytes(matrix(now)))
             self._program["previous_view_model"].write(matrix_bytes(before.view_matrix("opengl") @ matrix(earlier)))
             vertices.render(moderngl.TRIANGLES)
 
-    def _camera(self, time: float) -> gffe.Camera:
+    def camera(self, time: float) -> gffe.Camera:
+        """Return the camera at `time`: a head that shakes in the vehicle."""
         head = placed((-0.35, 0, 1.25)) @ placed([0.012 * wobble(time, _SHAKES, seed) for seed in (1, 2, 3)])
         head = head @ placed((0, 0, 0), 0.012 * wobble(time, _SHAKES, 4), (1, 0, 0))
         world_to_head = np.linalg.inv(_vehicle(time) @ head)

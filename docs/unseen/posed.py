@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import moderngl
 import numpy as np
 
 import gffe_cl as gffe
-from unseen.opengl import (
-    Target,
-    array_bytes,
-    matrix_bytes,
-    mean_of_blocks,
-    offscreen_context,
-    repeating_texture,
-)
-from unseen.recording import Picture, noise_texture, with_sky
+from unseen.opengl import SupersampledScene, Target, array_bytes, matrix_bytes, repeating_texture
+from unseen.recording import noise_texture
 
 _SUPERSAMPLING = 2
 _NEAR, _FAR = 0.05, 200.0
@@ -61,7 +52,7 @@ void main() {
 """
 
 
-class PosedScene(ABC):
+class PosedScene(SupersampledScene):
     """A generator that draws triangles which a shader poses.
 
     Parameters
@@ -79,38 +70,20 @@ class PosedScene(ABC):
     fps = 30.0
 
     def __init__(self, width: int, height: int, frames: int, vertices: np.ndarray, pose: str, shade: str, background):
-        self.width, self.height, self.frames = width, height, frames
+        super().__init__(width, height, frames, _SUPERSAMPLING)
         self._background = np.asarray(background, np.float32)
-        self._context = offscreen_context()
         self._program = self._context.program(vertex_shader=_VERTEX % pose, fragment_shader=_FRAGMENT % shade)
         names = ("position", "paint", "kind", "first", "second")
         buffer = self._context.buffer(array_bytes(vertices))
         self._vertices = self._context.vertex_array(self._program, [(buffer, "3f 3f 1f 4f 4f", *names)])
         repeating_texture(self._context, noise_texture(256, 91, 6, 0.7)[..., None]).use(0)
-        self._targets = [Target(self._context, width * k, height * k, 2) for k in (_SUPERSAMPLING, 1)]
 
-    @abstractmethod
-    def camera(self, time: float) -> gffe.Camera:
-        """Return the camera at `time` (seconds)."""
+    def shown(self, samples: np.ndarray) -> np.ndarray:
+        """Return colors (H, W, 3) of drawn samples (H, W, 4): the background where nothing was drawn."""
+        return np.where(samples[..., 3:] > 0, samples[..., :3], self._background)
 
-    def picture(self, time: float, previous: float | None) -> Picture:
-        """Return the picture at `time` (seconds), with motion since `previous`."""
-        earlier = time if previous is None else previous
-        camera, before = self.camera(time), self.camera(earlier)
-        for target, scale in zip(self._targets, (_SUPERSAMPLING, 1), strict=True):
-            self._draw(target, camera.scaled(scale, scale), before, time, earlier)
-        sharp = self._targets[0].read()
-        sharp = np.where(sharp[..., 3:] > 0, sharp[..., :3], self._background)
-        found = self._targets[1].read(1)
-        depth, motion = with_sky(found[..., 0], found[..., 1:3], camera, None if previous is None else before)
-        return Picture(mean_of_blocks(sharp, _SUPERSAMPLING), depth, motion, camera)
-
-    def close(self) -> None:
-        """Release the context."""
-        self._context.release()
-
-    def _draw(self, target: Target, camera: gffe.Camera, before: gffe.Camera, now: float, earlier: float) -> None:
-        target.clear()
+    def draw(self, target: Target, camera: gffe.Camera, before: gffe.Camera, now: float, earlier: float) -> None:
+        """Draw the scene as its vertices are posed `now`."""
         self._context.enable(moderngl.DEPTH_TEST)
         projection = camera.projection_matrix("opengl", target.width, target.height, _NEAR, _FAR)
         values = {

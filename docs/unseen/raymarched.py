@@ -8,8 +8,8 @@ import moderngl
 import numpy as np
 
 import gffe_cl as gffe
-from unseen.opengl import Target, array_bytes, matrix_bytes, mean_of_blocks, offscreen_context
-from unseen.recording import Picture, placed, with_sky, wobble
+from unseen.opengl import SupersampledScene, Target, array_bytes, matrix_bytes
+from unseen.recording import placed, wobble
 
 _BALLS = 5
 _MOVERS = _BALLS + 2  # and two rings that turn
@@ -162,29 +162,26 @@ void main() {
 """
 
 
-class Raymarched:
+class Raymarched(SupersampledScene):
     """A flight between pillars while balls swing, rings turn and the sun moves."""
 
     fps = 24.0
 
     def __init__(self, width: int = 854, height: int = 480, frames: int = 12):
-        self.width, self.height, self.frames = width, height, frames
-        self._context = offscreen_context()
+        super().__init__(width, height, frames, _SUPERSAMPLING, outputs=1)
         field = _FIELD % (_MOVERS, _BALLS)
         corners = self._context.buffer(array_bytes([-1, -1, 3, -1, -1, 3]))
-        self._passes = []
-        for source, scale in ((_COLOR, _SUPERSAMPLING), (_GEOMETRY, 1)):
+        self._passes = {}
+        for source, target in zip((_COLOR, _GEOMETRY), self._targets, strict=True):
             program = self._context.program(vertex_shader=_VERTEX, fragment_shader=field + source)
             vertices = self._context.vertex_array(program, [(corners, "2f", "corner")])
-            target = Target(self._context, width * scale, height * scale)
-            self._passes.append((program, vertices, target, scale))
+            self._passes[target] = program, vertices
 
-    def picture(self, time: float, previous: float | None) -> Picture:
-        """Return what is seen at `time` (seconds), with motion since `previous`."""
-        earlier = time if previous is None else previous
-        camera, before = self._camera(time), self._camera(earlier)
-        places, old_places = _places(time), _places(earlier)
-        angle = 3.9 + 0.35 * time
+    def draw(self, target: Target, camera: gffe.Camera, before: gffe.Camera, now: float, earlier: float) -> None:
+        """Draw colors into the target with samples, depth and motion into the other."""
+        program, vertices = self._passes[target]
+        places, old_places = _places(now), _places(earlier)
+        angle = 3.9 + 0.35 * now
         values = {
             "view_to_world": matrix_bytes(camera.view_to_world),
             "previous_view": matrix_bytes(before.world_to_view),
@@ -193,27 +190,16 @@ class Raymarched:
                 matrix_bytes(old @ np.linalg.inv(new)) for new, old in zip(places, old_places, strict=True)
             ),
             "sun": array_bytes(np.array([math.cos(angle), math.sin(angle), 0.75]) / math.hypot(1, 0.75)),
+            "pinhole": array_bytes(camera.intrinsics),
+            "size": array_bytes([target.width, target.height]),
         }
-        for program, vertices, target, scale in self._passes:
-            scaled = camera.scaled(scale, scale)
-            given = values | {
-                "pinhole": array_bytes(scaled.intrinsics), "size": array_bytes([target.width, target.height])
-            }  # fmt: skip
-            for name, value in given.items():
-                if name in program:
-                    program[name].write(value)
-            target.clear()
-            vertices.render(moderngl.TRIANGLES, vertices=3)
-        color = mean_of_blocks(np.clip(self._passes[0][2].read()[..., :3], 0, 8), _SUPERSAMPLING)
-        found = self._passes[1][2].read()
-        depth, motion = with_sky(found[..., 0], found[..., 1:3], camera, None if previous is None else before)
-        return Picture(color, depth, motion, camera)
+        for name, value in values.items():
+            if name in program:
+                program[name].write(value)
+        vertices.render(moderngl.TRIANGLES, vertices=3)
 
-    def close(self) -> None:
-        """Release the context."""
-        self._context.release()
-
-    def _camera(self, time: float) -> gffe.Camera:
+    def camera(self, time: float) -> gffe.Camera:
+        """Return the camera at `time`: it flies forward and rolls."""
         position = np.array(
             [1.9 + 0.5 * math.sin(1.3 * time), -9.5 + 3.2 * time, 1.9 + 0.25 * wobble(time, (2, 3.7), 2)]
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -291,23 +291,22 @@ def _parse_lanes(text: str) -> list[int]:
 def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     from gffe_cl.engine.timing.bench import PAPER, growth
 
-    heads = (*(f"{r.width}×{r.height}" for r in results), "must move", "paper, 1080p")
+    heads = (*(f"{r.width}×{r.height}" for r in results), "paper, 1080p")
     title = plain(f"{name}, {_label(info)}")
     table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
     last = results[-1]
     for part in results[0].milliseconds:
         figures = [f"{r.bytes_per_pixel[part]:.0f} ({r.milliseconds[part]:.2f})" for r in results]
-        must = f"{last.must_move[part]:.0f}" if part in last.must_move else ""
         style = "bold" if part in ("GAE", "SCN") else None
-        table.add_row(part, *figures, must, str(PAPER.get(part) or ""), style=style)
-    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "", "")
-    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "", "672")
-    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "", "")
-    table.add_row("of which GAE's", *(f"{r.memory_gae / 2**20:.0f}" for r in results), "", "")
+        table.add_row(part, *figures, str(PAPER.get(part) or ""), style=style)
+    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
+    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
+    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
+    table.add_row("of which GAE's", *(f"{r.memory_gae / 2**20:.0f}" for r in results), "")
     commands = (" + ".join(f"{n} {part}" for part, n in r.commands.items()) for r in results)
-    table.add_row("commands for both frames", *commands, "", "")
+    table.add_row("commands for both frames", *commands, "")
     if last.provider:
-        table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "", "")
+        table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "")
     out.print(table)
     if last.reason:
         out.print(f"What runs the network: {plain(last.provider)}, {plain(last.reason)}.")
@@ -318,8 +317,6 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
         )
     if (power := growth(results)) is not None:
         out.print(f"GAE grows as pixels^{power:.2f}.")
-    shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())
-    out.print(f"Must move: as the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
     sizes = ", ".join(f"{stage} {nbytes / 2**20:.1f}" for stage, nbytes in last.memory_by_stage.items())
     out.print(f"Device memory at these sizes, MiB: {sizes}; two rendered frames beside, motion of one.")
 
@@ -371,17 +368,16 @@ def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
 
 
 def _print_traffic(loop: FrameLoop, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
-    from gffe_cl.engine.timing.traffic import group
+    from gffe_cl.engine.timing.parts import group
 
     form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
     title = plain(f"{loop.name}, a part of {loop.width}×{loop.height}, {form}")
-    heads = ("must move", "loaded", "stored", "counted : must move")
-    table = Table("bytes per pixel", *heads, title=title, box=None, header_style="bold")
+    heads = ("bytes loaded", "bytes stored", "instructions")
+    table = Table("per pixel", *heads, title=title, box=None, header_style="bold")
     gae = {name: moved for name, moved in kernels.items() if group(name.partition(".")[0]) == "GAE"}
     for name, moved in kernels.items():
-        ratio = f"{moved.counted / moved.declared:.1f}" if moved.declared >= 0.1 else ""
-        table.add_row(name, *(f"{n:.1f}" for n in (moved.declared, moved.loaded, moved.stored)), ratio)
-    sums = [sum(getattr(moved, field) for moved in gae.values()) for field in ("declared", "loaded", "stored")]
-    table.add_row("GAE", *(f"{n:.1f}" for n in sums), f"{sum(sums[1:]) / sums[0]:.1f}", style="bold")
+        table.add_row(name, *(f"{n:.1f}" for n in astuple(moved)))
+    sums = map(sum, zip(*map(astuple, gae.values()), strict=True))
+    table.add_row("GAE", *(f"{n:.1f}" for n in sums), style="bold")
     out.print(table)
-    out.print("Loaded and stored: counted by Oclgrind, without caches; must move: the declarations of the stages.")
+    out.print("Counted by Oclgrind: bytes without caches, and instructions of LLVM that compute or reach memory.")

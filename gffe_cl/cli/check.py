@@ -61,9 +61,9 @@ def check(
 
     Exit code 0: nothing, warnings or notes; 1: faults, which break results.
     """
-    from gffe_cl.captures.doctor import Finding, examine, open_for_check, require_findings, selected
+    from gffe_cl.captures.doctor import examine, open_for_check, require_findings, selected
     from gffe_cl.captures.doctor.choosing import fixed_by
-    from gffe_cl.captures.doctor.findings import NOTE
+    from gffe_cl.captures.doctor.findings import finding
     from gffe_cl.captures.doctor.report import as_json, html_report, summary
 
     require_findings(only or (), "--only")
@@ -72,13 +72,13 @@ def check(
         raise GffeError("--only and --except select findings for --fix (expected --fix FOLDER)")
     opened, repaired = open_for_check(sequence)
     diagnosis = examine(opened, opened.exposure)
-    diagnosis.findings[:0] = repaired + [Finding(NOTE, "frames", "of the reader", text) for text in opened.notes]
+    diagnosis.findings[:0] = repaired + [finding("frames: of the reader", note=text) for text in opened.notes]
     title = f"{sequence}: {len(opened.rendered)} rendered frames, {opened.width}×{opened.height}"
     looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
     out.print(plain(title + looked))
-    for finding in diagnosis.findings:
-        name = f" ({plain(finding.id)})" if finding.fix else ""
-        out.print(f"[{_STYLES[finding.kind]}]{finding.kind}[/] {plain(finding)}{name}", soft_wrap=True)
+    for one in diagnosis.findings:
+        name = f" ({plain(one.id)})" if one.fix else ""
+        out.print(f"[{_STYLES[one.kind]}]{one.kind}[/] {plain(one)}{name}", soft_wrap=True)
     for line in summary(diagnosis):
         out.print(plain(line), soft_wrap=True)
     chosen = selected(diagnosis, only or (), without or ())

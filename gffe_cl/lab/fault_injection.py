@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gffe_cl.captures.doctor.repair import static_motion
 from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.captures.sequence.description import check_times
 from gffe_cl.captures.sequence.encoding import Encoding
@@ -46,18 +47,6 @@ class Kept:
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
         return self.images[int(entry.file[6:12])]
-
-
-def static_motion(frame: RenderedFrame, other: Camera) -> np.ndarray:
-    """Return the motion (H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, minus
-    where it is."""
-    height, width = frame.depth.shape
-    y, x = np.mgrid[:height, :width] + 0.5
-    px = np.stack([x, y], -1)
-    with np.errstate(invalid="ignore"):
-        depth = np.where((frame.depth > 0) & (frame.depth < 1e9), frame.depth, 1e9)
-    with np.errstate(all="ignore"):
-        return other.project(frame.camera.unproject(px, depth))[0] - px
 
 
 def _each(change: Callable[[RenderedFrame], dict]) -> Callable:

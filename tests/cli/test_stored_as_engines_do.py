@@ -1,5 +1,6 @@
 """Sequences that are stored as engines have them, through the command line: every encoding of `gffe render --encode`,
-every key of a `frame_format` and of a frame's geometry, each through every command that reads or writes sequences."""
+every key of a `frame_format` and of a frame's geometry, each through commands that write sequences; a few of them
+through all other commands, which read sequences in the same way."""
 
 import json
 import math
@@ -214,10 +215,10 @@ def assert_same(one, other):
 
 
 INEXACT = {"unorm8", "noisy-camera", "engine"}
-FEW = {"exact", "game", "streamline", "frame.geometry_size"}  # the others take minutes
+FEW = ("exact", "game", "streamline", "frame.geometry_size")  # the others take minutes
 every_input = pytest.mark.parametrize("name", INPUTS)
 some_inputs = pytest.mark.parametrize("name", few(INPUTS, *FEW))
-long_inputs = pytest.mark.parametrize("name", few(INPUTS))
+representatives = pytest.mark.parametrize("name", FEW[1:])  # plain sequences: tests of the commands themselves
 
 
 @every_input
@@ -237,7 +238,7 @@ def test_run(made, name):
     assert worse < INPUTS[name].loss, f"{worse:.3f} dB"
 
 
-@some_inputs
+@representatives
 def test_run_goes_on_from_its_output(made, name):
     """The same rendered frames, the same new ones."""
     first, again = made.run(name), made.run(name, "again")
@@ -307,7 +308,7 @@ def test_check(made, name, tmp_path):
         assert frame.camera == mine.camera
 
 
-@some_inputs
+@representatives
 def test_calibrate(made, name, tmp_path, capsys):
     """Cameras are recovered from converted depth and motion; files stay as they are."""
     given, out = open_sequence(made.sequence(name)), tmp_path / "out"
@@ -328,7 +329,7 @@ def test_calibrate(made, name, tmp_path, capsys):
         assert np.abs(off).max() < (0.25 if INPUTS[name].encoding else 0.02)  # vectors may be rounded to pixels
 
 
-@some_inputs
+@representatives
 def test_export(made, name, tmp_path):
     """Frames for the exported program are in our conventions."""
     given = open_sequence(made.sequence(name))
@@ -340,7 +341,7 @@ def test_export(made, name, tmp_path):
         np.testing.assert_array_equal(np.frombuffer(read["motion"], np.float32).reshape(H, W, 2), motion)
 
 
-@some_inputs
+@representatives
 def test_bench(made, name, tmp_path, monkeypatch):
     monkeypatch.setattr(bench, "_COPY_BYTES", 1 << 20)
     report = tmp_path / "bench.json"
@@ -348,7 +349,8 @@ def test_bench(made, name, tmp_path, monkeypatch):
     assert report.exists()
 
 
-@long_inputs
+@representatives
+@pytest.mark.long
 def test_eval(made, name, tmp_path):
     """The table's pipeline is that of `gffe run`: as good, against the same truth."""
     given, out, report = made.sequence(name), tmp_path / "out", tmp_path / "compare.json"
@@ -362,7 +364,8 @@ def test_eval(made, name, tmp_path):
         assert frame["psnr"] == pytest.approx(known[round(frame["time"], 6)], abs=0.01)
 
 
-@long_inputs
+@representatives
+@pytest.mark.long
 def test_view(made, name, tmp_path):
     """The viewer reads the same frames, makes the same new one, and saves both as EXR."""
     given, script, shot = open_sequence(made.sequence(name)), tmp_path / "steps.txt", tmp_path / "shot.png"

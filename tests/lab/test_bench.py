@@ -75,17 +75,15 @@ def test_bench_of_shading_correction(gffe, tmp_path):
 
 
 def test_bench_of_upscaling(gffe, tmp_path):
-    """A row of its own, beside GAE of the smaller frames; all that it declares has a size."""
+    """A row of its own, beside GAE of the smaller frames."""
     options = ("--sizes", "64x48", "--repeats", 1, "--json", tmp_path / "b.json", "--kernels")
     code, text, _ = gffe("bench", *options, "--upscale", 2)
     assert code == 0 and "upscaling.accumulate" in text
     for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
         (size,) = one["sizes"]
-        parts, moved = size["milliseconds"], size["must_move"]
+        parts = size["milliseconds"]
         assert (size["width"], size["height"]) == (64, 48) and parts["upscaling"] > 0
         assert parts["GAE"] == pytest.approx(sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling")))
-        assert 40 < moved["upscaling"] < 150
-        assert moved["history"] < 11  # a quarter of the pixels
 
 
 def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
@@ -334,7 +332,7 @@ def test_counts_are_parsed():
 
 def test_growth_of_traffic_is_named():
     def report(**loaded):
-        kernels = {name: {"declared": 1.0, "loaded": n, "stored": 10.0} for name, n in loaded.items()}
+        kernels = {name: {"loaded": n, "stored": 10.0} for name, n in loaded.items()}
         return {"lanes": {"1": kernels}}
 
     assert counting.grown(report(a=90.0, b=5.0), report(a=94.0, b=2.0)) == []
@@ -378,7 +376,3 @@ def test_versions_are_compared(tmp_path):
     assert child.returncode == 0 and "GAE" in child.stdout, child.stderr[-2000:]
     (one,) = json.loads((tmp_path / "c.json").read_text())["of"]
     assert one["ratio"]["GAE"] > 0 and set(one["old"]) == set(one["new"]) >= {"GAE", "wall time", "CPU time"}
-    script = [sys.executable, str(ROOT / "docs" / "tools" / "compare_clocks.py"), "--size", "64x48"]
-    child = subprocess.run([*script, "--turns", "1", "--pairs", "2"], capture_output=True, text=True, timeout=300)
-    names = [line.split("  ")[0] for line in child.stdout.splitlines()[2:]]
-    assert names == ["plain loop", "gffe bench", "compare_speed.py"], child.stderr[-2000:]

@@ -16,7 +16,7 @@ from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.engine.stages.buffers import Sizes, texel_of
+from gffe_cl.engine.stages.buffers import Sizes, grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
@@ -885,7 +885,7 @@ def test_a_texel_is_shown_where_its_pixels_are(canvas, grid):
     canvas.upload("n", texels, LayerSpec("n", "N", "g", "scalar", grid=grid))
     y, x = np.mgrid[: size[1], : size[0]]
     image = drawn(canvas, View("n", Display(color_map="gray"), center=(30.5, 18.5)), size)
-    side = texel_of(grid)
+    side = grid_of(grid).texel
     close(image, np.repeat(texels[y // side[1], x // side[0]][..., None], 3, -1), 1.5)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
-from gffe_cl.engine.stages.buffers import lies_on_source, texel_of
+from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.buffers import moved
 from gffe_cl.viewer.panels import status
@@ -189,12 +189,12 @@ def inspector(gui: Gui):
         moment = model.contents.result.moment
         below = moved((x + 0.5, y + 0.5), moment.display_camera, moment.render_camera)  # in the rendered image
         below = tuple(int(np.floor(c)) for c in below)
-        on_source = {spec.name for spec in model.contents.layers if lies_on_source(spec.grid)}
+        on_source = {spec.name for spec in model.contents.layers if grid_of(spec.grid).lies_on_source}
         both = [(name, value, below if name in on_source else (x, y)) for name, value in inspection.values.items()]
         both += [(name, value, at_source) for name, value in inspection.origin.items()]
         for name, value, px in both:
             spec, image = model.contents.spec(name), images[name]
-            px = tuple(c // side for c, side in zip(px, texel_of(spec.grid), strict=True))
+            px = tuple(c // side for c, side in zip(px, grid_of(spec.grid).texel, strict=True))
             here = np.ravel(image[:, px[1], px[0]] if spec.planes > 1 else image[px[1], px[0]])
             compared.append(name)
             if not np.array_equal(np.ravel(value), here, equal_nan=True):

@@ -203,14 +203,13 @@ def doctor(gui: Gui):
 
 @case
 def kernel_timings(gui: Gui):
-    """A stage is opened: each of its kernels, with what it had to move beside what it took."""
+    """A stage is opened: each of its kernels, with the bytes per pixel that its time is."""
     model, values = gui.model, gui.values
     gui.ctx.window_focus("//Timings")
     gui.frames(3)
     gui.app.docks.panel("Inspector").is_visible = False
     gui.click("//Timings/###bandwidth")
-    gui.wait(lambda: model.engine.bandwidth and model.engine.traffic, "bandwidth and traffic")
-    values["must move"] = {stage: sum(kernels.values()) for stage, kernels in model.engine.traffic.items()}
+    gui.wait(lambda: model.engine.bandwidth, "bandwidth")
     values["stages"], values["kernels"] = sorted(model.timings.means()), sorted(model.timings.of_stage("warp"))
     values["sum"] = sum(model.timings.of_stage("warp").values()), model.timings.means()["warp"]
     before = gui.window()

@@ -11,7 +11,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
+from gffe_cl.engine.stages.buffers import BufferSpec, grid_of, spread, texels_over
 from . import names
 from .layers import FRAME_BUFFERS, named_images
 
@@ -101,11 +101,11 @@ class DeviceLayer:
     def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
         """Return the pixel or texel for display pixel `px` and for `source_px`, a position in the rendered image;
         None if there is none."""
-        if lies_on_source(self.spec.grid):
+        if grid_of(self.spec.grid).lies_on_source:
             if source_px is None:
                 return None
             px = int(np.floor(source_px[0] * self.scale[0])), int(np.floor(source_px[1] * self.scale[1]))
-        x, y = (c // side for c, side in zip(px, texel_of(self.spec.grid), strict=True))
+        x, y = (c // side for c, side in zip(px, grid_of(self.spec.grid).texel, strict=True))
         return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None
 
 
@@ -191,7 +191,8 @@ def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> PixelValues:
     moment, layers = shot.moment, device_layers(pipeline, shot)
     shown = moved((x + 0.5, y + 0.5), moment.display_camera, moment.render_camera)
     places = {("here", name): layer.place((x, y), shown) for name, layer in layers.items()}
-    moving = frozenset(name for name, layer in layers.items() if moment.alpha and lies_on_source(layer.spec.grid))
+    of_rendered = (name for name, layer in layers.items() if grid_of(layer.spec.grid).lies_on_source)
+    moving = frozenset(of_rendered if moment.alpha else ())
     source_px = source_position(pipeline, shot, x, y) if moving else None
     places |= {("origin", name): layers[name].place((x, y), source_px) for name in moving}
     read = read_blocks(pipeline, {key: (layers[key[1]], *at, 1, 1) for key, at in places.items() if at})

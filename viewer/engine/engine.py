@@ -36,7 +36,6 @@ _ACTIVITIES = {
     "source": "opening",
     "kernels": "building kernels",
     "bandwidth": "measuring bandwidth",
-    "traffic": "counting bytes that must move",
 }
 
 
@@ -70,8 +69,6 @@ class Engine:
         GB/s of copying, once measured.
     wake : callable
         Called on the thread when files that are watched have changed.
-    traffic : dict
-        Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
 
     def __init__(self, open_the_device: Callable[[], Device] = open_viewer_device, store: Store | None = None):
@@ -81,7 +78,6 @@ class Engine:
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error, self.build_log = 0, None, ""
         self.bandwidth: float | None = None
-        self.traffic: dict[str, dict[str, float]] = {}
         self.cuts: dict[Recipe, frozenset[int]] = {}
         self.wake: Callable[[], object] = lambda: None
         self._news = self.store.news
@@ -148,10 +144,6 @@ class Engine:
         """Measure `bandwidth`, once; takes a second, and 512 MiB on the device."""
         if self.bandwidth is None:
             self._post("bandwidth", self._do_bandwidth)
-
-    def count_traffic(self, want: Want) -> None:
-        """Count `traffic` for a slot; reads some layers back."""
-        self._post("traffic", partial(self._do_traffic, want))
 
     @property
     def nbytes(self) -> int:
@@ -263,10 +255,6 @@ class Engine:
     def _do_bandwidth(self) -> None:
         if self.bandwidth is None:
             self.bandwidth = Copier(self._need_device()).bandwidth()
-
-    def _do_traffic(self, want: Want) -> None:
-        if self.source is not None and want.key.recipe.source == self._opened:
-            self.traffic = self._holding(want).must_move()
 
     def _do_want(self, want: Want) -> None:
         """Make what is wanted. A failure of it is what is shown in its place."""

@@ -121,7 +121,7 @@ class Frame:
 @dataclass(frozen=True)
 class Failure:
     """Reason why there is nothing, in one line. `during`: "slot", "network" (of shading correction, while a slot was
-    made), "inspection", and of the engine's other work "device", "source", "kernels", "bandwidth", "traffic"."""
+    made), "inspection", and of the engine's other work "device", "source", "kernels", "bandwidth"."""
 
     error: str
     during: str = "slot"

@@ -21,7 +21,6 @@ from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
-from gffe_cl.engine.timing import traffic
 from . import names
 from .buffers import Moment, Shot
 from .explain.motion_trail import Passed
@@ -60,7 +59,6 @@ class Seeker:
         self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
         self._presented = None
         self._focus: FocusMask | None = None  # made when it is asked for
-        self.launched: traffic.Launches = {}  # by the last slot, without warm-up
 
     @property
     def _running(self) -> Pipeline:
@@ -126,13 +124,7 @@ class Seeker:
             if self.source.has_truth:
                 buffers[names.TRUTH] = shown.color
             self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
-        self.launched = self._count_launches()
         return self.shot
-
-    def _count_launches(self) -> traffic.Launches:
-        """Return the launches since the last call."""
-        counting = self._running.board.commands
-        return counting.take_launches() if isinstance(counting, traffic.CountingCommands) else {}
 
     def find_focus(self, truth: np.ndarray) -> None:
         """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
@@ -151,7 +143,6 @@ class Seeker:
             self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps,
             format=source.format,
         )  # fmt: skip
-        self.pipeline.board.commands = traffic.CountingCommands(self.pipeline)
         if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
             self._ring = []
             self._upload = Upload(Board(self.device, Sizes(source.render_size, source.render_size)))
@@ -172,7 +163,6 @@ class Seeker:
         pipeline = self._running
         if last:
             pipeline.take_timings()  # of the warm-up: not this slot's
-            self._count_launches()
         pipeline.exposure = self.source.exposure
         pipeline.submit(self.stored or frame)
         if self.stored:  # the pipeline has converted it

@@ -14,7 +14,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.timing import traffic
+from gffe_cl.engine.timing.parts import memory
 from . import names
 from .buffers import Shot, device_layers, moved, pixel_values, read_layers, source_position
 from .description import changed_motion, in_words
@@ -105,7 +105,7 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
-        self.nbytes = sum(traffic.memory(pipeline).values()) + source.nbytes
+        self.nbytes = sum(memory(pipeline).values()) + source.nbytes
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3
@@ -150,14 +150,6 @@ class SlotMaker:
         except GffeError as error:
             notes.append(str(error))
             return None
-
-    def must_move(self) -> dict[str, dict[str, float]]:
-        """Return bytes per display pixel, by stage and kernel, that the slot made last had to move; empty without
-        one."""
-        pipeline = self._seeker.pipeline
-        if pipeline is None or self._seeker.shot is None:
-            return {}
-        return traffic.bytes_per_pixel(pipeline, self._seeker.launched, traffic.counters(pipeline))
 
     def inspect(self, x: int, y: int) -> Inspection | None:
         """Return the values of the last slot at display pixel (x, y); None outside, and without a slot."""

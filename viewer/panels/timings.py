@@ -13,7 +13,6 @@ from .interface import Interface
 
 _COLUMNS = {"stage": 0.38, "time": 0.2, "ms": 0.17, "bytes/px": 0.25}
 _NARROW = 20.0  # em: a narrower table has no bars
-_PALE = 0.4  # of a bar's color: bytes that did not have to move
 
 
 def draw(app: Interface) -> None:
@@ -86,59 +85,49 @@ def _pacing(told: list) -> None:
         implot.end_plot()
 
 
-def _cost(
-    model: Model, columns: list[str], milliseconds: float, longest: float | None, color, must: float | None = None
-) -> None:
+def _cost(model: Model, columns: list[str], milliseconds: float, longest: float | None, color) -> None:
     """Draw the cells of those `columns` that there are: a bar, full for the `longest` stage; milliseconds; and bytes
-    per pixel with those that `must` move, which are a darker part of the bar."""
+    per pixel."""
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
     moved = milliseconds * 1e6 * bandwidth / pixels if bandwidth else None
-    part = None if moved is None or must is None else must / max(moved, 1e-9)
     if "time" in columns:
         imgui.table_next_column()
         if longest is not None:
-            _bar(milliseconds / max(longest, 1e-9), part, color)
+            _bar(milliseconds / max(longest, 1e-9), color)
     imgui.table_next_column()
     imgui.text(f"{milliseconds:.2f}")
     if "bytes/px" not in columns:
         return
     imgui.table_next_column()
-    imgui.text(("–" if moved is None else f"{moved:.0f}") + ("" if must is None else f" / {must:.0f}"))
-    widgets.tooltip(
-        "bytes per pixel: measured" + ("" if must is None else " / had to move, as its stage declares them")
-    )
+    imgui.text("–" if moved is None else f"{moved:.0f}")
 
 
 def _kernels(model: Model, columns: list[str], stage: str, longest: float, color) -> None:
     """Draw a row for each kernel of a stage."""
-    must_move = model.engine.traffic.get(stage, {})
     for kernel, milliseconds in model.timings.of_stage(stage).items():
         imgui.table_next_column()
         imgui.indent(hello_imgui.em_size(2))
         imgui.text(widgets.cut(kernel, imgui.get_content_region_avail().x))
         widgets.tooltip(kernel)
         imgui.unindent(hello_imgui.em_size(2))
-        _cost(model, columns, milliseconds, longest, color, must_move.get(kernel))
+        _cost(model, columns, milliseconds, longest, color)
 
 
-def _bar(share: float, necessary: float | None, color) -> None:
-    """Draw a bar in a cell: `share` of its width, of this the part `necessary` full, the rest paler where that is
-    known."""
+def _bar(share: float, color) -> None:
+    """Draw a bar in a cell: `share` of its width."""
     origin, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
     width = max(imgui.get_content_region_avail().x * min(share, 1.0), 1.0)
-    draw, parts = imgui.get_window_draw_list(), ((1.0, _PALE), (min(necessary or 0.0, 1.0), 1.0))
-    for part, opacity in parts if necessary is not None else ((1.0, 1.0),):
-        corner = ImVec2(origin.x + width * part, origin.y + 0.85 * height)
-        ink = imgui.get_color_u32(ImVec4(color.x, color.y, color.z, opacity))
-        draw.add_rect_filled(ImVec2(origin.x, origin.y + 0.2 * height), corner, ink)
+    corner = ImVec2(origin.x + width, origin.y + 0.85 * height)
+    ink = imgui.get_color_u32(ImVec4(color.x, color.y, color.z, 1.0))
+    imgui.get_window_draw_list().add_rect_filled(ImVec2(origin.x, origin.y + 0.2 * height), corner, ink)
 
 
 def _measure(model: Model, bandwidth: float | None) -> None:
     if bandwidth:
         imgui.text_wrapped(f"bytes per pixel = time × {bandwidth:.1f} GB/s of copying ÷ pixels")
-    if imgui.button(f"{'measure' if bandwidth is None else 'count again'}###bandwidth"):
-        model.measure_cost()
+        return
+    if imgui.button("measure###bandwidth"):
+        model.engine.measure_bandwidth()
     widgets.tooltip(
-        "Bandwidth as in `gffe bench` (takes a second and 512 MiB on the device), and the bytes that the displayed"
-        " frame had to move. Open a stage to compare them with the measured ones"
+        "Bandwidth as in `gffe bench` (takes a second and 512 MiB on the device): times become bytes per pixel"
     )

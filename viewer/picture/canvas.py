@@ -15,7 +15,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from gffe_cl.engine.stages.buffers import lies_on_source
+from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.engine.stages.frame_block import reprojection
 from ..engine import names
 from ..engine.layers import VIEWS, LayerSpec
@@ -388,11 +388,11 @@ class Canvas:
             "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
             "tint": display.tint,
             "label_flip": colors.label_flip(spec),
-            "mask_area": frame.source_area if lies_on_source(spec.grid) else frame.target_area,
+            "mask_area": frame.source_area if grid_of(spec.grid).lies_on_source else frame.target_area,
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
         variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
-        mask = "" if frame.is_true(spec) else invalid.RENDERED if lies_on_source(spec.grid) else invalid.SHOWN
+        mask = "" if frame.is_true(spec) else invalid.RENDERED if grid_of(spec.grid).lies_on_source else invalid.SHOWN
         return _Shown(layer, variant, uniforms, mask)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.stages.buffers import Sizes, lies_on_source, texel_of
+from gffe_cl.engine.stages.buffers import Sizes, grid_of
 from ..engine import names
 from ..engine.layers import NATIVE, LayerSpec
 from .colors import COLOR_MAPS, Rgb
@@ -119,12 +119,12 @@ class FrameInfo:
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         """Return the part of a layer that covers the display, in fractions of its sides. Where texels cover several
         pixels, the last ones may reach beyond the image."""
-        area = self.source_area if lies_on_source(spec.grid) else self.target_area
-        if spec.grid.startswith(_NOT_LAID):
+        area = self.source_area if grid_of(spec.grid).lies_on_source else self.target_area
+        if grid_of(spec.grid).kind in _NOT_LAID:
             return area
-        image = (self.render_size if lies_on_source(spec.grid) else self.target_size) or self.display_size
+        image = (self.render_size if grid_of(spec.grid).lies_on_source else self.target_size) or self.display_size
         texels = Sizes(image, image).of(spec.grid)
-        x, y = (n / (m * side) for n, m, side in zip(image, texels, texel_of(spec.grid), strict=True))
+        x, y = (n / (m * side) for n, m, side in zip(image, texels, grid_of(spec.grid).texel, strict=True))
         return area[0] * x, area[1] * y, area[2] * x, area[3] * y
 
     def own_place(self, spec: LayerSpec) -> tuple[float, float, float, float]:
@@ -156,7 +156,7 @@ def default_display(spec: LayerSpec) -> Display:
     display = Display(channel=spec.channels[0])
     if spec.view == "depth":
         display = replace(display, color_map="turbo", low=1.0, high=100.0)
-    if spec.grid.startswith("network"):
+    if grid_of(spec.grid).kind == "network":
         display = replace(display, color_map="gray")
     if spec.limits:
         display = replace(display, low=spec.limits[0], high=spec.limits[1])

@@ -739,12 +739,6 @@ class Model:
 
     # ---- telling -------------------------------------------------------------------------------------------
 
-    def measure_cost(self) -> None:
-        """Measure bandwidth, and the bytes that the displayed slot had to move."""
-        self.engine.measure_bandwidth()
-        if self.showing.shown is not None:
-            self.engine.count_traffic(self.showing.shown.a)
-
     def examine(self) -> None:
         """Have the doctor look at the sequence."""
         self.doctor = Doctor(self.source.sequence)

@@ -7,15 +7,8 @@ from collections.abc import Collection
 from dataclasses import replace
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
-from gffe_cl.captures.doctor.findings import (
-    BOTTOM_UP,
-    DISPLAY_VALUES,
-    TWICE,
-    Finding,
-    finding_id,
-    fixable_ids,
-    jitter_id,
-)
+from gffe_cl.captures.doctor.differences import jitter_id
+from gffe_cl.captures.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, FIXABLE, TWICE, Finding, finding_id
 from gffe_cl.captures.doctor.hypotheses.depths import AS_GIVEN
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
@@ -26,10 +19,9 @@ ON_REQUEST = finding_id("color", DISPLAY_VALUES)
 
 def require_findings(names: Collection[str], option: str) -> None:
     """Raise GffeError unless all `names` are findings that can be repaired."""
-    known = fixable_ids()
     for name in names:
-        if name not in known:
-            raise GffeError(f"{option} {shown(name)}: no such finding (expected one of {', '.join(known)})")
+        if name not in FIXABLE:
+            raise GffeError(f"{option} {shown(name)}: no such finding (expected one of {', '.join(FIXABLE)})")
 
 
 def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collection[str] = ()) -> Diagnosis:
@@ -63,8 +55,7 @@ def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collecti
 
 def fixed_by(diagnosis: Diagnosis) -> list[str]:
     """Return the ids of the findings of `diagnosis` that can be repaired or left."""
-    known = set(fixable_ids())
-    return list(dict.fromkeys(f.id for f in diagnosis.findings if f.fix and f.id in known))
+    return list(dict.fromkeys(f.id for f in diagnosis.findings if f.fix and f.id in FIXABLE))
 
 
 def _names(findings: list[Finding], about: str) -> tuple[str, ...]:

@@ -8,24 +8,18 @@ from functools import cache
 
 import numpy as np
 
+from gffe_cl.captures.doctor.differences import faults_of, jitter_id, no_law_fault
 from gffe_cl.captures.doctor.dilation import dilation_notes
 from gffe_cl.captures.doctor.effects import effects_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import (
-    DISPLAY_VALUES,
     FAULT,
-    JITTER_DIFFERS,
-    JITTERS,
-    MISFIT,
     NO_LAW,
-    NOTE,
-    ORIGIN_SHIFTED,
     UNEXPLAINED,
-    UNKNOWN,
     Finding,
-    faults_of,
-    jitter_id,
-    no_law_fault,
+    finding,
+    frames_in_words,
+    listed,
 )
 from gffe_cl.captures.doctor.format_keys import tell_keys
 from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
@@ -36,7 +30,7 @@ from gffe_cl.captures.doctor.hypotheses.missing_camera_motion import without_cam
 from gffe_cl.captures.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.captures.doctor.hypotheses.row_order import search_rows
 from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Look, take_looks, with_rows
-from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, color_gain, frame_offsets
+from gffe_cl.captures.doctor.hypotheses.scoring import ResidualChange, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
 from gffe_cl.captures.doctor.hypotheses.world_shift import Shift, world_shift
@@ -101,7 +95,7 @@ class Diagnosis:
     looks: list[Look] = field(default_factory=list, repr=False)
 
     def of_kind(self, kind: str) -> list[Finding]:
-        return [finding for finding in self.findings if finding.kind == kind]
+        return [one for one in self.findings if one.kind == kind]
 
     @property
     def runner_up(self) -> Verdict | None:
@@ -153,9 +147,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         return _examine_without(clip, exposure, repeated)
     found.findings += repeated.findings()
     if not any(PREVIOUS in look.neighbors for look in found.looks):
-        found.findings.append(
-            Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
-        )
+        found.findings.append(finding("frames: single frames"))
         return found
     steps = motion_steps(found.looks)
     step, added = largest_step(steps), False
@@ -204,7 +196,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         found.findings += dilation_notes(clip, deep)
         found.findings += [*user_interface_notes(clip, deep, exposure), *effects_notes(clip, deep, exposure)]
     found.findings += [*mends.findings, *repeated_pixel_notes(clip, deep)]
-    if all(fault.name in JITTERS for fault in found.faults):
+    if all(fault.is_of_jitter for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
@@ -227,11 +219,11 @@ def _examine_without(clip: Clip, exposure: float, repeated: RepeatedFrames) -> D
     """Examine `clip` without the frames that were recorded twice, and return the diagnosis."""
     kept = [k for k in range(len(clip.rendered)) if k not in repeated.whole]
     found = examine(Reordered(clip, kept), exposure)
-    for finding in found.findings:
-        if "frame" in finding.figures:
-            index = finding.figures["frame"]
-            finding.sentence = finding.sentence.replace(f"frame {index} (", f"frame {kept[index]} (")
-            finding.figures["frame"] = kept[index]
+    for one in found.findings:
+        if "frame" in one.figures:
+            index = one.figures["frame"]
+            one.sentence = one.sentence.replace(f"frame {index} (", f"frame {kept[index]} (")
+            one.figures["frame"] = kept[index]
     order = found.order and found.order.order
     found.order = Order({}, [], [kept[k] for k in order] if order else kept)
     found.findings[:0] = replace(repeated, color=[]).findings()
@@ -242,7 +234,7 @@ def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Dia
     found = examine(Reordered(clip, order), exposure)
     if found.order is not None and found.order.order is not None:
         order = [order[k] for k in found.order.order]
-        found.findings = [finding for finding in found.findings if finding.name != "out of order"]
+        found.findings = [one for one in found.findings if one.name != "out of order"]
     found.order, found.given = Order({}, [], order), given.given
     found.looks = given.looks
     _judge_order(found, {}, {}, {})
@@ -313,13 +305,12 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
         found.best, found.reading, mirrored = found.given, Reading(), None
     found.findings += faults_of(found.reading, stored)
     if unexplained and left is None:
-        found.findings.append(_unexplained())
+        found.findings.append(finding("frames: unexplained"))
     if found.reading.jitter and not whose:
         _doubt_jitter(found)
     if mirrored is not None:
-        instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
-        sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
-        found.findings.append(Finding(UNKNOWN, "frames", "upside down", sentence))
+        instead = ", ".join(fault.id for fault in faults_of(mirrored, bench.stored[bench.solid]))
+        found.findings.append(finding("frames: upside down", instead=instead))
 
 
 def _explaining(
@@ -363,7 +354,7 @@ def _is_clear(verdict: Verdict, search_of: Callable[[tuple[str, ...]], Search]) 
     before, after = search_of(()), search_of(reading.rows)
     given, read = before.motions(Reading(), before.full), after.motions(reading, after.full)
     solid = before.full.solid
-    compared = [Comparison.of(given, read, part, before.step) for part in before.full.parts(solid)]
+    compared = [ResidualChange.of(given, read, part, before.step) for part in before.full.parts(solid)]
     telling = [one for one in compared if one is not None]
     if telling and 2 * sum(one.is_better for one in telling) <= len(telling):
         return False
@@ -412,12 +403,9 @@ def _whose_jitter(reading: Reading, search_of: Callable[[tuple[str, ...]], Searc
 
 def _doubt_jitter(found: Diagnosis) -> None:
     """Take back which part lacks jitter, or has too much of it."""
-    fault = next(finding for finding in found.findings if finding.id == jitter_id(found.reading.jitter))
-    fault.name, fault.fix = JITTER_DIFFERS, ""
-    fault.sentence = (
-        "motion vectors and cameras differ by another part of a pixel in every frame: jitter is in one of them alone,"
-        " and colors do not tell which of them is right"
-    )
+    part = found.reading.jitter
+    place = next(k for k, fault in enumerate(found.findings) if fault.id == jitter_id(part))
+    found.findings[place] = finding(f"{part}: jitter differs")
 
 
 def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
@@ -429,8 +417,7 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         motion, static = search.motions(reading, search.full)
         use = search.full.solid & np.isfinite(motion).all(-1) & ~np.isin(search.full.frame, cuts)
         if not use.any():
-            sentence = "no pixel of the frames that were compared has a usable depth and a usable motion vector"
-            found.findings.append(Finding(FAULT, "frames", "nothing usable", sentence))
+            found.findings.append(finding("frames: nothing usable"))
             found.residuals.clear()
             return
         off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
@@ -441,12 +428,7 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
     roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1])
     explained = any(fault.name in (UNEXPLAINED, NO_LAW) for fault in found.faults)
     if (off <= roughly).mean() < _UNEXPLAINED and not explained:
-        found.findings.append(_unexplained())
-
-
-def _unexplained() -> Finding:
-    sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
-    return Finding(FAULT, "frames", UNEXPLAINED, sentence)
+        found.findings.append(finding("frames: unexplained"))
 
 
 def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | Shift | None]:
@@ -508,38 +490,27 @@ def _judge_order(
     order = found.order
     assert order is not None  # examined before
     if order.order is not None:
-        moved = [str(k) for k, at in enumerate(order.order) if k != at]
-        sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
-        found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
+        moved = listed(k for k, at in enumerate(order.order) if k != at)
+        found.findings.append(finding("frames: out of order", frames=moved))
         return
+
+    def add(entry: str, index: int, figures: dict | None = None, **values) -> None:
+        figures = {"frame": index} | (figures or {})
+        found.findings.append(finding(entry, figures, frame=index, file=looks[index].file, **values))
+
     for index in [k for k in order.misfits if k in ends]:
-        sentence = f"why frame {index} ({looks[index].file}) does not follow the frame before: a frame may be missing,"
-        sentence += f" or vectors or cameras are one frame {ends[index]}"
-        found.findings.append(Finding(UNKNOWN, "frames", MISFIT, sentence, figures={"frame": index}))
+        add("frames: misfit at the end", index, when=ends[index])
     breaks = {index: one for index, one in breaks.items() if index not in ends}
     shifts = {index: one for index, one in breaks.items() if isinstance(one, Shift)}
     for index, shift in shifts.items():
-        sentence = (
-            f"from frame {index} ({looks[index].file}) on they are {shift}: the origin of the world was shifted, as"
-        )
-        sentence += " vectors and colors go on"
-        figures = {"frame": index, "matrix": shift.matrix.tolist()}
-        found.findings.append(Finding(FAULT, "camera", ORIGIN_SHIFTED, sentence, "cameras are moved back", figures))
+        add("camera: origin shifted", index, {"matrix": shift.matrix.tolist()}, shift=shift)
     for index, factor in breaks.items():
         if isinstance(factor, Shift):
             continue
-        sentence = f"gap before frame {index} ({looks[index].file}): it shows what the frame before shows, but its"
-        sentence += " vectors do not lead there"
-        sentence += f"; they are {factor:.2f} times as long as by depth and cameras" if factor else ""
-        sentence += "" if factor and factor > 1 else "; a frame may be missing"
-        found.findings.append(
-            Finding(FAULT, "frames", "gap", sentence, "the frame is marked as a reset", {"frame": index})
-        )
+        length = f"; they are {factor:.2f} times as long as by depth and cameras" if factor else ""
+        add("frames: gap", index, length=length, doubt="" if factor and factor > 1 else "; a frame may be missing")
     for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in breaks and k not in ends):
-        sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
-        found.findings.append(
-            Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})
-        )
+        add("frames: cut", index)
 
 
 def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
@@ -551,18 +522,18 @@ def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
             places.setdefault(name, (look.index, x, y))
     total.long, _ = 0, where.pop("long", None)  # these have a note of their own
     if total:
-        sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
-        figures, places = dict(vars(total)), {name: places[name] for name in where}
-        found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=figures, places=places))
+        first = "; ".join(f"{name} in {place}" for name, place in where.items())
+        note = finding("frames: bad pixels", dict(vars(total)), counts=total, first=first)
+        note.places = {name: places[name] for name in where}
+        found.findings.append(note)
 
 
 def _note_resets(found: Diagnosis, entries: list[FrameEntry]) -> None:
     """Add a note about frames after the first that are marked as resets."""
-    resets = [str(k) for k, entry in enumerate(entries) if k and entry.reset]
+    resets = [k for k, entry in enumerate(entries) if k and entry.reset]
     if resets:
-        frames = f"frames {', '.join(resets[:12])}{' …' if len(resets) > 12 else ''} are resets"
-        sentence = f"{frames if len(resets) > 1 else f'frame {resets[0]} is a reset'}: what leads across is left out"
-        found.findings.append(Finding(NOTE, "frames", "reset", sentence, figures={"frames": len(resets)}))
+        frames = frames_in_words(resets, "is a reset", "are resets")
+        found.findings.append(finding("frames: reset", {"frames": len(resets)}, frames_are=frames))
 
 
 def _note_late(found: Diagnosis, entries: list[FrameEntry]) -> None:
@@ -573,12 +544,11 @@ def _note_late(found: Diagnosis, entries: list[FrameEntry]) -> None:
     if usual <= 0 or (np.abs(intervals - usual) <= (_LATE - 1) * usual).mean() < _STEADY:
         return
     moves = _camera_moves(entries, list(range(1, len(entries))))
-    named = {finding.figures.get("frame") for finding in found.findings}
+    named = {one.figures.get("frame") for one in found.findings}
     for k in (np.flatnonzero((intervals > _LATE * usual) & ~moves) + 1).tolist():
         if not entries[k].reset and k not in named:
-            sentence = f"frame {k} ({entries[k].file}) comes {intervals[k - 1] / usual:.3g} intervals after the frame"
-            sentence += " before: if one is missing, its vectors lead there, and it must be a reset"
-            found.findings.append(Finding(NOTE, "frames", "late", sentence, figures={"frame": k}))
+            late = {"frame": k, "file": entries[k].file, "intervals": intervals[k - 1] / usual}
+            found.findings.append(finding("frames: late", {"frame": k}, **late))
 
 
 def _note_sky(found: Diagnosis, search: Search) -> None:
@@ -594,20 +564,14 @@ def _note_sky(found: Diagnosis, search: Search) -> None:
     if turning.sum() < 16 or found.reading.motion.adds_camera:
         return
     if np.median(np.linalg.norm(motion[turning], axis=-1)) < _SKY_STILL:
-        sentence = "the sky has no motion although the camera turns: harmless, it is taken from the camera"
-        found.findings.append(Finding(NOTE, "motion", "sky without motion", sentence, "sky gets the camera's motion"))
+        found.findings.append(finding("motion: sky without motion"))
 
 
 def _judge_colors(found: Diagnosis) -> None:
     votes = display_curve_votes(found.looks)
     if votes.verdict:
-        sure = votes.verdict == "display values"
-        words = "colors are display values (sRGB), not linear" if sure else "colors may be display values (sRGB)"
-        sentence = f"{words}: {votes.share:.0%} of {votes.telling} antialiased silhouettes are evidence of it"
-        figures = votes._asdict()
-        found.findings.append(
-            Finding(FAULT if sure else NOTE, "color", DISPLAY_VALUES, sentence, "colors are made linear", figures)
-        )
+        entry = "color: display values" + ("" if votes.verdict == "display values" else "/perhaps")
+        found.findings.append(finding(entry, votes._asdict(), share=votes.share, telling=votes.telling))
 
 
 def _tell_unknown(found: Diagnosis, search: Search) -> None:
@@ -624,9 +588,5 @@ def _tell_unknown(found: Diagnosis, search: Search) -> None:
     if not use.any():
         return
     if np.quantile(shifted[use], 0.9) < _VISIBLE:
-        if np.quantile(turned[use], 0.9) < _VISIBLE:
-            sentence = "the camera stands still: cameras and depth cannot be checked, and motion only on movers"
-            found.findings.append(Finding(UNKNOWN, "camera", "still camera", sentence))
-        else:
-            sentence = "the camera only turns: depth and the cameras' positions cannot be checked"
-            found.findings.append(Finding(UNKNOWN, "depth", "rotation only", sentence))
+        still = np.quantile(turned[use], 0.9) < _VISIBLE
+        found.findings.append(finding("camera: still camera" if still else "depth: rotation only"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import DILATED, NOTE, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip
 from gffe_cl.captures.sequence.post_effects import nearest_motion
 from gffe_cl.engine.opencl.program import constants
@@ -28,12 +28,7 @@ def dilation_notes(clip: Clip, indices: list[int]) -> list[Finding]:
     dilated, total = counts.tolist()
     if total < _FEWEST or dilated < _SHARE * total:
         return []
-    share = dilated / total
-    sentence = (
-        f"dilated: {share:.0%} of the pixels beside a nearer surface have its vector"
-        " (describe that by FrameFormat.motion_dilated, which undoes it)"
-    )
-    return [Finding(NOTE, "motion", DILATED, sentence, figures={"share": share})]
+    return [finding("motion: dilated", {"share": dilated / total}, share=dilated / total)]
 
 
 def count_beside_edges(depth: np.ndarray, motion: np.ndarray) -> tuple[int, int]:

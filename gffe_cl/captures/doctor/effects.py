@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import EFFECTS, NOTE, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip, encoded
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
@@ -25,14 +25,7 @@ def effects_notes(clip: Clip, indices: list[int], exposure: float) -> list[Findi
         if frame.motion is not None and np.shape(before.color) == np.shape(frame.color):
             found.append(float(moving_colors(frame, before, exposure).mean()))
     share = min(found, default=0.0)  # one that lasts
-    if share < _LEAST:
-        return []
-    sentence = (
-        f"in {share:.0%} of the picture colors move over a surface otherwise than its vectors: an effect without depth"
-        " (smoke, fire, a trail), a shadow or a reflection. New frames carry it with the surface; what can be drawn"
-        " after extrapolation, like a user interface, stays sharp"
-    )
-    return [Finding(NOTE, "color", EFFECTS, sentence, figures={"share": share})]
+    return [finding("color: moves by itself", {"share": share}, share=share)] if share >= _LEAST else []
 
 
 def moving_colors(frame: RenderedFrame, before: RenderedFrame, exposure: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, NEVER_WRITTEN, NOTE, Finding
+from gffe_cl.captures.doctor.findings import FAULT, Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 
 FEWEST = 16  # usable samples in all frames
@@ -48,9 +48,8 @@ def _unwritten(share: float, what: str, value: np.ndarray | None) -> Finding:
     """Return the note about vectors that were never written. `value`: that of most of them, in pixels."""
     percent = f"{share:.0%}" if share >= 0.01 else f"{100 * share:.1g}%"
     one = "" if value is None else f" ({value[0]:.6g}, {value[1]:.6g} px)"
-    sentence = f"{percent} of the motion vectors {what}{one}: they count as unknown"
     figures = {"share": share, "value": None if value is None else value.tolist()}
-    return Finding(NOTE, "motion", NEVER_WRITTEN, sentence, figures=figures)
+    return finding("motion: never written", figures, share=percent, what=what, value=one)
 
 
 def _set_aside(look: Look, unwritten) -> float:
@@ -96,7 +95,7 @@ def too_few_usable(looks: Iterable[Look]) -> list[Finding]:
     found = _few("color", looks, _usable_color, _why_no_color, "", 0.0)
     depth = _few("depth", moving or looks, _usable_depth, _why_no_depth, "surface", _LEAST_DEPTH)
     motion = _few("motion", moving, _usable_motion, _why_no_motion, "vector", _LEAST_MOTION)
-    if any(finding.kind == FAULT for finding in depth):  # vectors of sky are compared with nothing anyway
+    if any(one.kind == FAULT for one in depth):  # vectors of sky are compared with nothing anyway
         return found + depth
     return found + depth + motion
 
@@ -110,12 +109,10 @@ def _few(about: str, looks: list[Look], usable, why, what: str, least: float) ->
     empty = [look.file for look, share in zip(looks, shares, strict=True) if share == 0]
     if not count or count < min(FEWEST, 0.5 * total) or count < least * total:
         number = "no pixel has" if not count else f"only {count / total:.1%} of the pixels have"
-        sentence = f"{number} a usable {about} ({why(looks)}): nothing can be compared"
-        return [Finding(FAULT, about, "nothing usable", sentence, figures={"usable": count / total})]
+        return [finding(f"{about}: nothing usable", {"usable": count / total}, pixels=number, why=why(looks))]
     if empty and what:
         files = ", ".join(empty[:_MOST_NAMED]) + (", …" if len(empty) > _MOST_NAMED else "")
-        sentence = f"no pixel of {files} has a usable {about}"
-        return [Finding(NOTE, about, "nothing usable in some frames", sentence, figures={"files": empty})]
+        return [finding(f"{about}: nothing usable in some frames", {"files": empty}, files=files)]
     return []
 
 

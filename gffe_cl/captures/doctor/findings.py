@@ -1,58 +1,20 @@
-"""Findings of the doctor: plain sentences with their evidence."""
+"""Findings of the doctor: the table of all that it can report, with sentences and repairs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from gffe_cl.captures.doctor.hypotheses import cameras, motions
-from gffe_cl.captures.doctor.hypotheses.camera_jitter import INVERSE
-from gffe_cl.captures.doctor.hypotheses.cameras import CameraReading, axes_in_words
-from gffe_cl.captures.doctor.hypotheses.depths import (
-    AS_GIVEN,
-    DEVICE,
-    FLOAT_BITS,
-    PLANAR,
-    RANGE,
-    DepthReading,
-    Planes,
-    is_from_0_to_1,
-    misread_range,
-)
-from gffe_cl.captures.doctor.hypotheses.laws import Misfit
-from gffe_cl.captures.doctor.hypotheses.search import Reading
 from gffe_cl.engine.core.errors import printable
 
 FAULT, WARNING, NOTE, UNKNOWN = "fault", "warning", "note", "cannot tell"
-DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, NEVER_WRITTEN = "display values", "bottom-up", "range", "never written"
-UNEXPLAINED = "unexplained"
-JITTER, NO_JITTER, JITTER_DIFFERS = "jitter not removed", "jitter missing", "jitter differs"
-_MENDED_JITTER = (JITTER, NO_JITTER, *(f"jitter {difference}" for difference in INVERSE if difference != "absent"))
-JITTERS = (*_MENDED_JITTER, JITTER_DIFFERS)
-OTHER_FRAME = ("one frame late", "one frame early")  # buffers, and cameras
-CUT_OFF = "cut off"
-TWICE, ORIGIN_SHIFTED = "recorded twice", "origin shifted"
-SEVERAL_VIEWS, IN_PART = "several views", "partly another convention"
-LOGARITHMIC, BITS, NO_LAW = "logarithmic", "bits of floats", "no known law"
-DILATED, INTERFACE, JITTERED, REPEATED = "dilated", "user interface", "jittered", "repeated"
-EFFECTS = "moves by itself"
-MISFIT, SOME_FRAME = "misfit at the end", "of another frame"
-TOLD = (CUT_OFF, SEVERAL_VIEWS, INTERFACE, REPEATED, DILATED)  # notes that the quick form names, too
-DOUBTS = (MISFIT, SOME_FRAME)  # the same, of what cannot be told
-_RANGES = {
-    2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
-    0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
-}
-_JITTER_OF = {  # the part whose jitter is missing or not removed: name and sentence
-    "motion": (
-        JITTER,
-        "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
-    ),
-    "camera": (NO_JITTER, "the cameras lack the jitter that motion vectors and colors have"),
-}
-_UNITS = {100.0: "in centimeters, {0} in meters", 1000.0: "in millimeters, {0} in meters"}
-_UNIT_SLACK = 0.03
+DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, LOGARITHMIC = "display values", "bottom-up", "range", "logarithmic"
+NEVER_WRITTEN, UNEXPLAINED, NO_LAW = "never written", "unexplained", "no known law"
+DILATED, INTERFACE, REPEATED = "dilated", "user interface", "repeated"
+TWICE, ORIGIN_SHIFTED, IN_PART = "recorded twice", "origin shifted", "partly another convention"
+JITTER, NO_JITTER = "jitter not removed", "jitter missing"
+OTHER_FRAME = "one frame late", "one frame early"  # buffers, and cameras
+_MOST_NAMED = 12
 
 
 @dataclass
@@ -77,6 +39,11 @@ class Finding:
         """Stable name for `--only` and `--except`: `motion-y-flipped`."""
         return finding_id(self.about, self.name)
 
+    @property
+    def is_of_jitter(self) -> bool:
+        """Whether jitter of cameras or motion vectors is wrong."""
+        return self.name.startswith("jitter ")
+
     def __str__(self) -> str:
         change = f"; in the capture's sequence.json, {self.change}" if self.change else ""
         return printable(f"{self.about}: {self.sentence}{change}")
@@ -86,140 +53,244 @@ def finding_id(about: str, name: str) -> str:
     return f"{about} {name}".lower().replace(" ", "-")
 
 
-def fixable_ids() -> list[str]:
-    """Return the ids of all findings that `gffe check --fix` can repair or leave."""
-    names = {
-        "color": (DISPLAY_VALUES, BOTTOM_UP, *OTHER_FRAME),
-        "motion": (*motions.SENTENCES, *_MENDED_JITTER, "sky without motion", BOTTOM_UP),
-        "depth": (
-            "device",
-            "reversed",
-            "along rays",
-            "units",
-            "negative",
-            RANGE_MISREAD,
-            LOGARITHMIC,
-            BITS,
-            BOTTOM_UP,
-            *OTHER_FRAME,
-        ),
-        "camera": (*cameras.SENTENCES, "field of view", *_MENDED_JITTER, *OTHER_FRAME, ORIGIN_SHIFTED),
-        "frames": ("out of order", TWICE, "cut", "gap"),
-    }
-    return [finding_id(about, name) for about, group in names.items() for name in group]
-
-
-def jitter_id(part: str) -> str:
-    """Return the id of the finding that the jitter of a `part` of a reading is missing or not removed; "" for none."""
-    return finding_id(part, _JITTER_OF[part][0]) if part else ""
-
-
-def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
-    """Return one finding for every difference between `reading` and the sequence as given. `stored`: sampled depths."""
-    found = [
-        Finding(
-            FAULT,
-            buffer,
-            BOTTOM_UP,
-            f"rows of the {buffer} are stored from the bottom up",
-            "rows are turned upside down",
-        )
-        for buffer in reading.rows
-    ]
-    found += [
-        Finding(FAULT, "motion", part, motions.SENTENCES[part], "motion vectors are converted")
-        for part in reading.motion.parts
-    ]
-    found += _camera_faults(reading.camera)
-    if reading.depth != AS_GIVEN:
-        found.append(_depth_fault(reading.depth, stored))
-    if reading.jitter:
-        name, sentence = _JITTER_OF[reading.jitter]
-        found.append(Finding(FAULT, reading.jitter, name, sentence, "a constant per frame is taken off"))
-    return found
-
-
-def _camera_faults(camera: CameraReading) -> list[Finding]:
-    found = []
-    axes = camera.axes if camera.axes_before is None else camera.axes_before
-    for part in camera.parts:
-        sentence = cameras.SENTENCES[part].format(axes=axes_in_words(axes))
-        found.append(Finding(FAULT, "camera", part, sentence, "matrices are converted"))
-    if camera.focal != 1:
-        percent = 100 * (camera.focal - 1)
-        sentence = (
-            f"the field of view is off: focal lengths are {abs(percent):.1f}% too {'long' if percent > 0 else 'short'}"
-        )
-        found.append(
-            Finding(FAULT, "camera", "field of view", sentence, "focal lengths are divided", {"focal": camera.focal})
-        )
-    return found
-
-
-def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
-    c = depth.coefficients
-    stretched = misread_range(c[-1]) if depth.model in (RANGE, PLANAR) else None
-    if stretched:
-        figures = {"factor": stretched, "offset": c[0] if depth.model is RANGE else 0.0}
-        return Finding(
-            FAULT, "depth", RANGE_MISREAD, _RANGES[stretched], "depths are converted to linear again", figures
-        )
-    if depth.model is DEVICE:
-        return _device_fault(depth, stored)
-    if depth.model.added is not None:
-        return _logarithmic_fault(depth, stored)
-    if depth.model in FLOAT_BITS:
-        sentence = f"the numbers are the {depth.model.name}, read as integers (expected an array of floats)"
-        return Finding(FAULT, "depth", BITS, sentence, "bits are read as floats", {"unit": 1 / c[0]})
-    if depth.model is PLANAR:
-        return _unit_fault(1 / c[0] if c[0] else np.inf)
-    also = "" if abs(c[0] - 1) < _UNIT_SLACK else f", and in units of {1 / c[0]:.4g} of the cameras'"
-    sentence = f"depth is the distance along rays, not along the view axis{also}"
-    return Finding(
-        FAULT, "depth", "along rays", sentence, "depths are divided by their rays' lengths", {"unit": 1 / c[0]}
+_CHANGES_OF_JITTER = (
+    "of the opposite sign",
+    "of the opposite sign in x",
+    "of the opposite sign in y",
+    "twice as large",
+    "half as large",
+)
+_LATE = "one frame late: each frame has that of the frame before it"
+_EARLY = "one frame early: each frame has that of the frame after it"
+_AFTER = "is taken from the frame after; the last frame, whose own one was not recorded, is left out"
+_BEFORE = "is taken from the frame before; the first frame is left out"
+# For each kind of finding and its repair ("" for none): sentences by buffer and name, with places for values. What
+# follows a slash tells wordings of one finding apart.
+_TABLE: dict[tuple[str, str], dict[str, str]] = {
+    (FAULT, "colors are made linear"): {
+        "color: display values": "colors are display values (sRGB), not linear: {share:.0%} of {telling}"
+        " antialiased silhouettes are evidence of it",
+    },
+    (NOTE, "colors are made linear"): {
+        "color: display values/perhaps": "colors may be display values (sRGB): {share:.0%} of {telling} antialiased"
+        " silhouettes are evidence of it",
+    },
+    (FAULT, "rows are turned upside down"): {
+        f"{about}: bottom-up": f"rows of the {about} are stored from the bottom up"
+        for about in ("color", "depth", "motion")
+    },
+    (FAULT, f"color {_AFTER}"): {"color: one frame late": f"color is {_LATE}"},
+    (FAULT, f"color {_BEFORE}"): {"color: one frame early": f"color is {_EARLY}"},
+    (FAULT, f"depth {_AFTER}"): {"depth: one frame late": f"depth is {_LATE}"},
+    (FAULT, f"depth {_BEFORE}"): {"depth: one frame early": f"depth is {_EARLY}"},
+    (FAULT, f"camera {_AFTER}"): {"camera: one frame late": f"cameras are {_LATE}"},
+    (FAULT, f"camera {_BEFORE}"): {"camera: one frame early": f"cameras are {_EARLY}"},
+    (FAULT, "motion vectors are converted"): {
+        "motion: negated": "motion vectors are negated: they point from the previous position to here (current −"
+        " previous)",
+        "motion: y flipped": "the y of motion vectors is flipped: they count upwards",
+        "motion: x flipped": "the x of motion vectors is flipped: they count leftwards",
+        "motion: x and y swapped": "x and y of motion vectors are swapped",
+        "motion: in UV": "motion vectors are in UV (shares of the image), not in pixels",
+        "motion: in NDC": "motion vectors are in normalized device coordinates (−1 … 1), not in pixels",
+        "motion: twice too long": "motion vectors are twice too long",
+        "motion: half as long as they are": "motion vectors are half as long as the motion is",
+        "motion: to the next frame": "motion vectors point to the next frame, not to the previous one",
+        "motion: one frame late": "motion vectors are one frame late: each frame holds those of the frame before it",
+        "motion: one frame early": "motion vectors are one frame early: each frame holds those of the frame after it",
+        "motion: without the camera": "motion vectors contain only the movement of objects: the camera's part is"
+        " missing",
+        "motion: zero": "motion vectors are zero everywhere although the camera moves",
+    },
+    (FAULT, "a constant per frame is taken off"): {
+        "motion: jitter not removed": "motion vectors are off by another part of a pixel in every frame: camera"
+        " jitter is not removed",
+        "camera: jitter missing": "the cameras lack the jitter that motion vectors and colors have",
+    },
+    (FAULT, "the cameras' jitter is added"): {
+        "motion: jitter missing": "motion vectors lack the jitter that cameras and colors have",
+        **{
+            f"motion: jitter {change}": f"motion vectors have jitter {change}, compared with that of cameras and colors"
+            for change in _CHANGES_OF_JITTER
+        },
+    },
+    (FAULT, "jitter is taken off cameras and vectors"): {
+        "camera: jitter not removed/color": "cameras and motion vectors are jittered, and color is not: it was"
+        " antialiased over time (if depth is jittered, its jitter belongs into RenderedFrame.geometry_jitter)",
+    },
+    (FAULT, "principal points are moved"): {
+        "camera: jitter not removed": "the cameras are jittered, but neither motion vectors nor colors are",
+        **{
+            f"camera: jitter {change}": f"the cameras have jitter {change}, compared with that of vectors and colors"
+            for change in _CHANGES_OF_JITTER
+        },
+    },
+    (FAULT, "depths are made linear"): {
+        "depth: device": "depth is device depth, not linear: near {near:.4g}, far {far}",
+        "depth: reversed": "depth is reversed device depth, not linear: near {near:.4g}, far {far}",
+        "depth: logarithmic": "depth is the logarithm of {law}, not {expected}{planes}",
+    },
+    (FAULT, "depths are converted to linear again"): {
+        "depth: range": "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1"
+        " first)",
+        "depth: range/OpenGL": "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear,"
+        " which it is not",
+    },
+    (FAULT, "bits are read as floats"): {
+        "depth: bits of floats": "the numbers are the {bits}, read as integers (expected an array of floats)",
+    },
+    (FAULT, "depths are divided by their rays' lengths"): {
+        "depth: along rays": "depth is the distance along rays, not along the view axis{units}",
+    },
+    (FAULT, "depths change their sign"): {"depth: negative": "depths are negative"},
+    (FAULT, "depths or positions are scaled"): {
+        "depth: units": "depths and camera positions have different units: {unit:.4g} of the cameras' is one of the"
+        " depths'",
+        "depth: units/metric": "{first} are in {unit}, {second} in meters",
+    },
+    (FAULT, "matrices are converted"): {
+        "camera: inverted": "camera matrices are inverted: they are view to world",
+        "camera: rotation transposed": "the rotations of the camera matrices are transposed",
+        "camera: position instead of translation": "camera matrices hold the camera's position where the translation"
+        " should be",
+        "camera: OpenGL axes": "camera axes are OpenGL's (x right, y up, z backward), not x right, y down, z forward",
+        "camera: y up": "camera axes are Direct3D's (x right, y up, z forward), not x right, y down, z forward",
+        "camera: z backward": "camera axes are left-handed (x right, y down, z backward), not x right, y down, z"
+        " forward",
+        "camera: x left": "camera axes are left-handed (x left, y down, z forward), not x right, y down, z forward",
+        "camera: axes": "camera axes are {axes}, not x right, y down, z forward",
+    },
+    (FAULT, "focal lengths are divided"): {
+        "camera: field of view": "the field of view is off: focal lengths are {percent:.1f}% too {long}",
+    },
+    (FAULT, "cameras are moved back"): {
+        "camera: origin shifted": "from frame {frame} ({file}) on they are {shift}: the origin of the world was"
+        " shifted, as vectors and colors go on",
+    },
+    (FAULT, "matrices are transposed"): {
+        "camera: transposed": "camera matrices are transposed: they are for row vectors, the translation is in the last"
+        " row",
+    },
+    (FAULT, "matrices are divided by it"): {"camera: scaled": "camera matrices hold a scale of {scale:.4g}"},
+    (FAULT, "frames change places"): {"frames: out of order": "frames are out of order: {frames}"},
+    (FAULT, "they are left out"): {
+        "frames: recorded twice": "{frames_are} the same to the bit as the frame before, although vectors move",
+    },
+    (FAULT, "the frame is marked as a reset"): {
+        "frames: cut": "cut at frame {frame} ({file}): it does not follow the frame before, and is no reset",
+        "frames: gap": "gap before frame {frame} ({file}): it shows what the frame before shows, but its vectors do not"
+        " lead there{length}{doubt}",
+    },
+    (FAULT, ""): {
+        "color: repeated": "{frames_have} the color of the frame before, to the bit, although vectors move",
+        "motion: partly another convention": "in {part}, and only there: {convention}",
+        "motion: jitter differs": "motion vectors and cameras differ by another part of a pixel in every frame:"
+        " jitter is in one of them alone, and colors do not tell which of them is right",
+        "camera: jitter differs": "motion vectors and cameras differ by another part of a pixel in every frame:"
+        " jitter is in one of them alone, and colors do not tell which of them is right",
+        "camera: jitter differs/known": "the jitter of motion vectors is {change}, compared with that of the cameras;"
+        " {colors}",
+        "depth: no known law": 'no known law explains it (the nearest, "{nearest}", leaves {share:.0%} and'
+        " {pixels:.2g} px)",
+        "frames: unexplained": "motion vectors do not fit depth and cameras, and none of the known faults explains it",
+        "frames: nothing usable": "no pixel of the frames that were compared has a usable depth and a usable motion"
+        " vector",
+        **{
+            f"{about}: nothing usable": f"{{pixels}} a usable {about} ({{why}}): nothing can be compared"
+            for about in ("color", "depth", "motion")
+        },
+    },
+    (WARNING, ""): {
+        "color: user interface": "user interface in the color: {share:.1%} of the pixels stay in place although vectors"
+        " move them: warped with the scene it costs 2 to 3 dB, most of which `--ui-detection on` gets back (better:"
+        " give color without it and the interface as Overlays.ui, or mark it in Overlays.fixed_mask)",
+    },
+    (NOTE, "sky gets the camera's motion"): {
+        "motion: sky without motion": "the sky has no motion although the camera turns: harmless, it is taken from the"
+        " camera",
+    },
+    (NOTE, ""): {
+        "frames: of the reader": "{note}",
+        "frames: bad pixels": "{counts}; first: {first}",
+        "frames: reset": "{frames_are}: what leads across is left out",
+        "frames: late": "frame {frame} ({file}) comes {intervals:.3g} intervals after the frame before: if one is"
+        " missing, its vectors lead there, and it must be a reset",
+        "frames: several views": "{part} fits another camera than the rest: one picture of several views? (expected one"
+        " sequence, and one pipeline, for each)",
+        "motion: quantized": "vectors are quantized in steps of {grid}, {x} distinct values in x and {y} in y{code}"
+        "{added}: slow objects shake a little",
+        "motion: never written": "{share} of the motion vectors {what}{value}: they count as unknown",
+        "motion: dilated": "dilated: {share:.0%} of the pixels beside a nearer surface have its vector (describe that"
+        " by FrameFormat.motion_dilated, which undoes it)",
+        "motion: cut off": "{axes}, the largest number, and depth and cameras say that most of these are longer: they"
+        " were cut off (expected a larger range)",
+        "depth: cut off": "{share:.0%} of the depths are {limit:.6g}, the largest number, and vectors say that most of"
+        ' these are farther: what is farther is taken for a wall there (expected "sky_from": {limit:.6g} for sky,'
+        " or a larger range)",
+        "depth: cut off/near": "{share:.0%} of the depths are {limit:.6g}, the smallest number, and vectors say that"
+        " most of these are nearer: what is nearer is taken to be there",
+        "depth: half floats": "depth went through half floats: it is off by up to 1/2048 of itself",
+        "depth: jittered": "jittered against color: its edges move by {size:.2g} px (standard deviation) from frame to"
+        " frame, those of color do not (color was antialiased over time: the jitter belongs {where}"
+        " RenderedFrame.geometry_jitter)",
+        "color: 8 bits": "colors have 8 bits: gradients show bands",
+        "color: 8 bits linear": "colors are 8-bit numbers that are read as linear light; such files usually hold"
+        " display"
+        ' values (of a gffe-folder expected "encoding": "srgb")',
+        "color: moves by itself": "in {share:.0%} of the picture colors move over a surface otherwise than its"
+        " vectors: an effect without depth (smoke, fire, a trail), a shadow or a reflection. New frames carry it with"
+        " the surface; what can be drawn after extrapolation, like a user interface, stays sharp",
+        **{
+            f"{about}: repeated": f"repeated: {{width}}×{{height}} different pixels of {words} fill {{all}} (give"
+            " them in the size they were rendered in, by geometry_size of a FrameFormat or a RenderedFrame: about 0.8"
+            " dB)"
+            for about, words in (("depth", "depth"), ("motion", "motion vectors"))
+        },
+        **{
+            f"{about}: nothing usable in some frames": f"no pixel of {{files}} has a usable {about}"
+            for about in ("depth", "motion")
+        },
+    },
+    (UNKNOWN, ""): {
+        "frames: single frames": "no rendered frame of 8 pixels or more has one before it",
+        "frames: upside down": "which way up the picture is: {instead} would explain the buffers as well, as a mirror"
+        " image",
+        "frames: misfit at the end": "why frame {frame} ({file}) does not follow the frame before: a frame may be"
+        " missing, or vectors or cameras are one frame {when}",
+        "frames: of another frame": "a buffer fits better as that of another frame, but which one is open: {either}",
+        "frames: of another frame/vectors": "{buffer}, or motion vectors are {when}: colors do not tell which",
+        "color: of another frame": "{frames_have} the color of the frame before, to the bit, although vectors move,"
+        " or all colors are those of another frame",
+        "camera: still camera": "the camera stands still: cameras and depth cannot be checked, and motion only on"
+        " movers",
+        "depth: rotation only": "the camera only turns: depth and the cameras' positions cannot be checked",
+        "depth: jittered/unclear": "whether color is jittered as depth is: too few clear edges",
+    },
+}
+_ALWAYS_FIXED = "camera: transposed", "camera: scaled"  # without that nothing can be opened
+ENTRIES = {name: (kind, fix, sentence) for (kind, fix), group in _TABLE.items() for name, sentence in group.items()}
+FIXABLE = list(
+    dict.fromkeys(
+        finding_id(*name.partition("/")[0].split(": "))
+        for name, (_, fix, _) in ENTRIES.items()
+        if fix and name not in _ALWAYS_FIXED
     )
+)
 
 
-def _logarithmic_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
-    law = "1 + z" if depth.model.added else "z"
-    sentence = f"depth is the logarithm of {law}, not {'device depth' if depth.model.is_of_device else 'linear'}"
-    figures = {"added": depth.model.added, "coefficients": depth.coefficients, "unit": is_from_0_to_1(stored)}
-    if not depth.model.is_of_device and figures["unit"]:
-        near, far = sorted(np.exp((depth.coefficients[0], sum(depth.coefficients))) - depth.model.added)
-        sentence += f": far {far:.4g}" if depth.model.added else f": near {near:.4g}, far {far:.4g}"
-    return Finding(FAULT, "depth", LOGARITHMIC, sentence, "depths are made linear", figures)
+def finding(entry: str, figures: dict | None = None, **values) -> Finding:
+    """Return the finding of that `entry` of the table, such as "motion: y flipped", with `values` in its sentence."""
+    kind, fix, sentence = ENTRIES[entry]
+    about, name = entry.partition("/")[0].split(": ")
+    return Finding(kind, about, name, sentence.format(**values), fix, figures or {})
 
 
-def no_law_fault(reading: Reading, stored: np.ndarray, misfit: Misfit) -> Finding:
-    """Return the fault of depths that no law explains, not even that of `reading`, the best one, which leaves
-    `misfit`."""
-    best = "; ".join(fault.sentence for fault in faults_of(reading, stored))
-    sentence = f'no known law explains it (the nearest, "{best}", leaves {misfit.share:.0%} and {misfit.pixels:.2g} px)'
-    return Finding(FAULT, "depth", NO_LAW, sentence, figures=misfit._asdict())
+def listed(names: Iterable) -> str:
+    """Return `names` with commas, the first twelve of them."""
+    names = [str(name) for name in names]
+    return ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")
 
 
-def _unit_fault(unit: float) -> Finding:
-    """Return the finding about the unit of depth. `unit`: factor from stored depths to the unit of the cameras."""
-    if unit < 0:
-        return Finding(FAULT, "depth", "negative", "depths are negative", "depths change their sign", {"unit": unit})
-    for factor, words in _UNITS.items():
-        for ratio, first, second in (
-            (factor, "depths are", "camera positions"),
-            (1 / factor, "camera positions are", "depths"),
-        ):
-            if abs(np.log(unit * ratio)) < _UNIT_SLACK:
-                sentence = f"{first} {words.format(second)}"
-                return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
-    sentence = f"depths and camera positions have different units: {unit:.4g} of the cameras' is one of the depths'"
-    return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
-
-
-def _device_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
-    planes = Planes.of(depth, stored)
-    far = "infinity" if np.isinf(planes.far) else f"{planes.far:.4g}"
-    kind = "reversed device depth" if planes.reverse else "device depth"
-    sentence = f"depth is {kind}, not linear: near {planes.near:.4g}, far {far}"
-    figures = {"near": planes.near, "far": planes.far, "reversed": planes.reverse}
-    return Finding(
-        FAULT, "depth", "reversed" if planes.reverse else "device", sentence, "depths are made linear", figures
-    )
+def frames_in_words(numbers: list[int], one: str, many: str) -> str:
+    """Return "frame 3 is" or "frames 3, 4 are", with the words for one or many of them."""
+    return f"frames {listed(numbers)} {many}" if len(numbers) > 1 else f"frame {numbers[0]} {one}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import JITTERED, NOTE, UNKNOWN, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip, encoded
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
@@ -22,18 +22,13 @@ def geometry_jitter_notes(clip: Clip, indices: list[int], exposure: float, is_ji
         return []
     found = [(frame, shift) for frame in frames if (shift := edge_shift(frame, exposure)) is not None]
     if len(found) < _FEWEST_FRAMES:
-        sentence = "whether color is jittered as depth is: too few clear edges"
-        return [Finding(UNKNOWN, "depth", JITTERED, sentence)] if is_jittered else []
+        return [finding("depth: jittered/unclear")] if is_jittered else []
     size = float(np.linalg.norm(np.std([shift for _, shift in found], 0)))
     if size < _MOVES:
         return []
     camera = np.array([(frame.camera.cx, frame.camera.cy) for frame, _ in found])
     where = "out of the cameras and into" if np.linalg.norm(camera.std(0)) > _MOVES / 2 else "into"
-    sentence = (
-        f"jittered against color: its edges move by {size:.2g} px (standard deviation) from frame to frame, those of"
-        f" color do not (color was antialiased over time: the jitter belongs {where} RenderedFrame.geometry_jitter)"
-    )
-    return [Finding(NOTE, "depth", JITTERED, sentence, figures={"size": size})]
+    return [finding("depth: jittered", {"size": size}, size=size, where=where)]
 
 
 def edge_shift(frame: RenderedFrame, exposure: float) -> np.ndarray | None:

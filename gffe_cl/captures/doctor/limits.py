@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import CUT_OFF, NOTE, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search
 
@@ -25,16 +25,16 @@ def set_aside_cut_off(search: Search, looks: list[Look]) -> list[Finding]:
     vectors say that they are farther or nearer, and vectors, if depth and cameras say that they are longer. `search`:
     of some of the looks. Most other samples must fit."""
     found = _of_depth(search)
-    for finding in found:
-        limit = finding.figures["limit"]
+    for one in found:
+        limit = one.figures["limit"]
         for look in looks:
             for depth in (look.depth, look.mirrored["depth"]):
                 depth[depth == limit] = np.inf
     if found:
         search = Search(search.full.looks, search.step)
     of_motion = _of_motion(search)
-    for finding in of_motion:
-        for axis, limit in finding.figures["limits"].items():
+    for one in of_motion:
+        for axis, limit in one.figures["limits"].items():
             for motion in (m for look in looks for m in (look.motion, look.mirrored["motion"]) if m is not None):
                 motion[np.abs(motion[:, "xy".index(axis)]) == limit] = np.nan
     return found + of_motion
@@ -60,9 +60,9 @@ def _of_depth(search: Search) -> list[Finding]:
         w = (a * b).sum(-1) / power**2  # 1 / depth, by the vectors
     known = bench.solid & np.isfinite(w)
     found = []
-    for end, words, is_beyond in (
-        (np.max, "largest", lambda limit: w < (1 - _BY) / limit),
-        (np.min, "smallest", lambda limit: w > (1 + _BY) / limit),
+    for end, is_beyond in (
+        (np.max, lambda limit: w < (1 - _BY) / limit),
+        (np.min, lambda limit: w > (1 + _BY) / limit),
     ):
         limit = _limit(bench.stored[bench.solid], end)
         if limit is None or limit <= 0:
@@ -73,11 +73,8 @@ def _of_depth(search: Search) -> list[Finding]:
         if not _fits(search, bench.stored != limit):
             continue
         share = float(np.mean(bench.stored == limit))
-        wrong = "what is farther is taken for a wall there" if end is np.max else "what is nearer is taken to be there"
-        sky = f' (expected "sky_from": {limit:.6g} for sky, or a larger range)' if end is np.max else ""
-        sentence = f"{share:.0%} of the depths are {limit:.6g}, the {words} number, and vectors say that most of these"
-        sentence += f" are {'farther' if end is np.max else 'nearer'}: {wrong}{sky}"
-        found.append(Finding(NOTE, "depth", CUT_OFF, sentence, figures={"share": share, "limit": float(limit)}))
+        figures = {"share": share, "limit": float(limit)}
+        found.append(finding("depth: cut off" if end is np.max else "depth: cut off/near", figures, **figures))
     return found
 
 
@@ -97,11 +94,7 @@ def _of_motion(search: Search) -> list[Finding]:
     ends = [np.abs(motion[:, "xy".index(name)]) == limit for name, limit in limits.items()]
     if not told or not _fits(search, ~np.any(ends, 0)):
         return []
-    sentence = (
-        f"{' and '.join(told)}, the largest number, and depth and cameras say that most of these are longer: they"
-    )
-    sentence += " were cut off (expected a larger range)"
-    return [Finding(NOTE, "motion", CUT_OFF, sentence, figures={"share": shares, "limits": limits})]
+    return [finding("motion: cut off", {"share": shares, "limits": limits}, axes=" and ".join(told))]
 
 
 def _limit(values: np.ndarray, end: Callable) -> float | None:

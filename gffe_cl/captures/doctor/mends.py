@@ -5,21 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Protocol
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import (
-    FAULT,
-    JITTER,
-    JITTER_DIFFERS,
-    NO_JITTER,
-    SOME_FRAME,
-    UNKNOWN,
-    Finding,
-    finding_id,
-)
+from gffe_cl.captures.doctor.findings import JITTER, NO_JITTER, Finding, finding, finding_id
 from gffe_cl.captures.doctor.hypotheses.camera_jitter import (
     INVERSE,
     NONE,
@@ -38,8 +29,7 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 _KEPT = 4  # frames in memory as they are given
 _FIELDS = {"camera": ("camera",), "depth": ("depth", "deep"), "color": ("color", "contrast", "image")}
-_WHAT = {"camera": "cameras are", "depth": "depth is", "color": "color is"}
-_WHEN = {NEXT: ("late", "before"), PREVIOUS: ("early", "after")}
+_WHEN = {NEXT: "one frame late", PREVIOUS: "one frame early"}
 _MARGIN = 0.06  # of the sum of scores, by which buffers of another frame must fit better
 _FITS = 0.5  # agreement of buffers that fit
 _MOST = 0.6  # of the frames that must fit better
@@ -83,11 +73,7 @@ class OtherFrame:
 
     @property
     def finding(self) -> Finding:
-        when, side = _WHEN[self.by]
-        sentence = f"{_WHAT[self.buffer]} one frame {when}: each frame has that of the frame {side} it"
-        lost = {NEXT: "the last frame, whose own one was not recorded, is", PREVIOUS: "the first frame is"}[self.by]
-        fix = f"{self.buffer} is taken from the frame {_WHEN[-self.by][1]}; {lost} left out"
-        return Finding(FAULT, self.buffer, f"one frame {when}", sentence, fix)
+        return finding(f"{self.buffer}: {_WHEN[self.by]}")
 
     def entry(self, entries: list[FrameEntry], k: int) -> FrameEntry | None:
         at = k + self.by
@@ -108,7 +94,7 @@ class OtherFrame:
 
 
 @dataclass(frozen=True)
-class Jitter:
+class JitterMend:
     """Jitter of the cameras that motion vectors have not, or otherwise: `finding`, and the `change` that mends it."""
 
     finding: Finding
@@ -158,24 +144,35 @@ def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
     """Return the buffer that fits clearly better as that of another frame, better also than vectors of another frame
     and than any buffer upside down."""
     found = Mends()
+
+    @cache
+    def given(compared: tuple[int, ...]) -> Verdict:
+        return _verdict([looks[k] for k in compared], step)
+
+    def gain_of(made: dict[int, Look], compared: list[int]) -> _Gain | None:
+        there = (k for k in compared if all(k in some and PREVIOUS in some[k].neighbors for some in (looks, made)))
+        return _Gain.of(given, made, tuple(there), step)
+
     vectors: dict[str, _Gain] = {}  # of another frame, by when
     gains: dict[OtherFrame, _Gain] = {}
     for buffer in (*_FIELDS, "motion"):
         for by, compared in ((NEXT, deep), (PREVIOUS, [k + 1 for k in deep])):
             if buffer == "color" and len(compared) < _FEWEST_COLORS:
                 continue
-            gain = _Gain.of(looks, _from_other_frames(looks, buffer, by), compared, step)
+            gain = gain_of(_from_other_frames(looks, buffer, by), compared)
             if gain is None:
                 continue
             if buffer in ("camera", "motion") and gain.agreement > -_STEADY:
                 found.steady.add(by)
             if buffer == "motion":
-                vectors[f"one frame {_WHEN[by][0]}"] = gain
+                vectors[_WHEN[by]] = gain
             elif gain.is_clear and gain.own(buffer) >= _OWN[buffer]:
                 gains[OtherFrame(buffer, by)] = gain
-    upside_down = [_Gain.of(looks, with_rows(looks, (buffer,)), deep, step) for buffer in BUFFERS]
     first, *others = sorted(gains, key=lambda mend: gains[mend].total, reverse=True) if gains else (None,)
-    if first is None or any(gain is not None and gain.against(gains[first]) >= 0 for gain in upside_down):
+    if first is None:
+        return found
+    upside_down = [gain_of(with_rows(looks, (buffer,)), deep) for buffer in BUFFERS]
+    if any(gain is not None and gain.against(gains[first]) >= 0 for gain in upside_down):
         return found
     against = {when: gain.against(gains[first]) for when, gain in vectors.items()}
     if 1 in against.values():
@@ -183,12 +180,11 @@ def _other_frame(looks: dict[int, Look], deep: list[int], step: float) -> Mends:
     if 0 in against.values():
         when = next(when for when, better in against.items() if better == 0)
         found.open = finding_id("motion", when)
-        sentence = f"{_WHAT[first.buffer]} {first.finding.name}, or motion vectors are {when}: colors do not tell which"
-        found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
+        buffer = first.finding.sentence.partition(":")[0]
+        found.findings.append(finding("frames: of another frame/vectors", buffer=buffer, when=when))
     elif others and gains[others[0]].total > gains[first].total - _APART:
         either = " or ".join(f"{mend.buffer} {mend.finding.name}" for mend in (first, others[0]))
-        sentence = f"a buffer fits better as that of another frame, but which one is open: {either}"
-        found.findings.append(Finding(UNKNOWN, "frames", SOME_FRAME, sentence))
+        found.findings.append(finding("frames: of another frame", either=either))
     else:
         found.mend = first
     return found
@@ -205,16 +201,16 @@ class _Gain:
     is_clear: bool
 
     @classmethod
-    def of(cls, given: dict[int, Look], made: dict[int, Look], compared: list[int], step: float) -> _Gain | None:
-        """Compare the looks `compared`; return None if none of them is in both."""
-        compared = [k for k in compared if all(k in some and PREVIOUS in some[k].neighbors for some in (given, made))]
+    def of(cls, given, made: dict[int, Look], compared: tuple[int, ...], step: float) -> _Gain | None:
+        """Compare the looks `compared` of `made`; return None if there are none. `given` returns the verdict on looks
+        as they are given."""
         if not compared:
             return None
-        before, after = (_verdict([looks[k] for k in compared], step) for looks in (given, made))
+        before, after = given(compared), _verdict([made[k] for k in compared], step)
         total = after.total - before.total
         clear = after.agreement >= _FITS and total >= _MARGIN
         if clear:
-            each = [_verdict([made[k]], step).total > _verdict([given[k]], step).total for k in compared]
+            each = [_verdict([made[k]], step).total > given((k,)).total for k in compared]
             clear = np.mean(each) > _MOST
         color = (after.colors - after.edges) - (before.colors - before.edges)
         agreement = float(np.nan_to_num(after.agreement) - np.nan_to_num(before.agreement))
@@ -246,30 +242,18 @@ def _jitter(looks: dict[int, Look], deep: list[int], center: np.ndarray, step: f
     if vectors == SAME:
         if colors != NONE:
             return None
-        sentence = (
-            "cameras and motion vectors are jittered, and color is not: it was antialiased over time (if depth is"
-            " jittered, its jitter belongs into RenderedFrame.geometry_jitter)"
-        )
-        finding = Finding(FAULT, "camera", JITTER, sentence, "jitter is taken off cameras and vectors")
-        return Jitter(finding, JitterChange(middle, camera=NONE, motion=(-1.0, -1.0)))
+        fault = finding("camera: jitter not removed/color")
+        return JitterMend(fault, JitterChange(middle, camera=NONE, motion=(-1.0, -1.0)))
     difference = OTHERS[vectors]
     if colors == SAME:
-        name, has = NO_JITTER, "lack the jitter that cameras and colors have"
-        if vectors != NONE:
-            name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of cameras and colors"
-        finding = Finding(FAULT, "motion", name, f"motion vectors {has}", "the cameras' jitter is added")
-        return Jitter(finding, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1])))
+        fault = finding(f"motion: {NO_JITTER if vectors == NONE else f'jitter {difference}'}")
+        return JitterMend(fault, JitterChange(middle, motion=(1 - vectors[0], 1 - vectors[1])))
     if colors == vectors:
-        name, has = JITTER, "are jittered, but neither motion vectors nor colors are"
-        if vectors != NONE:
-            difference = INVERSE[difference]
-            name, has = f"jitter {difference}", f"have jitter {difference}, compared with that of vectors and colors"
-        finding = Finding(FAULT, "camera", name, f"the cameras {has}", "principal points are moved")
+        fault = finding(f"camera: {JITTER if vectors == NONE else f'jitter {INVERSE[difference]}'}")
     else:
         known = "colors are not jittered" if colors == NONE else "colors do not tell which of them is right"
-        sentence = f"the jitter of motion vectors is {difference}, compared with that of the cameras; {known}"
-        finding = Finding(FAULT, "camera", JITTER_DIFFERS, sentence)
-    return Jitter(finding, JitterChange(middle, camera=vectors))
+        fault = finding("camera: jitter differs/known", change=difference, colors=known)
+    return JitterMend(fault, JitterChange(middle, camera=vectors))
 
 
 def _from_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, Look]:

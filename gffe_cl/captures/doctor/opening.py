@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.sequence import Sequence, open_sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -43,14 +43,12 @@ def _repaired(text: str, findings: list[Finding]) -> str:
     off_last_row, off_last_column = (np.abs(part - _LAST).max() for part in (matrices[:, 3], matrices[:, :, 3]))
     if off_last_column < _NEAR < off_last_row:
         matrices = matrices.swapaxes(1, 2)
-        sentence = "camera matrices are transposed: they are for row vectors, the translation is in the last row"
-        findings.append(Finding(FAULT, "camera", "transposed", sentence, "matrices are transposed"))
+        findings.append(finding("camera: transposed"))
     scales = np.linalg.norm(matrices[:, :3, :3], axis=2)
     scale = float(np.median(scales))
     if scale > 0 and abs(scale - 1) > _SAME_SCALE and np.abs(scales / scale - 1).max() < _SAME_SCALE:
         matrices[:, :3] /= scale
-        sentence = f"camera matrices hold a scale of {scale:.4g}"
-        findings.append(Finding(FAULT, "camera", "scaled", sentence, "matrices are divided by it"))
+        findings.append(finding("camera: scaled", scale=scale))
     for camera, matrix in zip(cameras, matrices, strict=True):
         camera["world_to_view"] = matrix.tolist()
     return json.dumps(document)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import NOTE, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Look
 from gffe_cl.engine.frame.transfer_function import to_display
 
@@ -74,12 +74,10 @@ def motion_finding(steps: np.ndarray, looks: list[Look], added: bool) -> Finding
     motion = _motion(looks)
     distinct = [len(np.unique(motion[:, c])) for c in (0, 1)]
     code = _code(steps, looks[0].size)
-    sentence = f"vectors are quantized in steps of {grid}, {distinct[0]} distinct values in x and {distinct[1]} in y"
-    sentence += f", as of {code}" if code else ""
-    sentence += ", and sums of two" if added else ""
     figures = {name: float(step) for name, step in zip(_CLASSES, steps, strict=True) if np.isfinite(step)}
     figures |= {"distinct_x": distinct[0], "distinct_y": distinct[1], "code": code, "added": added}
-    return Finding(NOTE, "motion", "quantized", f"{sentence}: slow objects shake a little", figures=figures)
+    words = {"code": f", as of {code}" if code else "", "added": ", and sums of two" if added else ""}
+    return finding("motion: quantized", figures, grid=grid, x=distinct[0], y=distinct[1], **words)
 
 
 def _fraction(step: float) -> str:
@@ -115,15 +113,12 @@ def precision_notes(looks: list[Look], exposure: float) -> list[Finding]:
     with np.errstate(over="ignore"):
         exact = depth.astype(np.float16) == depth
     if len(np.unique(depth)) >= _FEWEST and exact.all():
-        sentence = "depth went through half floats: it is off by up to 1/2048 of itself"
-        found.append(Finding(NOTE, "depth", "half floats", sentence))
+        found.append(finding("depth: half floats"))
     colors = np.concatenate([look.image[::4, ::4].reshape(-1) for look in looks if look.image is not None] or [[]])
     if _are_codes(to_display(colors, exposure)):
-        found.append(Finding(NOTE, "color", "8 bits", "colors have 8 bits: gradients show bands"))
+        found.append(finding("color: 8 bits"))
     elif _are_codes(colors):
-        sentence = "colors are 8-bit numbers that are read as linear light; such files usually hold display values"
-        sentence += ' (of a gffe-folder expected "encoding": "srgb")'
-        found.append(Finding(NOTE, "color", "8 bits linear", sentence))
+        found.append(finding("color: 8 bits linear"))
     return found
 
 

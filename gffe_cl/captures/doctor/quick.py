@@ -9,16 +9,13 @@ from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
 from gffe_cl.captures.doctor.findings import (
     BOTTOM_UP,
     DILATED,
-    DOUBTS,
     IN_PART,
     INTERFACE,
     JITTER,
-    JITTERS,
     NO_JITTER,
     NOTE,
     OTHER_FRAME,
     REPEATED,
-    TOLD,
     UNEXPLAINED,
     UNKNOWN,
     WARNING,
@@ -33,6 +30,8 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, requ
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, described_arrays, host_arrays
 
 _FRAMES = 5  # of a sequence, before it is extrapolated
+_TOLD = ("cut off", "several views", INTERFACE, REPEATED, DILATED)  # notes that this form names, too
+_DOUBTS = ("misfit at the end", "of another frame")  # the same, of what cannot be told
 _SUBJECTS = {"motion": "motion vectors are ", "depth": "depth is "}
 _UNKNOWN = "cannot tell whether the frames fit"
 _ALL_ROWS = "y of motion vectors and cameras does not fit the rows of the buffers"
@@ -127,8 +126,8 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     faults = diagnosis.faults
     if not faults:
         told = diagnosis.of_kind(WARNING)
-        told += [note for note in diagnosis.of_kind(NOTE) if note.name in TOLD]
-        doubts = [doubt for doubt in diagnosis.of_kind(UNKNOWN) if doubt.name in DOUBTS]
+        told += [note for note in diagnosis.of_kind(NOTE) if note.name in _TOLD]
+        doubts = [doubt for doubt in diagnosis.of_kind(UNKNOWN) if doubt.name in _DOUBTS]
         if told or not doubts:
             return _whole_sentence(told[0]) if told else None
         return f"{_UNKNOWN}: {doubts[0].sentence}"
@@ -141,7 +140,7 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     if len(faults) == 1 and faults[0].name in (IN_PART, *OTHER_FRAME):
         return faults[0].sentence
     likely = f", most likely {_names(causes)}" if causes else ""
-    if causes and all(fault.name in JITTERS for fault in causes):
+    if causes and all(fault.is_of_jitter for fault in causes):
         return f"{_JITTERED} {_ALONE if causes[0].name in (JITTER, NO_JITTER) else _DIFFERS}{likely}"
     if causes and all(fault.about == "color" for fault in causes):
         return str(causes[0])

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, IN_PART, NOTE, SEVERAL_VIEWS, Finding
-from gffe_cl.captures.doctor.hypotheses import motions
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.motions import motion_readings
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search
@@ -23,7 +22,7 @@ _FEWEST = 40  # samples in a frame
 _DEEP = 2.0  # ratio of depths in the part: a single mover has less
 
 
-class Part(NamedTuple):
+class Rectangle(NamedTuple):
     """Rectangle of the picture, in shares of its sides: left, top, right, bottom."""
 
     left: float
@@ -67,17 +66,13 @@ def region_findings(search: Search, reading: Reading) -> list[Finding]:
     where = part.in_words(bench.looks[0].size)
     named = _convention(search, reading, inside, near)
     if named:
-        return [Finding(FAULT, "motion", IN_PART, f"in {where}, and only there: {named}", figures=part._asdict())]
+        return [finding("motion: partly another convention", part._asdict(), part=where, convention=named)]
     if not _fits_another_camera(search, reading, part, inside, near):
         return []
-    sentence = (
-        f"{where} fits another camera than the rest: one picture of several views? (expected one sequence, and one"
-    )
-    sentence += " pipeline, for each)"
-    return [Finding(NOTE, "frames", SEVERAL_VIEWS, sentence, figures=part._asdict())]
+    return [finding("frames: several views", part._asdict(), part=where)]
 
 
-def _part(at: np.ndarray, off: np.ndarray) -> Part | None:
+def _part(at: np.ndarray, off: np.ndarray) -> Rectangle | None:
     """Return the rectangle with the most samples that do not agree (`off` (N,)) beyond those that do; None if it is too
     small or large."""
     columns, rows = _CELLS
@@ -94,10 +89,10 @@ def _part(at: np.ndarray, off: np.ndarray) -> Part | None:
         if gain[height, right] > best:
             best = gain[height, right]
             left = int(sums[height, : right + 1].argmin())
-            found = Part(left / columns, top / rows, int(right) / columns, (top + 1 + int(height)) / rows)
+            found = Rectangle(left / columns, top / rows, int(right) / columns, (top + 1 + int(height)) / rows)
     if found is None:
         return None
-    found = Part(*(float(np.round(side)) if abs(side - np.round(side)) < _AT_BORDER else side for side in found))
+    found = Rectangle(*(float(np.round(side)) if abs(side - np.round(side)) < _AT_BORDER else side for side in found))
     area = (found.right - found.left) * (found.bottom - found.top)
     return found if _LEAST <= area <= _MOST else None
 
@@ -127,10 +122,10 @@ def _convention(search: Search, reading: Reading, inside: np.ndarray, near: floa
     best = max(share, key=lambda motion: share[motion] - 0.01 * len(motion.parts))
     if not share[best] > max(_FITS, share[reading.motion] + _BETTER):
         return ""
-    return "; ".join(motions.SENTENCES[name] for name in best.parts)
+    return "; ".join(finding(f"motion: {part}").sentence for part in best.parts)
 
 
-def _fits_another_camera(search: Search, reading: Reading, part: Part, inside: np.ndarray, near: float) -> bool:
+def _fits_another_camera(search: Search, reading: Reading, part: Rectangle, inside: np.ndarray, near: float) -> bool:
     """Return whether in most frames another motion of the camera explains the vectors within the part: with the same
     projection, or with that of a view of its own."""
     bench, fits = search.full, 0
@@ -149,7 +144,7 @@ def _fits_another_camera(search: Search, reading: Reading, part: Part, inside: n
     return 2 * fits > len(bench.looks)
 
 
-def _projections(look: Look, reading: Reading, part: Part) -> list[tuple[float, float, float, float]]:
+def _projections(look: Look, reading: Reading, part: Rectangle) -> list[tuple[float, float, float, float]]:
     """Return intrinsics that a view in the part may have: those of the whole picture, or of one that was cut off and
     begins here, and its own."""
     camera, (width, height) = reading.camera.read(look.camera), look.size

@@ -23,7 +23,7 @@ from gffe_cl.captures.doctor.hypotheses.depths import (
 )
 from gffe_cl.captures.doctor.hypotheses.motions import MotionReading
 from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, Clip, is_long
-from gffe_cl.captures.doctor.hypotheses.scoring import Comparison, Vectors
+from gffe_cl.captures.doctor.hypotheses.scoring import ResidualChange, Vectors
 from gffe_cl.captures.doctor.hypotheses.search import Reading
 from gffe_cl.captures.doctor.hypotheses.transfer_function import srgb_to_linear
 from gffe_cl.captures.doctor.mends import mended
@@ -56,7 +56,7 @@ class Repair:
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
         shifts = [f.figures for f in diagnosis.faults if f.name == ORIGIN_SHIFTED]
         self._shifts = {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in shifts}
-        self._comparisons: list[tuple[str, Comparison]] = []  # of the frames so far
+        self._comparisons: list[tuple[str, ResidualChange]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(made.rendered)
         self._order = (diagnosis.order and diagnosis.order.order) or list(range(count))
@@ -114,7 +114,7 @@ class Repair:
 
         pairs = vectors(given, given_before.camera), vectors(made, before.camera)
         solid = np.isfinite(given.depth) & np.isfinite(made.depth) & (np.abs(made.depth) < _FAR)
-        compared = Comparison.of(*pairs, solid[::every, ::every].ravel(), self._diagnosis.step)
+        compared = ResidualChange.of(*pairs, solid[::every, ::every].ravel(), self._diagnosis.step)
         if compared is not None:
             self._comparisons.append((entries[index].file, compared))
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, REPEATED, SOME_FRAME, TWICE, UNKNOWN, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding, frames_in_words
 from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
 
 _MOVES = 0.3  # pixels: vectors by which nothing stays as it is
 _TEXTURED, _COLORS = 0.1, 16  # share of samples that show a texture, and distinct colors, at least
-_MOST_NAMED = 12
 
 
 @dataclass(frozen=True)
@@ -25,16 +24,13 @@ class RepeatedFrames:
     def findings(self) -> list[Finding]:
         found = []
         if self.whole:
-            sentence = f"{_frames(self.whole)} the same to the bit as the frame before, although vectors move"
-            found.append(Finding(FAULT, "frames", TWICE, sentence, "they are left out", {"frames": self.whole}))
+            frames = frames_in_words(self.whole, "is", "are")
+            found.append(finding("frames: recorded twice", {"frames": self.whole}, frames_are=frames))
         if self.color:
-            sentence = f"{_frames(self.color)} the color of the frame before, to the bit, although vectors move"
-            sentence = sentence.replace(" are ", " have ").replace(" is ", " has ")
-            if self.color in ([1], [self.count - 1]):  # so do colors that are all late, or early
-                sentence += ", or all colors are those of another frame"
-                found.append(Finding(UNKNOWN, "color", SOME_FRAME, sentence, figures={"frames": self.color}))
-            else:
-                found.append(Finding(FAULT, "color", REPEATED, sentence, figures={"frames": self.color}))
+            is_open = self.color in ([1], [self.count - 1])  # so do colors that are all late, or early
+            frames = frames_in_words(self.color, "has", "have")
+            name = "color: of another frame" if is_open else "color: repeated"
+            found.append(finding(name, {"frames": self.color}, frames_have=frames))
         return found
 
 
@@ -56,9 +52,3 @@ def repeated_frames(looks: dict[int, Look], count: int) -> RepeatedFrames:
 
 def _shows_something(look: Look) -> bool:
     return bool(look.textured.mean() > _TEXTURED and len(np.unique(look.color, axis=0)) > _COLORS)
-
-
-def _frames(numbers: list[int]) -> str:
-    more = " …" if len(numbers) > _MOST_NAMED else ""
-    named = ", ".join(map(str, numbers[:_MOST_NAMED])) + more
-    return f"frames {named} are" if len(numbers) > 1 else f"frame {named} is"

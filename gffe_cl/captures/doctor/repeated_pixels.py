@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import NOTE, REPEATED, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip
 
 _FRAMES = 3  # at most so many are looked at
 _RATIOS = (4.0, 3.0, 2.0, 1.5)  # pixels of color for each one of geometry, each way
 _FEWEST, _DIFFER = 8, 0.25  # lines that differ from the one before, and the share of them: others may be sky
-_WORDS = {"depth": "of depth", "motion": "of motion vectors"}
-_GAIN = "0.8 dB"  # of half the size, on built-in scenes
 
 
 def repeated_pixel_notes(clip: Clip, indices: list[int]) -> list[Finding]:
@@ -19,17 +17,14 @@ def repeated_pixel_notes(clip: Clip, indices: list[int]) -> list[Finding]:
     `clip` that are looked at. Raises GffeError if a frame cannot be read."""
     frames = [clip.read(clip.rendered[k]) for k in indices[:_FRAMES]]
     found = []
-    for buffer, words in _WORDS.items():
+    for buffer in ("depth", "motion"):
         images = [np.asarray(image) for frame in frames if (image := getattr(frame, buffer)) is not None]
         sizes = {distinct_size(image) for image in images}
         size = sizes.pop() if len(sizes) == 1 else None
         if size is not None:
             height, width = images[0].shape[:2]
-            sentence = (
-                f"repeated: {size[0]}×{size[1]} different pixels {words} fill {width}×{height} (give them in the size"
-                f" they were rendered in, by geometry_size of a FrameFormat or a RenderedFrame: about {_GAIN})"
-            )
-            found.append(Finding(NOTE, buffer, REPEATED, sentence, figures={"width": size[0], "height": size[1]}))
+            figures = {"width": size[0], "height": size[1]}
+            found.append(finding(f"{buffer}: repeated", figures, **figures, all=f"{width}×{height}"))
     return found
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import INTERFACE, WARNING, Finding
+from gffe_cl.captures.doctor.findings import Finding, finding
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame
 from gffe_cl.engine.opencl.program import constants
@@ -13,8 +13,6 @@ _C = {name: np.float32(value) for name, value in constants("user_interface.cl").
 PAIRS, LEAST, AROUND = (int(_C[name]) for name in ("PAIRS", "LEAST_MARKED", "MARKED_AROUND"))
 _LEAST_SHARE = 0.002  # of the pixels
 _RUNS = 3  # at most so many runs of frames are looked at
-_COST = "2 to 3 dB"  # on built-in scenes, by the kind of interface
-ADVICE = "give color without it and the interface as Overlays.ui, or mark it in Overlays.fixed_mask"
 
 
 def count_evidence(
@@ -54,13 +52,7 @@ def user_interface_notes(clip: Clip, indices: list[int], exposure: float) -> lis
     runs = [k for k in indices if 0 < k < len(entries) - 1 and not (entries[k].reset or entries[k + 1].reset)]
     shares = [interface_share([clip.read(entries[k + step]) for step in (-1, 0, 1)], exposure) for k in runs[:_RUNS]]
     share = max(shares, default=0.0)
-    if share < _LEAST_SHARE:
-        return []
-    sentence = f"user interface in the color: {share:.1%} of the pixels stay in place although vectors move them"
-    sentence += (
-        f": warped with the scene it costs {_COST}, most of which `--ui-detection on` gets back (better: {ADVICE})"
-    )
-    return [Finding(WARNING, "color", INTERFACE, sentence, figures={"share": share})]
+    return [finding("color: user interface", {"share": share}, share=share)] if share >= _LEAST_SHARE else []
 
 
 def interface_share(frames: list[RenderedFrame], exposure: float) -> float:

@@ -7,7 +7,7 @@ launched for images of any size and in all circumstances: `record` compares seve
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -94,11 +94,12 @@ class _Tape(Commands):
         kernel, arguments = launch.declared, []
         values = stage.values(kernel, launch.slot, given)
         for argument in stage.program.arguments[kernel.name]:
+            if argument.brings_frame:
+                arguments.append(Given(argument.name, is_frame_block=True))
+                continue
             value = argument.packed(values[argument.name])
             if isinstance(value, cl.Buffer):
                 arguments.append(Given(argument.name, buffer=self._name(value)))
-            elif argument.type == "Frame":
-                arguments.append(Given(argument.name, is_frame_block=True))
             else:
                 arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
         grid, repeats = kernel.grid.format(**given), values[kernel.repeats] if kernel.repeats else 1
@@ -111,8 +112,8 @@ class _Tape(Commands):
     def copy(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
         self.operations.append(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of)))
 
-    def read(self, buffer: cl.Buffer, into: np.ndarray) -> None:
-        """Record nothing: the C host reads by itself."""
+    def call(self, function: Callable[[], Any]) -> None:
+        """Record nothing: the C host has its own code for that."""
 
     def take(self) -> list[Operation]:
         taken, self.operations = self.operations, []

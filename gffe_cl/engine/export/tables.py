@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable
 
 import numpy as np
 
 from gffe_cl.engine.core import validation
-from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
 from gffe_cl.engine.frame import camera, frame_format, intervals
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
@@ -27,7 +25,7 @@ from gffe_cl.engine.stages.buffers import (
     TILE_GROUP,
     WALKERS,
     BufferSpec,
-    texel_of,
+    grid_of,
 )
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
@@ -55,10 +53,6 @@ GIVEN = {
         for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
     },
 }
-_GRIDS = (
-    "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
-    "cells", "runs", "network", "measures", "predictions", "walk", "list_source", "list_target",
-)  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
@@ -68,17 +62,17 @@ def config(options: Options) -> str:
     """Return gffe_config.h: constants from Python's modules, and the options."""
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
-        "DOWNSAMPLING": texel_of("downsampled")[0],
-        "TILE": texel_of("tiles")[0],
+        "DOWNSAMPLING": grid_of("downsampled").texel[0],
+        "TILE": grid_of("tiles").texel[0],
         "TILE_GROUP": TILE_GROUP,
-        "RESIDUAL_STRIDE": texel_of("residuals")[0],
+        "RESIDUAL_STRIDE": grid_of("residuals").texel[0],
         "RESIDUAL_ROWS": RESIDUAL_ROWS,
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
         "WALKERS": WALKERS,
-        "CELL": texel_of("cells")[0],
-        "RUN_PIXELS": texel_of("runs")[0],
-        "NETWORK_TEXEL": texel_of("network")[0],
+        "CELL": grid_of("cells").texel[0],
+        "RUN_PIXELS": grid_of("runs").texel[0],
+        "NETWORK_TEXEL": grid_of("network").texel[0],
         "NETWORK_MULTIPLE": MULTIPLE,
         "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
         "MAX_LEVELS": MAX_LEVELS,
@@ -237,13 +231,10 @@ class Tables:
 
 
 def _grid(name: str) -> tuple[str, int]:
-    """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its size.
-    Raises GffeError for a grid that C does not have."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(flat_level|levels|level|network)(\d+)", name)):
-        return f"GFFE_{found[1].upper()}", int(found[2])
-    if name not in _GRIDS:
-        raise GffeError(f"export: C does not have the grid '{name}' (expected {', '.join(_GRIDS)}, level0, network1 …)")
-    return f"GFFE_{name.upper()}", 0
+    """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its
+    size."""
+    grid = grid_of(name)
+    return f"GFFE_{grid.kind.upper()}", grid.level
 
 
 class _Buffers:

@@ -15,6 +15,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
+    LARGEST,
     as_float32,
     require_array,
     require_bool,
@@ -132,15 +133,21 @@ _OBJECTS = (
 
 def checked_frame(frame: RenderedFrame) -> RenderedFrame:
     """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
-    require_kind(frame, RenderedFrame, "frame")
+    if not isinstance(frame, RenderedFrame):
+        require_kind(frame, RenderedFrame, "frame")
     for name, kind, expected in _OBJECTS:
         if not isinstance(getattr(frame, name), kind):
             raise GffeError(f"frame: {name} must be {expected}, got {shown(getattr(frame, name))}")
-    time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
-    jitter, size = require_jitter(frame.geometry_jitter), frame.geometry_size
-    size = None if size is None else require_size(size, "frame: geometry_size", whole=True)
-    if time is frame.time and reset is frame.reset and jitter is frame.geometry_jitter and size is None:
+    time, reset, jitter, size = frame.time, frame.reset, frame.geometry_jitter, frame.geometry_size
+    plain = type(time) is float and -LARGEST < time < LARGEST and type(reset) is bool
+    if plain and jitter is NO_JITTER and size is None:
         return frame
+    time, reset, jitter = (
+        require_number(time, "frame: time"),
+        require_bool(reset, "frame: reset"),
+        require_jitter(jitter),
+    )
+    size = None if size is None else require_size(size, "frame: geometry_size", whole=True)
     checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter, geometry_size=size)
     checked._known_bad = frame._known_bad
     return checked
@@ -269,22 +276,29 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
-    require_kind(frame, RenderedFrame, "frame")
+    if not isinstance(frame, RenderedFrame):
+        require_kind(frame, RenderedFrame, "frame")
     if height is None:
         height, width = require_array(frame.depth, "frame: depth", None, None, kinds="f").shape
-    width, height = require_size((width, height), "frame: size", whole=True)
+        width, height = require_size((width, height), "frame: size", whole=True)
     if getattr(frame.color, "dtype", None) in (np.uint8, np.uint16):
         raise GffeError(
             f"frame: color must be floating point, got {frame.color.dtype} (expected float16 or float32, or a pipeline"
             " with format=gffe.FrameFormat(), which takes linear color of 8 and 16 bits)"
         )
     color = require_array(frame.color, "frame: color", height, width, (3, 4), kinds="f")
-    depth = as_float32(require_array(frame.depth, "frame: depth", height, width, kinds="f"))
+    depth = require_array(frame.depth, "frame: depth", height, width, kinds="f")
     motion = require_motion(frame)
     if motion is not None:
-        motion = as_float32(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
-        motion = np.require(motion, requirements="A")
-    return HostArrays(_uploadable(color), np.require(depth, requirements="A"), motion, frame._known_bad)
+        motion = _floats(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
+    return HostArrays(_uploadable(color), _floats(depth), motion, frame._known_bad)
+
+
+def _floats(array: np.ndarray) -> np.ndarray:
+    """Return an array as float32, C-contiguous and aligned, without a copy if it is that already."""
+    if array.dtype == np.float32 and array.flags.carray:
+        return array
+    return np.require(as_float32(array), requirements="A")
 
 
 def described_arrays(frame: RenderedFrame, size: tuple[int, int], geometry: tuple[int, int]) -> HostArrays:

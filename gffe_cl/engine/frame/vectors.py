@@ -42,18 +42,14 @@ def determinant(matrix: Matrix) -> float:
     return dot(matrix[0], cross(matrix[1], matrix[2]))
 
 
-def inverse(matrix: Matrix) -> list[list[float]]:
-    """Return the inverse by cofactors. It is accurate to rounding for nearly rigid matrices."""
-    a, b, c = matrix
-    columns = cross(b, c), cross(c, a), cross(a, b)
-    scale = dot(a, columns[0])
-    return [[column[row] / scale for column in columns] for row in range(3)]
-
-
 def view_inverse(matrix: Matrix) -> tuple[list[list[float]], list[float]]:
-    """Return rotation and translation of the inverse of a rigid transform, given as (3 or 4, 4) rows."""
-    rotation = inverse([row[:3] for row in matrix[:3]])
-    return rotation, [-x for x in times(rotation, [row[3] for row in matrix[:3]])]
+    """Return rotation and translation of the inverse of a rigid transform, given as (3 or 4, 4) rows: by cofactors,
+    accurate to rounding for nearly rigid matrices."""
+    (*a, x), (*b, y), (*c, z) = matrix[:3]
+    of_x, of_y, of_z = cross(b, c), cross(c, a), cross(a, b)
+    scale = dot(a, of_x)
+    rotation = [[p / scale, q / scale, r / scale] for p, q, r in zip(of_x, of_y, of_z, strict=True)]
+    return rotation, [-(p * x + q * y + r * z) for p, q, r in rotation]
 
 
 def view_to_view(source: Matrix, inverse: tuple[Matrix, Vector], target: Matrix) -> list[list[float]]:

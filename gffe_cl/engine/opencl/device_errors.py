@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pyopencl as cl
 
@@ -16,28 +17,26 @@ _MEMORY = {
 }  # fmt: skip
 
 
-class device_faults:
-    """Turns driver errors within its block `work` into a GffeError of one line with a remedy. `footprint` is the text
-    about sizes and memory."""
+def device_fault(device: Device, work: str, footprint: Callable[[], str], error: cl.Error) -> GffeError:
+    """Return a driver's `error` in one line with a remedy, and forget the device. `footprint` is the text about sizes
+    and memory."""
+    forget_opened(device)
+    advice = (
+        "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"
+        if error.code in _MEMORY
+        else "is lost, or its driver has failed (expected it to answer)"
+    )
+    reason = " ".join(str(error).split())[:120]
+    return GffeError(
+        f"{device.info.name}: {work} failed: {reason}; {footprint()}: the device {advice};"
+        " open the device and a new pipeline to go on"
+    )
 
-    def __init__(self, device: Device, work: str, footprint: Callable[[], str]):
-        self.device, self.work, self.footprint = device, work, footprint
 
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if not isinstance(error, cl.Error):
-            return
-        device, work, footprint = self.device, self.work, self.footprint
-        forget_opened(device)
-        advice = (
-            "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"
-            if error.code in _MEMORY
-            else "is lost, or its driver has failed (expected it to answer)"
-        )
-        reason = " ".join(str(error).split())[:120]
-        raise GffeError(
-            f"{device.info.name}: {work} failed: {reason}; {footprint()}: the device {advice};"
-            " open the device and a new pipeline to go on"
-        ) from error
+@contextmanager
+def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> Iterator[None]:
+    """Turn driver errors within its block `work` into `device_fault`."""
+    try:
+        yield
+    except cl.Error as error:
+        raise device_fault(device, work, footprint, error) from error

@@ -35,6 +35,8 @@ def adopted(value: Any, kind: type[Kind], what: str) -> Any:
 def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event]:
     """Return events to wait for, given as pyopencl's or as handles. Raises GffeError unless all are of `context`, and
     none has failed."""
+    if isinstance(values, tuple) and not values:  # mostly
+        return []
     try:
         listed = [None] if isinstance(values, str | bytes) else list(values)
     except TypeError:
@@ -50,3 +52,16 @@ def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event
         if status < 0:
             raise GffeError(f"{what}[{number}] has failed (OpenCL error {status})")
     return events
+
+
+def wait_for_all(queue: cl.CommandQueue, events: list[cl.Event]) -> None:
+    """Make all later commands of the queue wait for `events`."""
+    if events:
+        cl.enqueue_barrier(queue, wait_for=events)
+
+
+def marker(queue: cl.CommandQueue) -> cl.Event:
+    """Return an event that is complete when all work enqueued so far is; other queues can wait for it."""
+    event = cl.enqueue_marker(queue)
+    queue.flush()
+    return event

@@ -8,12 +8,38 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import as_float32, require_array, require_number, shown
+from gffe_cl.engine.core.validation import as_float32, require_array, require_kind, require_number, shown
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.intervals import FAR_ALPHA, MOST_ALPHA
+from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
 from gffe_cl.engine.stages.buffers import Sizes
 
 
-def checked_time(time: Any, after: float, interval: float) -> tuple[float, float]:
+def checked_moment(
+    camera: Camera | None,
+    time: Any,
+    target_position: Any,
+    seen_through: Any,
+    frames: RenderedFrames,
+    sizes: Sizes,
+) -> dict[str, Any]:
+    """Return the members of the `Step` that makes a new frame from the arguments of `extrapolate`. Raises GffeError for
+    invalid ones."""
+    time, alpha = _checked_time(time, frames.needed.time, frames.interval)
+    if camera is None:
+        camera = frames.predicted_camera(alpha)
+    require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
+    return {
+        "camera": camera,
+        "time": time,
+        "alpha": alpha,
+        "target_position": _checked_positions(target_position, sizes),
+        "geometry": _checked_geometry(seen_through, sizes),
+        "given": frames.rest_for(camera, target_position is not None),
+    }
+
+
+def _checked_time(time: Any, after: float, interval: float) -> tuple[float, float]:
     """Return the time of a new frame (seconds; None: half an interval ahead) and its α. `after`: the rendered frame's
     time. Warns of a time far ahead. Raises GffeError for one before the rendered frame's, or too far ahead."""
     time = after + interval / 2 if time is None else require_number(time, "extrapolate: time")
@@ -26,19 +52,19 @@ def checked_time(time: Any, after: float, interval: float) -> tuple[float, float
         warnings.warn(
             f"extrapolate: time {time:g} s is {alpha:.0f} intervals after the last rendered frame's (expected up to"
             f" {FAR_ALPHA:g}, in seconds on the clock of the rendered frames)",
-            stacklevel=4,
+            stacklevel=5,
         )
     return time, alpha
 
 
-def checked_positions(target_position: Any, sizes: Sizes) -> np.ndarray | None:
+def _checked_positions(target_position: Any, sizes: Sizes) -> np.ndarray | None:
     """Return positions that replace position prediction. Raises GffeError for another shape than (H, W, 4)."""
     if target_position is None:
         return None
     return as_float32(require_array(target_position, "extrapolate: target_position", *reversed(sizes.source), 4))
 
 
-def checked_geometry(seen_through: Any, sizes: Sizes) -> dict[str, np.ndarray]:
+def _checked_geometry(seen_through: Any, sizes: Sizes) -> dict[str, np.ndarray]:
     """Return depth and motion that replace the new frame's, by name. Raises GffeError for other shapes than theirs."""
     if seen_through is None:
         return {}

@@ -1,12 +1,14 @@
-"""Order of the stages."""
+"""Order of the stages, and all of them on a board."""
 
 from __future__ import annotations
 
+from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.acceleration import Acceleration
 from gffe_cl.engine.stages.background import Background
 from gffe_cl.engine.stages.backward_blocks import BackwardBlocks
-from gffe_cl.engine.stages.base import Stage
+from gffe_cl.engine.stages.base import Board, Stage
+from gffe_cl.engine.stages.buffers import Sizes
 from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.connectivity import Connectivity
 from gffe_cl.engine.stages.convolutions import Convolutions
@@ -57,3 +59,17 @@ def stages_of(options: Options) -> list[type[Stage]]:
     chosen = (FILLINGS[options.hole_filling] if stage is HoleFilling else stage for stage in STAGES)
     wanted = [stage for stage in chosen if stage and stage.is_wanted(options)]
     return [stage for stage in wanted if options.warps_footprints or not stage.needs_footprints]
+
+
+def board_of(device: Device, sizes: Sizes, options: Options, int64: bool | None) -> Board:
+    """Return a board with all stages that the options ask for, and their buffers. `int64` is that of `Board`."""
+    board = Board(device, sizes, options, int64)
+    try:
+        for stage in stages_of(options):
+            stage(board)
+        board.memory.place(board.turn)
+        _ = board.frame  # made when it is first asked for
+    except BaseException:
+        board.let_go()
+        raise
+    return board

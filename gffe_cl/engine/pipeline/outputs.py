@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import pyopencl as cl
 
@@ -46,8 +47,30 @@ class Outputs:
                 spec = self._board.frame.spec(name)
                 yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
 
+    def held(self, others: Iterable[Any]) -> Iterator[tuple[Owner, BufferSpec]]:
+        """Yield the buffers that hold the present frame, with their owners: of the frame, the stages, their outputs,
+        and of `others` (None: nothing)."""
+        yield from ((self._board.frame, spec) for spec in self._board.frame.buffers)
+        for stage in self._stages.values():
+            yield from ((stage, spec) for spec in stage.buffers if not spec.scratch)
+            if output := self.kept.get(stage.name):
+                yield from ((output, output.spec(name)) for name in output.buffer)
+        for other in filter(None, others):
+            yield from ((other, spec) for spec in other.held())
+
+    def keep(self, stage: Stage) -> None:
+        """Enqueue copies of the results of a stage that has worked."""
+        if output := self.kept.get(stage.name):
+            output.keep(self._board.frame.buffer)
+
+    def picture(self, occasion: str) -> cl.Buffer | None:
+        """Return the result of the last stage that makes a picture on `occasion`, None if no stage does."""
+        makers = [stage for stage in self._stages.values() if occasion in stage.pictures]
+        return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
+
     def choose(self, wanted: set[str] | None) -> None:
         """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""
+        self._board.scripts.clear()
         for stage in self._stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}

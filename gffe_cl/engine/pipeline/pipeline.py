@@ -22,27 +22,25 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
-from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, is_shown_whole
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.handles import adopted_events
+from gffe_cl.engine.opencl.handles import adopted_events, marker, wait_for_all
 from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.display import Display
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
-from gffe_cl.engine.pipeline.moment import checked_geometry, checked_positions, checked_time
-from gffe_cl.engine.pipeline.order import stages_of
+from gffe_cl.engine.pipeline.moment import checked_moment
+from gffe_cl.engine.pipeline.order import board_of
 from gffe_cl.engine.pipeline.outputs import Outputs
 from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
 from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
 from gffe_cl.engine.pipeline.watching import Watcher
 from gffe_cl.engine.stages.base import Board, Step
-from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, DeviceFrame, Owner, Sizes
+from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
-from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.intake import Intake, prepare
 from gffe_cl.engine.stages.memory_budget import footprint, require_room
-from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
-from gffe_cl.engine.stages.user_interface import UserInterface
 
 
 class Pipeline:
@@ -114,12 +112,10 @@ class Pipeline:
         self.options = Options() if options is None else require_kind(options, Options, "pipeline: options", "Options")
         self.format = format
         self.fps = require_frame_rate(fps, "pipeline: fps")
-        if int64_atomics is not None:
-            int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
+        forced = int64_atomics
+        self._int64_atomics = None if forced is None else require_bool(forced, "pipeline: int64_atomics")
         self._exposure = 1.0
-        self._int64_atomics = int64_atomics
         self.watcher: Watcher | None = None
-        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
         self.intake = Intake(device, self.sizes)
         self._begin(self.options)
 
@@ -130,11 +126,10 @@ class Pipeline:
         self.board, self._nbytes = self._allocate(self.sizes, options)
         self.options = options
         self.stages: dict[str, Any] = dict(self.board.stages)
-        self.presentation: Presentation | None = None  # made with the first windowed frame
-        self.composition: Composition | None = None  # made with the first frame that brings overlays
+        self._swapping = [stage for stage in self.stages.values() if stage.before]
         self._outputs = Outputs(self.board, self.stages)
-        copies = bool(self.board.facts.get("copies")) and self.sizes.source == self.sizes.target
-        self.frames = RenderedFrames(options, self.fps, copies)
+        self.frames = RenderedFrames(self.board, self.fps)
+        self.display = Display(self.board, self.frames)
         self.intake.begin(self.board)
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
@@ -142,15 +137,7 @@ class Pipeline:
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
         """Return all stages on a new board with their buffers, and how many bytes these are."""
         before = self.device.allocated
-        board = Board(self.device, sizes, options, self._int64_atomics)
-        try:
-            for stage in stages_of(options):
-                stage(board)
-            board.memory.place(board.turn)
-            _ = board.frame  # made when it is first asked for
-        except BaseException:
-            board.let_go()
-            raise
+        board = board_of(self.device, sizes, options, self._int64_atomics)
         return board, self.device.allocated - before
 
     def __del__(self):
@@ -263,56 +250,38 @@ class Pipeline:
             self.watcher.before(self, rendered=True)
         self._settle()
         self._decide_cut()
-        self._wait(events)
+        wait_for_all(self.device.queue, events)
         board, frames = self.board, self.frames
         before = frames.previous, frames.current
-        layers = self._layers(frame)
-        shown_before = None if frame.reset else frames.shown
-        shown = self.intake.take(prepared, None if frame.reset else frames.current, frames.times)
-        frames.take(self._without_overlays(layers, shown, shown_before), shown, frame.reset)
-        for stage in self.stages.values():
+        last = (None, frames.times, None) if frame.reset else (frames.current, frames.times, frames.shown)
+        taken, shown = self.intake.take(prepared, *last, self.exposure)
+        frames.take(taken, shown, frame.reset)
+        for stage in self._swapping:
             stage.swap()
         board.show(frames.needed, frames.previous)
         board.memory.place(board.turn)
-        self._take_rendered()
+        worked = self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and frames.previous else False
-        if self.presentation is None and not self._shown_whole(frames.needed):
-            self.presentation = Presentation(board)
-        done = self._done()
-        complete = cl.command_execution_status.COMPLETE
-        self._leaving = [one for one in self._leaving if one[0].command_execution_status > complete]
-        self._leaving.append((done, before))
+        self.display.prepare()
+        done = worked or marker(self.device.queue)
+        self.intake.leave(done, before)
         if self.watcher:
             self.watcher.submitted(self, frame, shown)
         return done
 
-    def _layers(self, frame: RenderedFrame) -> dict[str, Any]:
-        """Return the overlays that the frame brings, checked. Raises GffeError for wrong shapes."""
-        overlays = frame.overlays if self.options.overlays else None
-        if self.composition is None and (overlays or UserInterface.name in self.stages):
-            self.composition = Composition(self.board)
-        return self.composition.prepared(overlays) if self.composition else {}
-
-    def _without_overlays(self, layers: dict[str, Any], frame: DeviceFrame, before: DeviceFrame | None) -> DeviceFrame:
-        """Return the frame for the stages, without what keeps its place; `before`: the one before it, shown whole."""
-        if detection := self.stages.get(UserInterface.name):
-            layers = detection.found(layers, frame, before, self.exposure)
-        return self.composition.take(layers, frame) if self.composition else frame
-
-    def _take_rendered(self) -> None:
-        """Enqueue the stages' work on the current frame."""
+    def _take_rendered(self) -> cl.Event | None:
+        """Enqueue the stages' work on the current frame. Returns the event of `Board.perform`."""
         frames = self.frames
-        given = frames.rest.copy()
-        step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self.exposure, given=given)
-        for stage in self.stages.values():
-            stage.rendered(step)
+        rest = frames.rest.copy()
+        step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self.exposure, given=rest)
+        return self.board.perform(step, self.stages.values(), ())
 
     def _decide_cut(self) -> None:
         """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
         if self._is_cut is None:
             self._is_cut = self.stages[SceneCuts.name].is_cut()
             if self._is_cut:
-                self._leaving.append((self._done(), self.frames.previous))
+                self.intake.leave(marker(self.device.queue), self.frames.previous)
                 self.frames.forget()
                 self.board.show(self.frames.needed, None)
                 self._take_rendered()
@@ -330,51 +299,23 @@ class Pipeline:
         """Return the last submitted frame as displayed. It is resampled where it was rendered through a window, or
         where the frame before was and motion must be converted. Returns at once. Raises GffeError before the first
         `submit`, and for events that cannot be waited for."""
-        _ = self.frames.needed
+        frame = self.frames.needed
         events = adopted_events(wait_for, self.device.context, "present: wait_for")
         self._settle()
         self._decide_cut()
-        self._wait(events)
-        frame, picture = self.frames.shown, self._picture("rendered")
-        assert frame is not None  # as there is a current one
-        if self._needs_presentation:
-            assert self.presentation is not None  # `submit` has made it
-            self.presentation.present(frame, self.frames.previous, with_color=picture is None)
-            color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
-        else:
-            color, depth, motion = frame.buffers
+        wait_for_all(self.device.queue, events)
+        picture = self._outputs.picture("rendered")
+        color, depth, motion = self.display.show(with_color=picture is None)
         color = picture or color
-        if composition := self._overlaid:
+        if composition := self.intake.overlaid:
             color = composition.compose(color, 0.0, rendered=True)
-        where = self.device, self.sizes.target
-        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, _event=self._done())
-
-    def _wait(self, events: list[cl.Event]) -> None:
-        """Make all later commands wait for `events`."""
-        if events:
-            cl.enqueue_barrier(self.device.queue, wait_for=events)
-
-    def _done(self) -> cl.Event:
-        """Return an event that is complete when all work enqueued so far is; other queues can wait for it."""
-        event = cl.enqueue_marker(self.device.queue)
-        self.device.queue.flush()
-        return event
+        shown = color, depth, motion, self.device, self.sizes.target
+        return PresentedFrame(frame.display_camera, frame.time, *shown, _event=marker(self.device.queue))
 
     @property
     def shown_camera(self) -> Camera:
         """The display camera of the last submitted frame. Raises GffeError before the first `submit`."""
         return self.frames.needed.display_camera
-
-    @property
-    def _overlaid(self) -> Composition | None:
-        return self.composition if self.composition and self.composition.active else None
-
-    @property
-    def _needs_presentation(self) -> bool:
-        return any(frame and not self._shown_whole(frame) for frame in (self.frames.current, self.frames.previous))
-
-    def _shown_whole(self, frame: DeviceFrame) -> bool:
-        return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
 
     # ---- extrapolated frames ---------------------------------------------------------------------------
 
@@ -423,50 +364,40 @@ class Pipeline:
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
         frames, source = self.frames, self.frames.needed
         self._decide_cut()
-        time, alpha = checked_time(time, source.time, frames.interval)
-        camera = frames.predicted_camera(alpha) if camera is None else camera
-        require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
-        target_position = checked_positions(target_position, self.sizes)
-        geometry = checked_geometry(seen_through, self.sizes)
+        given = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
         if self.watcher:
             self.watcher.before(self)
-        given = frames.rest_for(camera, target_position is not None)
-        step = Step(
-            source, frames.previous, frames.recent_times, camera, time, alpha, self.exposure, target_position, geometry,
-            given=given,
-        )  # fmt: skip
+        step = Step(source, frames.previous, frames.recent_times, exposure=self.exposure, **given)
         self._finish()
-        self._wait(events)
-        correction, kept = self._correction, self._outputs.kept
-        works_beside = correction and frames.previous and correction.works_beside
-        for stage in self.stages.values():
-            if works_beside and isinstance(stage, (*INPUTS, ShadingCorrection)):
-                continue
-            stage.extrapolated(step)
-            if stage.name in kept:
-                kept[stage.name].keep(self.board.frame.buffer)
-        frames.rest["coded"] |= not given["stays"]
+        wait_for_all(self.device.queue, events)
+        correction = self._correction
+        works_beside = bool(correction and frames.previous and correction.works_beside)
+        is_decided_here = correction and not correction.runs_on_device  # whether a frame is still
+        is_special = target_position is not None or seen_through or self._outputs.kept or is_decided_here
+        circumstances = None if is_special else (step.given["coded"], correction and correction.asked)
+        stages: Iterable[Any] = self.stages.values()
+        if works_beside:
+            stages = [stage for stage in stages if not isinstance(stage, (*INPUTS, ShadingCorrection))]
+        worked = self.board.perform(step, stages, circumstances, self._outputs.keep if self._outputs.kept else None)
+        frames.rest["coded"] |= not step.given["stays"]
         if works_beside and correction:
             correction.begin(step)
         made = self.board.frame.buffer
-        color = self._picture("extrapolated") or made["color"]
-        if composition := self._overlaid:
+        color = self._outputs.picture("extrapolated") or made["color"]
+        if composition := self.intake.overlaid:
             self._finish()
-            color = composition.compose(color, alpha)
+            color, worked = composition.compose(color, step.alpha), None
+        shown = color, made["depth"], made["motion"], self.device, self.sizes.target
         frame = ExtrapolatedFrame(
-            camera,
-            time,
-            color,
-            made["depth"],
-            made["motion"],
-            self.device,
-            self.sizes.target,
-            alpha,
+            given["camera"],
+            step.time,
+            *shown,
+            step.alpha,
             source.time,
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
             _finish=self._unfinished,
-            _event=self._done(),
+            _event=worked or marker(self.device.queue),
         )
         if self.watcher:
             self.watcher.extrapolated(self, frame)
@@ -488,13 +419,8 @@ class Pipeline:
             correction.settle()
 
     def _finish(self) -> None:
-        if finish := self._unfinished:
-            finish()
-
-    def _picture(self, occasion: str) -> cl.Buffer | None:
-        """Return the result of the last stage that makes a picture on `occasion`, None if no stage does."""
-        makers = [stage for stage in self.stages.values() if occasion in stage.pictures]
-        return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
+        if correction := self._correction:
+            correction.finish()
 
     # ---- looking inside --------------------------------------------------------------------------------
 
@@ -508,16 +434,7 @@ class Pipeline:
         """
         self._decide_cut()
         self._finish()
-        held: list[tuple[Owner, BufferSpec]] = [(self.board.frame, spec) for spec in self.board.frame.buffers]
-        for stage in self.stages.values():
-            held += ((stage, spec) for spec in stage.buffers if not spec.scratch)
-            if output := self._outputs.kept.get(stage.name):
-                held += ((output, output.spec(name)) for name in output.buffer)
-        if self.presentation and self._needs_presentation:
-            held += ((self.presentation, spec) for spec in self.presentation.buffers)
-        if composition := self._overlaid:
-            held += ((composition, spec) for spec in composition.held())
-        return iter(held)
+        return iter([*self._outputs.held([self.display.resampling, self.intake.overlaid])])
 
     def conversions(self) -> Iterator[tuple[Owner, BufferSpec, tuple[int, int]]]:
         """Return the buffers in which depth and motion of the last rendered frame were before they got the size of
@@ -561,7 +478,7 @@ class Pipeline:
         self._finish()
         self.device.queue.finish()
         taken, correction = milliseconds_of(self.board.commands.take_events()), self._correction
-        stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
-        timings = {stage.name: taken.get(stage.name, {}) for stage in stages}
+        others = filter(None, (self.display.presentation, self.intake.composition))
+        names = [*self.stages, *(stage.name for stage in others)]
         network = correction.take_network_milliseconds() if correction else {}
-        return timings | {name: {name: ms} for name, ms in network.items()}
+        return {name: taken.get(name, {}) for name in names} | {name: {name: ms} for name, ms in network.items()}

@@ -6,7 +6,8 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.engine.frame.intervals import interval_of
-from gffe_cl.engine.options import MAX_ORDER, Options
+from gffe_cl.engine.options import MAX_ORDER
+from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
 
@@ -20,8 +21,10 @@ class RenderedFrames:
     whether all of its colors are encoded.
     """
 
-    def __init__(self, options: Options, fps: float, copies: bool):
-        self._options, self._fps, self._copies = options, fps, copies
+    def __init__(self, board: Board, fps: float):
+        self._options, self._fps = board.options, fps
+        # Whether blocks at rest are copied.
+        self._copies = bool(board.facts.get("copies")) and board.sizes.source == board.sizes.target
         self.current: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None
         self.shown: DeviceFrame | None = None

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from functools import wraps
 from threading import RLock
 
+import pyopencl as cl
+
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.opencl.device_errors import device_faults
+from gffe_cl.engine.opencl.device_errors import device_fault
 
 
 class Turns:
@@ -38,8 +40,10 @@ def pipeline_call(method: Callable) -> Callable:
             )
         try:
             self.device.require_process()
-            with self.turns.working, device_faults(self.device, name, self._footprint):
+            with self.turns.working:
                 return method(self, *arguments, **more)
+        except cl.Error as error:
+            raise device_fault(self.device, name, self._footprint, error) from error
         finally:
             self.turns.calling.release()
 

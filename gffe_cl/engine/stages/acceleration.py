@@ -10,9 +10,8 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
-from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
 from gffe_cl.engine.stages.pixel_formats import TRUSTED
 
 _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
@@ -72,13 +71,13 @@ class Acceleration(Stage):
             "track_acceleration",
             _CELLS,
             {
-                "depth": Access("rendered.depth", DYNAMIC_PIXELS),
-                "motion": Access("rendered.motion", DYNAMIC_PIXELS),
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
-                "velocity_prev": Access("acceleration.velocity'", DYNAMIC_PIXELS),
-                "acceleration_prev": Access("acceleration.acceleration'", DYNAMIC_PIXELS),
-                "view_velocity_prev": Access("acceleration.view_velocity'", DYNAMIC_PIXELS),
+                "met_depth": "history.met_depth",
+                "velocity_prev": "acceleration.velocity'",
+                "acceleration_prev": "acceleration.acceleration'",
+                "view_velocity_prev": "acceleration.view_velocity'",
             },
             {
                 "velocity": "acceleration.velocity",

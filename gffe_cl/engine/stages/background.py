@@ -10,10 +10,9 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
-from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
+from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes, grid_of
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
-from gffe_cl.engine.stages.warp import DISOCCLUDED, HOLES, MIXED, OPEN_LIST
 
 _CONSTANTS = constants("background.cl")
 EMPTY, SHOWN, REMEMBERED, EDGE = (_CONSTANTS[name] for name in ("EMPTY", "SHOWN", "REMEMBERED", "EDGE"))
@@ -25,52 +24,38 @@ STATES = (
 )
 
 
-REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state == REMEMBERED)
-OPEN = share_of("open", "background.state_0", lambda state: (state == EMPTY) | (state == REMEMBERED))  # to offers
-PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # whether there is a next level
-
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
 _SPARES = 8  # times the alignment: lent memory beyond this stage's needs, because its parts are aligned
 
 
-def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
+def _keys(which: str) -> dict[str, str]:
     """Return keys and winners of the candidates that "fill" a level, or that it can "push" to the next one."""
-    return {f"{which}_{name}": Access(f"background.{{{which}_by}}_{name}", share) for name in ("keys", "winners")}
+    return {f"{which}_{name}": f"background.{{{which}_by}}_{name}" for name in ("keys", "winners")}
 
 
-def _level(
-    names: str, level: str = "level", share: Share | float = 1.0, prefix: str = "level_", kept: str = ""
-) -> dict:
-    """Return accesses to the buffers of the level that is chosen at the launch."""
-    return {f"{prefix}{name}": Access(f"background.{name}_{{{level}}}{kept}", share) for name in names.split()}
+def _level(names: str, level: str = "level", prefix: str = "level_", kept: str = "") -> dict[str, str]:
+    """Return the arguments that are buffers of the level that is chosen at the launch."""
+    return {f"{prefix}{name}": f"background.{name}_{{{level}}}{kept}" for name in names.split()}
 
 
-def _levels(names: str, share: Share | float = 1.0) -> dict[str, Access]:
-    """Return accesses to the buffers of all levels."""
-    return {f"levels_{name}": Access(f"background.{name}", share) for name in names.split()}
+def _levels(names: str) -> dict[str, str]:
+    """Return the arguments that are buffers of all levels."""
+    return {f"levels_{name}": f"background.{name}" for name in names.split()}
 
 
-def _old(names: str) -> dict[str, Access]:
-    return _level(names, "old", REMEMBERED_TEXELS, "old_", "'")
-
-
-_OFFERED = _keys("fill", REMEMBERED_TEXELS) | _keys("push", REMEMBERED_TEXELS)
-_SETTLED = _level("color depth px state", share=REMEMBERED_TEXELS) | _keys("fill", REMEMBERED_TEXELS)
+_OFFERED = _keys("fill") | _keys("push")
+_SETTLED = _level("color depth px state") | _keys("fill")
 _SETTLING = (
     {
-        "frame_color": Access("previous.color", REMEMBERED_TEXELS),
-        "frame_depth": Access("previous.depth", REMEMBERED_TEXELS),
+        "frame_color": "previous.color",
+        "frame_depth": "previous.depth",
     }
     | _level("state")
-    | _keys("fill", OPEN)
-    | _old("color depth px state")
+    | _keys("fill")
+    | _level("color depth px state", "old", "old_", "'")
 )
-_PUSHED = (
-    _level("color depth px", "next", REMEMBERED_TEXELS, "next_")
-    | _level("state", "next", prefix="next_")
-    | _keys("push", REMEMBERED_TEXELS)
-)
-_PROJECTED = {"keys": Access("warp.keys", HOLES), "winners": Access("warp.winners", HOLES)}
+_PUSHED = _level("color depth px state", "next", "next_") | _keys("push")
+_PROJECTED = {"keys": "warp.keys", "winners": "warp.winners"}
 
 
 class Background(NearestStage):
@@ -87,16 +72,15 @@ class Background(NearestStage):
             "scatter_level",
             "level{level}",
             {
-                "depth": Access("rendered.depth", OPEN),
-                "dynamic_mask": Access("history.dynamic_mask", OPEN),
-                "links": Access("connectivity.links", OPEN),
+                "depth": "rendered.depth",
+                "dynamic_mask": "history.dynamic_mask",
+                "links": "connectivity.links",
                 "last_stir": "history.last_stir",
-                "frame_depth": Access("{depth_of_shown}"),
-                "taken": Access("background.state_{level}"),
-                "level_depth": Access("{depth_of_taken}"),
+                "frame_depth": "{depth_of_shown}",
+                "taken": "background.state_{level}",
+                "level_depth": "{depth_of_taken}",
             }
-            | _level("depth px", share=REMEMBERED_TEXELS, prefix="old_", kept="'")
-            | _level("state", prefix="old_", kept="'")
+            | _level("depth px state", prefix="old_", kept="'")
             | _OFFERED,
             _OFFERED,
             step=("LANES", 1),
@@ -106,12 +90,11 @@ class Background(NearestStage):
         Kernel(
             "project_levels",
             "levels{levels}",
-            _levels("depth px", REMEMBERED_TEXELS)
-            | _levels("state")
+            _levels("depth px state")
             | {
-                "disoccluded": Access("frame.disoccluded", REMEMBERED_TEXELS),
-                "mixed": Access("warp.mixed", REMEMBERED_TEXELS),
-                "depth": Access("frame.depth", HOLES),
+                "disoccluded": "frame.disoccluded",
+                "mixed": "warp.mixed",
+                "depth": "frame.depth",
             }
             | _PROJECTED,
             _PROJECTED,
@@ -122,22 +105,22 @@ class Background(NearestStage):
             "fill_from_levels",
             "walk",
             {
-                "frame_color": Access("rendered.color", HOLES),
-                "frame_depth": Access("rendered.depth", HOLES),
-                "open": OPEN_LIST,
-                "color_prev": Access("previous.color", HOLES),
-                "depth_prev": Access("previous.depth", HOLES),
-                "state_prev": Access("background.state_0'", HOLES),
-                "color": Access("frame.color", MIXED),
-                "filled_by": Access("frame.filled_by", DISOCCLUDED),
+                "frame_color": "rendered.color",
+                "frame_depth": "rendered.depth",
+                "open": "warp.open",
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
+                "state_prev": "background.state_0'",
+                "color": "frame.color",
+                "filled_by": "frame.filled_by",
             }
-            | _levels("color depth px state", HOLES)
+            | _levels("color depth px state")
             | _PROJECTED,
             {
-                "color": Access("frame.color", HOLES),
-                "depth": Access("frame.depth", DISOCCLUDED),
-                "motion": Access("frame.motion", DISOCCLUDED),
-                "filled_by": Access("frame.filled_by", HOLES),
+                "color": "frame.color",
+                "depth": "frame.depth",
+                "motion": "frame.motion",
+                "filled_by": "frame.filled_by",
             },
             group="WALK_GROUP",
         ),
@@ -188,7 +171,7 @@ class Background(NearestStage):
                 continue
             whole, start = spec.part_of, places.get(spec.name, 0)
             if spec.name not in places:
-                start = self.starts[int(spec.grid.removeprefix("level"))] * spec.bytes_per_pixel
+                start = self.starts[grid_of(spec.grid).level] * spec.bytes_per_pixel
                 if whole in places:
                     whole, start = "memory", start + places[whole]
             made[spec.name] = self.board.memory.part(made[whole], start, spec.nbytes(self.sizes))

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.silhouettes import Silhouettes
 
 _CONSTANTS = constants("backward_blocks.cl")
-_FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
 SPLATTED, BACKWARD, COPIED = (_CONSTANTS[name] for name in ("SPLATTED", "BACKWARD", "COPIED"))
 CLASSES = (
     (SPLATTED, "splatted: edges that move apart, movers, disocclusions"),
@@ -26,10 +25,6 @@ SMOOTHNESS = (
     (_CONSTANTS["RIGID"], "surfaces that do not move apart"),
     (_CONSTANTS["RESTING"], "surfaces that stay in place"),
 )
-
-
-SPLATTED_PIXELS = share_of("splatted", "backward_blocks.block_class", lambda block: block == SPLATTED)
-SPLATTING_BLOCKS = Share("splatting", lambda board: float(board.stages["backward_blocks"].splatting().mean()))
 
 
 class BackwardBlocks(NearestStage):
@@ -79,15 +74,15 @@ class BackwardBlocks(NearestStage):
             {
                 "smooth": "backward_blocks.smooth",
                 "reached_by": "backward_blocks.reached_by",
-                "target_position": Access("prediction.target_position", _FIVE_PER_BLOCK),
+                "target_position": "prediction.target_position",
             },
             {
                 "reached_by": "backward_blocks.reached_by",
                 "block_class": "backward_blocks.block_class",
                 "block_source": "backward_blocks.block_source",
                 "marked": "silhouettes.marked",
-                "keys": Access("warp.keys", SPLATTED_PIXELS),
-                "winners": Access("warp.winners", SPLATTED_PIXELS),
+                "keys": "warp.keys",
+                "winners": "warp.winners",
             },
         ),
     )
@@ -101,19 +96,9 @@ class BackwardBlocks(NearestStage):
             self.buffers = tuple(replace(spec, scratch=spec.scratch or spec.name == "reach") for spec in self.buffers)
         if not self.softens:  # it writes nothing of them
             find, classify = self.kernels
-            nothing = Access("backward_blocks.block_class", planes=0)
+            nothing = "backward_blocks.block_class"
             self.kernels = (find, replace(classify, writes={**classify.writes, "marked": nothing}))
         super().__init__(board)
-
-    def splatting(self) -> np.ndarray:
-        """Return (rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
-        reach, splatted = self.read("reach"), self.read("block_class") == SPLATTED
-        if not self.finds:
-            return np.ones(reach.shape[:2], bool)
-        sums = np.pad(np.cumsum(np.cumsum(splatted, 0), 1), ((1, 0), (1, 0)))
-        x0, y0, x1, y1 = np.moveaxis(reach, -1, 0)
-        within = sums[y1 + 1, x1 + 1] - sums[y0, x1 + 1] - sums[y1 + 1, x0] + sums[y0, x0]
-        return (x1 >= x0) & (y1 >= y0) & (within > 0)
 
     def extrapolated(self, step: Step) -> None:
         if self.finds:

@@ -1,12 +1,13 @@
 """Contract of a stage, which declares its buffers and the buffers that each of its kernels reads and writes.
 
 From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
-of stages and memory, and the bytes per pixel that must move (`gffe bench`).
+of stages and memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from array import array
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -19,7 +20,7 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import Program, build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
-from gffe_cl.engine.stages.commands import Commands, Launch
+from gffe_cl.engine.stages.commands import Commands, Launch, Script
 from gffe_cl.engine.stages.frame_block import FRAME, BlockWriter, block_facts
 from gffe_cl.engine.stages.memory import LentMemory
 
@@ -29,64 +30,31 @@ _TILE, _ROW = (16, 8), (128, 1)
 
 
 @dataclass(frozen=True)
-class Share:
-    """A share of the pixels: its name in tables, and a function that counts it in the present frame, 0 to 1."""
-
-    name: str
-    count: Callable[[Board], float]
-
-
-def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambda values: values != 0) -> Share:
-    """Return the share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
-
-    def count(board: Board) -> float:
-        owner, _, own = buffer.partition(".")
-        found: Any = board.frame if owner == "frame" else board.stages.get(owner)
-        there = found and any(spec.name == own for spec in found.buffers)
-        return float(counts(found.read(own)).mean()) if there else 0.0
-
-    return Share(name, count)
-
-
-@dataclass(frozen=True)
-class Access:
-    """Access of a kernel through one argument.
-
-    `buffer` is its name; {…} in it are given at the launch. `share` is the accessed share of the buffer's pixels, a
-    number or counted in the frame; `planes` is the number of accessed planes, None for all.
-    """
-
-    buffer: str
-    share: Share | float = 1.0
-    planes: int | None = None
-
-
-@dataclass(frozen=True)
 class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
     `group` of them, in a row, make a work-group, with `group_rows` rows (None: as suits the device). `repeats` is the
-    name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` go
-    by the names of its arguments; buffers that are both read and written are in both. A launch may give another buffer
+    name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` are
+    names of buffers, by the names of its arguments; {…} in them are given at the launch. Buffers that are both read and
+    written are in both. A launch may give another buffer
     than the declared one if it lies alike. `choices`: values of the names in {…} that are not levels, launch by launch.
     """
 
     name: str
     grid: str
-    reads: Mapping[str, Access | str] = field(default_factory=dict)
-    writes: Mapping[str, Access | str] = field(default_factory=dict)
+    reads: Mapping[str, str] = field(default_factory=dict)
+    writes: Mapping[str, str] = field(default_factory=dict)
     step: tuple[int | str, int | str] = (1, 1)
     group: int | str | None = None
     group_rows: int | str = 1
     repeats: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def accesses(self) -> Iterator[tuple[str, str, Access]]:
-        """Yield ("reads" or "writes", argument, access) of each access."""
-        for kind in ("reads", "writes"):
-            for argument, access in getattr(self, kind).items():
-                yield kind, argument, access if isinstance(access, Access) else Access(access)
+    @property
+    def buffers(self) -> dict[str, str]:
+        """Names of the buffers that it reads or writes, by argument."""
+        return {**self.reads, **self.writes}
 
 
 @dataclass
@@ -130,8 +98,8 @@ class Step:
         self.slot = "rendered" if self.camera is None else "new"  # of `FrameBlocks`
         self.key = object()  # known by: who keeps it keeps no buffers
 
-    def block(self, board: Board) -> np.ndarray:
-        """Return the frame block of frame.h, as bytes, for the stages on `board`."""
+    def block(self, board: Board) -> array[float]:
+        """Return the frame block of frame.h, as words, for the stages on `board`."""
         rendered = self.frame, self.previous, self.times, self.exposure
         return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays, self.given)
 
@@ -159,6 +127,7 @@ class Board:
         self._alike = False  # whether the rendered frame has the buffers of the frame two before it
         self._shown = [object(), object()]  # by the rendered frames' bit in `turn`
         self.commands = Commands(device)
+        self.scripts: dict[tuple, Script] = {}  # by what they depend on
         self.blocks = FrameBlocks(self)
 
     @cached_property
@@ -185,6 +154,36 @@ class Board:
             self._shown[self.turn & 1] = object()
         self.rendered, self.previous, self.shown = frame, previous or frame, self._shown[self.turn & 1]
 
+    def perform(
+        self, step: Step, stages: Iterable[Any], circumstances: tuple | None, after: Callable[[Any], None] | None = None
+    ) -> cl.Event | None:
+        """Do the work of `stages` on a step, and call `after` with each. What they enqueue depends on the
+        `circumstances` alone, besides `turn` and whether there is a previous frame: it is enqueued again while these
+        and the rendered frames' buffers are the same. None: it depends on more. Returns the event with which all work
+        is complete, if there is one already."""
+        key, script = (), None
+        if circumstances is not None:
+            key = self.turn, step.slot, step.previous is None, *circumstances
+            script = self.scripts.get(key)
+            if script and script.shown is self.shown:
+                self.blocks.held[step.slot] = step.key
+                return self.commands.repeat(script, step.block(self))
+            script = Script(self.shown)
+        self.commands.script = script
+        try:
+            for stage in stages:
+                if step.slot == "rendered":
+                    stage.rendered(step)
+                else:
+                    stage.extrapolated(step)
+                if after:
+                    after(stage)
+        finally:
+            self.commands.script = None
+        if script:
+            self.scripts[key] = script
+        return None
+
     def __del__(self):
         self.let_go()
 
@@ -194,6 +193,7 @@ class Board:
         for stage in self.stages.values():
             stage.let_go()
         self.stages.clear()
+        self.scripts.clear()
         with self.device.opened.lock:
             self.memory.let_go()
         self.__dict__.pop("blocks", None)
@@ -253,12 +253,8 @@ class Stage(Owner):
             name: {argument.name for argument in arguments if not argument.is_number}
             for name, arguments in self.program.arguments.items()
         }
-        # The argument by which a kernel brings the frame block.
-        self._brought = {
-            name: argument.name
-            for name, arguments in self.program.arguments.items()
-            for argument in arguments
-            if argument.brings_frame
+        self._bringing = {
+            name for name, arguments in self.program.arguments.items() if any(a.brings_frame for a in arguments)
         }
         self._check()
 
@@ -280,7 +276,7 @@ class Stage(Owner):
     @classmethod
     def outputs(cls) -> tuple[str, ...]:
         """Return the names of the buffers of the extrapolated frame that the stage writes."""
-        written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
+        written = (name for kernel in cls.kernels for name in kernel.writes.values())
         return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
 
     def own(self, name: str) -> cl.Buffer:
@@ -305,8 +301,8 @@ class Stage(Owner):
         board, slot = self.board, None
         if step is not None:
             slot = step.slot
-            if brought := self._brought.get(name):
-                given[brought], board.blocks.held[slot] = step.block(board), step.key
+            if name in self._bringing:
+                board.blocks.held[slot] = step.key
             elif board.blocks.held.get(slot) is not step.key:
                 board.blocks.set(step)
         key = board.turn, name, slot
@@ -325,6 +321,9 @@ class Stage(Owner):
             launch.shown = board.shown
         for set_arg, index, argument in launch.given:
             set_arg(index, given[argument])
+        if launch.block and step is not None:
+            set_arg, index = launch.block
+            set_arg(index, step.block(board))
         board.commands.launch(self, launch, given)
 
     def let_go(self) -> None:
@@ -345,16 +344,19 @@ class Stage(Owner):
             items, group = (*items, given[kernel.repeats]), (*group, 1)
         made = self.program.kernel(kernel.name)
         launch = Launch(kernel, slot, made, items, group)
-        declared = {argument: access.buffer for _, argument, access in kernel.accesses()}
+        declared = kernel.buffers
         for index, argument in enumerate(self.program.arguments[kernel.name]):
             if slot and argument.is_frame_block:
                 made.set_arg(index, self.board.blocks.buffer[slot])
                 continue
+            # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
+            set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
+            if argument.brings_frame:
+                launch.block = set_arg, index
+                continue
             if argument.name not in given and argument.name not in declared:
                 raise TypeError(f"kernels/{self.name}.cl, {kernel.name}: no value for argument '{argument.name}'")
             owner, _, own = declared.get(argument.name, "").format(**given).partition(".")
-            # pyopencl's `set_arg` takes some 50 µs to see that a struct is no buffer.
-            set_arg = made.set_arg if argument.buffer else getattr(made, "_set_arg_buf", made.set_arg)
             if argument.is_number:
                 made.set_arg(index, argument.packed(given[argument.name]))
             elif argument.name in given:
@@ -369,8 +371,8 @@ class Stage(Owner):
         """Return the values of a kernel's arguments, by name, in a launch with the arguments in `given` and the frame
         block `slot`."""
         values = {**given, "frame": self.board.blocks.buffer[slot]} if slot else dict(given)
-        declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in values}
-        return values | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
+        declared = kernel.buffers
+        return {name: self._buffer(declared[name], given) for name in declared.keys() - values.keys()} | values
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""

@@ -79,62 +79,92 @@ class Sizes:
     @cache  # noqa: B019  # sizes are few, and small
     def of(self, grid: str) -> tuple[int, int]:
         """Return width and height of a grid; `BufferSpec` lists the grids."""
-        if grid == "once":
-            return (1, 1)
-        if grid.startswith("levels"):
-            return self.level_starts(int(grid.removeprefix("levels")))[-1], 1
-        if grid.startswith("list_"):
-            return 1 + math.prod(self.of(grid.removeprefix("list_"))), 1
-        if grid.startswith("flat_"):
-            return math.prod(self.of(grid.removeprefix("flat_"))), 1
-        if grid == "walk":
-            return min(math.prod(self.target), WALKERS), 1
-        if grid == "cut_samples":
-            return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
-        if grid == "measures":
-            columns, rows = self.of("residuals")
-            return columns, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS + rows
-        if grid == "predictions":
-            return self.source[0], self.source[1] + 1
-        image = self.source if lies_on_source(grid) else self.target
-        side_x, side_y = texel_of(grid)
-        texels = -(-image[0] // side_x), -(-image[1] // side_y)
-        if grid == "tiles":
-            return texels[0] * TILE_GROUP, texels[1]
-        if grid.startswith("network"):
-            multiple = MULTIPLE >> network_level(grid)
-            return -(-texels[0] // multiple) * multiple, -(-texels[1] // multiple) * multiple
-        return texels
+        return grid_of(grid).size(self)
 
 
-def network_level(grid: str) -> int:
-    """Return how often the sides of "network" are halved in one of its grids."""
-    return int(grid.removeprefix("network") or 0)
+# Width and height in pixels that a texel covers, by the kind of grid: of those laid over the rendered image, and over
+# the extrapolated one; with a level, of level 0.
+_ON_SOURCE = {
+    "source": (1, 1), "source_blocks": BLOCK, "cells": (8, 8), "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
+    "runs": (RUN_PIXELS, 1), "level": (1, 1), "levels": (1, 1),
+}  # fmt: skip
+_ON_TARGET = {
+    "target": (1, 1), "target_blocks": BLOCK, "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
+    "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING), "network": (2, 2),
+}  # fmt: skip
+_LAID_OVER_NOTHING = (
+    "once", "walk", "cut_samples", "measures", "predictions", "list_source", "list_target", "flat_level",
+)  # fmt: skip
 
 
-def texel_of(grid: str) -> tuple[int, int]:
-    """Return width and height in pixels that a texel of a grid covers, in the image over which the grid is laid."""
-    if grid.startswith("network"):
-        side = 2 << network_level(grid)
-        return side, side
-    if grid.startswith("level"):
-        side = 1 << int(grid.removeprefix("level"))
-        return side, side
-    return {
-        "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
-        "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING),
-        "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
-        "runs": (RUN_PIXELS, 1),
-        "cells": (8, 8),
-        "source_blocks": BLOCK,
-        "target_blocks": BLOCK,
-    }.get(grid, (1, 1))
+@dataclass(frozen=True)
+class Grid:
+    """A grid of texels or work-items: its name in `BufferSpec` without the number at its end, and this number. It is
+    how often sides are halved, or the number of levels ("levels")."""
+
+    kind: str
+    level: int = 0
+
+    @property
+    def lies_on_source(self) -> bool:
+        """Whether it is laid over the rendered image; else it is laid over the extrapolated one."""
+        return self.kind in _ON_SOURCE
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it has a list of pixels (lists.h)."""
+        return self.kind.startswith("list_")
+
+    @property
+    def texel(self) -> tuple[int, int]:
+        """Width and height in pixels that a texel covers, in the image over which the grid is laid."""
+        width, height = (_ON_SOURCE | _ON_TARGET).get(self.kind, (1, 1))
+        halvings = self.level if self.kind in ("level", "network") else 0
+        return width << halvings, height << halvings
+
+    def size(self, sizes: Sizes) -> tuple[int, int]:
+        """Return width and height in texels for images of `sizes`."""
+        match self.kind:
+            case "once":
+                return 1, 1
+            case "levels":
+                return sizes.level_starts(self.level)[-1], 1
+            case "flat_level":
+                return math.prod(Grid("level", self.level).size(sizes)), 1
+            case "list_source" | "list_target":
+                return 1 + math.prod(sizes.source if self.kind == "list_source" else sizes.target), 1
+            case "walk":
+                return min(math.prod(sizes.target), WALKERS), 1
+            case "cut_samples":
+                return CUT_SAMPLES[0], min(sizes.source[1], CUT_SAMPLES[1])
+            case "measures":
+                columns, rows = Grid("residuals").size(sizes)
+                return columns, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS + rows
+            case "predictions":
+                return sizes.source[0], sizes.source[1] + 1
+        image = sizes.source if self.lies_on_source else sizes.target
+        width, height = (-(-pixels // side) for pixels, side in zip(image, self.texel, strict=True))
+        if self.kind == "tiles":
+            return width * TILE_GROUP, height
+        if self.kind == "network":
+            multiple = MULTIPLE >> self.level
+            return -(-width // multiple) * multiple, -(-height // multiple) * multiple
+        return width, height
+
+
+@cache
+def grid_of(name: str) -> Grid:
+    """Return the grid of that name. Raises GffeError if there is none."""
+    kind = name.rstrip("0123456789")
+    if kind not in _ON_SOURCE and kind not in _ON_TARGET and kind not in _LAID_OVER_NOTHING:
+        raise GffeError(f"there is no grid '{name}' (expected a name that BufferSpec lists)")
+    return Grid(kind, int(name[len(kind) :] or 0))
 
 
 def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
     """Return the block of texels of `grid` (x, y, width, height) over a block of texels of `fine`, which is no
     coarser."""
-    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    side_x, side_y = (n // m for n, m in zip(grid_of(grid).texel, grid_of(fine).texel, strict=True))
     x0, y0 = x // side_x, y // side_y
     return x0, y0, (x + width - 1) // side_x + 1 - x0, (y + height - 1) // side_y + 1 - y0
 
@@ -142,14 +172,9 @@ def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -
 def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int, height: int) -> np.ndarray:
     """Return (height, width): for each texel of a block of `fine` the one of `texels` (see `texels_over`) that covers
     it."""
-    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    side_x, side_y = (n // m for n, m in zip(grid_of(grid).texel, grid_of(fine).texel, strict=True))
     rows, columns = np.arange(y, y + height) // side_y, np.arange(x, x + width) // side_x
     return texels[np.ix_(rows - rows[0], columns - columns[0])]
-
-
-def lies_on_source(grid: str) -> bool:
-    """Return whether a grid is laid over the rendered image; else it is laid over the extrapolated one."""
-    return grid in ("source", "source_blocks", "cells", "residuals", "runs") or grid.startswith("level")
 
 
 @dataclass(frozen=True)
@@ -238,7 +263,7 @@ class BufferSpec:
         """Return the values of a block (…, H, W, channels) from pixel (x, y) on, as read from the device; `known` (H,
         W): the buffer of `known_where` there."""
         if self.packing:
-            stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
+            stored = self.packing.unpack(stored, x, y, grid_of(self.grid).texel[0])
         if self.known_where:
             assert known is not None
             stored[..., known < self.known_where[1], :] = 0

@@ -6,14 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Share, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
-from gffe_cl.engine.stages.frame_block import FRAME
 
 _OFFSET = 0.5  # of color_code.h, at exposure 1
-CODED_AT_ONCE = Share(  # whether history tracking encodes all colors
-    "coded at once", lambda board: float(np.frombuffer(board.blocks.read("rendered").tobytes(), FRAME)["coded"][0])
-)
 
 
 class ColorCode(Stage):
@@ -40,7 +36,7 @@ class ColorCode(Stage):
     def __init__(self, board: Board):
         if not board.facts.get("copies"):  # it reads nothing of them
             (encode,) = self.kernels
-            nothing = Access("rendered.color", planes=0)
+            nothing = "rendered.color"
             self.kernels = (replace(encode, reads={**encode.reads, "block_class": nothing}),)
         board.facts["code_offset"] = _OFFSET if board.options.resampling == "perceptual" else 0.0
         super().__init__(board)

@@ -1,15 +1,14 @@
-"""Commands of stages: enqueued on the device's queue, or also timed. `traffic` counts them, and `recording` records
-them instead."""
+"""Commands of stages: enqueued on the device's queue, or also timed. `recording` records them instead."""
 
 from __future__ import annotations
 
 import math
+from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.opencl.device import Device
@@ -23,8 +22,9 @@ class Launch:
 
     `of_frames` are the arguments that change with the buffers of the rendered frames: the method that sets them, index,
     owner ("rendered" or "previous") and name; `shown`: the frames (`Board.shown`) to which they are set. `given` are
-    those that come with each launch: method, index, name. Nothing keeps a reference to these buffers: callers' memory
-    is released when they drop it. `declared` is the stage's declaration, `slot` that of the frame block.
+    buffers that come with each launch: method, index, name. Nothing keeps a reference to these buffers: callers' memory
+    is released when they drop it. `block` is the argument by which a kernel brings the frame block: method, index.
+    `declared` is the stage's declaration, `slot` that of the frame block.
     """
 
     declared: Any
@@ -34,11 +34,23 @@ class Launch:
     group: tuple[int, ...]
     of_frames: list[tuple[Callable[[int, Any], None], int, str, str]] = field(default_factory=list)
     given: list[tuple[Callable[[int, Any], None], int, str]] = field(default_factory=list)
+    block: tuple[Callable[[int, Any], None], int] | None = None
     shown: object = None
 
 
+@dataclass
+class Script:
+    """Commands that were enqueued for a step, to be enqueued again for later ones: calls, their arguments, and the
+    names of stage and kernel ("" for work of the host). `blocks` are the arguments that bring the frame block, `shown`
+    the rendered frames (`Board.shown`) whose buffers are arguments."""
+
+    shown: object
+    calls: list[tuple[Callable[..., Any], tuple, str, str]] = field(default_factory=list)
+    blocks: list[tuple[Callable[[int, Any], None], int]] = field(default_factory=list)
+
+
 class Commands:
-    """Commands of the stages on a board, which are enqueued as they come.
+    """Commands of the stages on a board, which are enqueued as they come and, if there is a `script`, noted in it.
 
     On a queue with profiling, `events` are those of the latest commands: name of the stage, of the kernel, and event.
     """
@@ -46,33 +58,50 @@ class Commands:
     def __init__(self, device: Device):
         self._queue, self._profiles = device.queue, device.profiles
         self.events: deque[tuple[str, str, cl.Event]] = deque(maxlen=_EVENTS)
+        self.script: Script | None = None
+
+    def repeat(self, script: Script, block: array[float]) -> cl.Event | None:
+        """Enqueue the commands of a script with another frame block. Returns the event of the last one, with which all
+        work enqueued so far is complete, because the queue works in order; None if the host worked last."""
+        for set_arg, index in script.blocks:
+            set_arg(index, block)
+        event, name = None, ""
+        for call, arguments, stage, name in script.calls:
+            event = call(*arguments)
+            if self._profiles and name:
+                self.events.append((stage, name, event))
+        self._queue.flush()
+        return event if name else None
+
+    def call(self, function: Callable[[], Any]) -> None:
+        """Call a function of a stage that works on the host, now and whenever the script is repeated."""
+        self._do("", "", function)
+
+    def _do(self, stage: str, name: str, call: Callable[..., Any], *arguments: Any) -> None:
+        event = call(*arguments)
+        if self._profiles and name:
+            self.events.append((stage, name, event))
+        if self.script:
+            self.script.calls.append((call, arguments, stage, name))
 
     def launch(self, stage: Any, launch: Launch, given: Mapping[str, Any]) -> None:
         """Enqueue a launch of a stage; `given`: the arguments that came with it, by name."""
-        event = cl.enqueue_nd_range_kernel(self._queue, launch.kernel, launch.items, launch.group)
-        if self._profiles:
-            self.events.append((stage.name, launch.declared.name, event))
+        enqueue, name = cl.enqueue_nd_range_kernel, launch.declared.name
+        self._do(stage.name, name, enqueue, self._queue, launch.kernel, launch.items, launch.group)
+        if self.script:
+            assert not launch.given, f"{stage.name}.{name}: buffers that a launch gives cannot be set again"
+            self.script.blocks += [launch.block] if launch.block else []
 
     def fill(self, stage: Any, name: str, byte: int, grid: str) -> None:
         """Enqueue setting the first texels of a stage's buffer, as many as `grid` has, to `byte`."""
         spec = stage.spec(name)
         nbytes = math.prod(stage.sizes.of(grid)) * spec.bytes_per_pixel * spec.planes
-        event = cl.enqueue_fill_buffer(self._queue, stage.buffer[name], bytes([byte]), 0, nbytes)
-        if self._profiles:
-            self.events.append((stage.name, "fill", event))
+        fill = cl.enqueue_fill_buffer
+        self._do(stage.name, "fill", fill, self._queue, stage.buffer[name], bytes([byte]), 0, nbytes)
 
     def copy(self, stage: Any, to: cl.Buffer, of: cl.Buffer) -> None:
         """Enqueue a copy between buffers of one size for a stage."""
-        event = cl.enqueue_copy(self._queue, to, of)
-        if self._profiles:
-            self.events.append((stage.name, "copy", event))
-
-    def read(self, buffer: cl.Buffer, into: np.ndarray) -> cl.Event | None:
-        """Begin to copy a buffer to the host at once. Returns the event that is complete when it is there; None if
-        nothing is enqueued."""
-        event = cl.enqueue_copy(self._queue, into, buffer, is_blocking=False)
-        self._queue.flush()
-        return event
+        self._do(stage.name, "copy", cl.enqueue_copy, self._queue, to, of)
 
     def take_events(self) -> dict[str, list[tuple[str, cl.Event]]]:
         """Return kernel and event of the commands by stage since they were last taken."""

@@ -12,7 +12,7 @@ import pyopencl as cl
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_array
 from gffe_cl.engine.frame.rendered_frame import OVERLAYS, Overlays
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, given_buffer
 
 
@@ -54,7 +54,7 @@ class Composition(Stage):
             },
             {
                 "out_color": "composition.color",
-                **{name: Access(f"frame.{name}", 0.0) for name in
+                **{name: f"frame.{name}" for name in
                    ("depth", "motion", "dynamic", "disoccluded", "filled_by")},
             },
         ),

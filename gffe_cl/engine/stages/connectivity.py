@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.engine.stages.background import OPEN, PUSHED, Background
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.engine.stages.background import Background
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 
 _COLLECTING = {
-    "state": Access("background.state_0"),
-    "fill_keys": Access("background.even_keys", OPEN),
-    "fill_winners": Access("background.even_winners", OPEN),
-    "push_keys": Access("background.odd_keys", PUSHED),
-    "push_winners": Access("background.odd_winners", PUSHED),
+    "state": "background.state_0",
+    "fill_keys": "background.even_keys",
+    "fill_winners": "background.even_winners",
+    "push_keys": "background.odd_keys",
+    "push_winners": "background.odd_winners",
 }
 
 
@@ -46,7 +46,7 @@ class Connectivity(NearestStage):
         board.facts["collects"] = self.collects
         if not self.collects:  # it writes nothing of them
             (find,) = self.kernels
-            nothing = dict.fromkeys(_COLLECTING, Access("connectivity.links", planes=0))
+            nothing = dict.fromkeys(_COLLECTING, "connectivity.links")
             self.kernels = (replace(find, writes={**find.writes, **nothing}),)
         super().__init__(board)
 

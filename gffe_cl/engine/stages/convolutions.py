@@ -13,7 +13,7 @@ from gffe_cl.engine.inference.model_interface import INPUT_PLANES, JUDGEMENT_PLA
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 
 _CONSTANTS = constants("convolutions.cl")
@@ -22,7 +22,7 @@ assert _CONSTANTS["BLOCK"] == BLOCK and _CONSTANTS["FIRST_PART"] * BLOCK == FIRS
 assert _CONSTANTS["FIRST_PLANES"] == INPUT_PLANES and _CONSTANTS["JUDGED_BLOCKS"] * BLOCK == JUDGEMENT_PLANES
 _NOTHING = "nothing"  # in place of an image that a layer does without
 
-_CHANGED = {"changed": Access("shading_trend.changed")}
+_CHANGED = {"changed": "shading_trend.changed"}
 _NUMBERS = {"numbers": "convolutions.numbers{layer}"}
 _WEIGHTS = {"weights": "convolutions.weights{layer}"} | _NUMBERS
 _TARGET = {"target": "convolutions.{made}"}
@@ -115,6 +115,7 @@ class Convolutions(Stage):
         images = [_image_spec(image) for image in network.images] if network else []
         specs, buffers = [*type(self).buffers, *images], {_NOTHING: self.buffer[_NOTHING]} | self.allocate(images)
         self._prepared.clear()
+        self.board.scripts.clear()
         self.layers = []
         for number, layer in enumerate(network.layers if network else ()):
             arrays = {"numbers": numbers_of(layer)}

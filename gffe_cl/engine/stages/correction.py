@@ -16,7 +16,7 @@ from gffe_cl.engine.inference.network import KernelNetwork, Network, load_networ
 from gffe_cl.engine.inference.providers import CPU
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
 from gffe_cl.engine.stages.convolutions import Convolutions
 from gffe_cl.engine.stages.host_view import HostView
@@ -84,9 +84,9 @@ class ShadingCorrection(Stage):
             "choose_flow",
             "network1",
             {
-                "judgement": Access("correction.judgement", planes=4),
-                "candidates": Access("shading_flow.candidates", planes=3),
-                "differences": Access("shading_flow.differences", planes=3),
+                "judgement": "correction.judgement",
+                "candidates": "shading_flow.candidates",
+                "differences": "shading_flow.differences",
             },
             {"chosen": "correction.chosen"},
             step=("LANES", 1),
@@ -95,9 +95,9 @@ class ShadingCorrection(Stage):
             "judge",
             "network",
             {
-                "frames": Access("network_input.frames", planes=7),  # all but inverse depth
-                "trends": Access("shading_trend.trends", planes=3),
-                "judgement": Access("correction.judgement", planes=16),
+                "frames": "network_input.frames",  # all but inverse depth
+                "trends": "shading_trend.trends",
+                "judgement": "correction.judgement",
                 "chosen": "correction.chosen",
                 "head": "correction.head",
                 "texture": "shading_flow.texture",
@@ -111,11 +111,11 @@ class ShadingCorrection(Stage):
             "target",
             {
                 "color": "frame.color",
-                "frames": Access("network_input.frames", planes=3),
+                "frames": "network_input.frames",
                 "correction": "correction.correction",
             },
             {
-                "refined": Access("correction.refined", 0.0),  # unless `with_refined`
+                "refined": "correction.refined",  # unless `with_refined`
                 "focus_mask": "correction.focus_mask",
                 "out_color": "correction.color",
             },

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.warp import NEW_FRAME
 
-_KEYS: dict[str, Access | str] = {"keys": "dilated_warp.keys", "winners": "dilated_warp.winners"}
+_KEYS = {"keys": "dilated_warp.keys", "winners": "dilated_warp.winners"}
 
 
 class DilatedWarp(NearestStage):
@@ -26,10 +26,10 @@ class DilatedWarp(NearestStage):
             "resample_dilated",
             "target",
             {
-                "color": Access("rendered.color", 0.0),  # where nothing moves
+                "color": "rendered.color",  # where nothing moves
                 "codes": "color_code.codes",
                 "dynamic_mask": "history.dynamic_mask",
-                "target_position": Access("prediction.target_position", planes=1),
+                "target_position": "prediction.target_position",
             }
             | _KEYS,
             NEW_FRAME,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import operator
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from struct import pack_into
+from struct import Struct, pack_into
 from typing import Any
 
 import numpy as np
@@ -32,18 +32,21 @@ _WORDS = {
 _INTEGERS = {name for name, member in (FRAME.fields or {}).items() if member[0].base.kind == "i"}
 
 
-def _run(*names: str) -> slice:
-    """Return where members are that lie one after another."""
+def _run(*names: str) -> tuple[Callable[..., None], int]:
+    """Return the function that packs floats into members that lie one after another, and the byte where they begin."""
     assert all(_WORDS[a].stop == _WORDS[b].start for a, b in pairwise(names)), names
-    return slice(_WORDS[names[0]].start, _WORDS[names[-1]].stop)
+    start, stop = _WORDS[names[0]].start, _WORDS[names[-1]].stop
+    return Struct(f"{stop - start}f").pack_into, 4 * start
 
 
-_BEFORE = _run("to_previous", "from_previous")
-_LAW, _DISPLAYS = _WORDS["color_law"], _run("to_render", "to_display", "to_previous_display")
-_TIMES = _run("interval_ratio", "exposure", "code_offset", "camera_step")
-_NEW = _run("to_target", "to_source", "target_to_previous")
-_ALPHA, _ZOOM, _POLYNOMIAL, _PIXEL = (_WORDS[name] for name in ("alpha", "zoom", "polynomial", "pixel_size"))
-_HAS_PREVIOUS, _HAS_OVERLAYS, _ORDER = (_WORDS[name].start for name in ("has_previous", "has_overlays", "order"))
+_BEFORE, _DISPLAYS = _run("to_previous", "from_previous"), _run("to_render", "to_display", "to_previous_display")
+_TIMES, _PIXEL = _run("interval_ratio", "exposure", "code_offset", "camera_step"), _run("pixel_size")
+_NEW, _ZOOM = _run("to_target", "to_source", "target_to_previous"), _run("zoom")
+_LAW, _POLYNOMIAL = _WORDS["color_law"], 4 * _WORDS["polynomial"].start
+_ALPHA, _HAS_PREVIOUS, _HAS_OVERLAYS, _ORDER = (
+    _WORDS[name].start for name in ("alpha", "has_previous", "has_overlays", "order")
+)
+_TWO = Struct("2f")
 
 
 class BlockWriter:
@@ -71,31 +74,31 @@ class BlockWriter:
         alpha: float,
         overlays: int,
         given: Mapping[str, Any] | None = None,
-    ) -> np.ndarray:
-        """Return the `Frame` of frame.h, as bytes, of a rendered frame or, with a `camera`, of a new one. Parameters
+    ) -> array[float]:
+        """Return the `Frame` of frame.h, as words, of a rendered frame or, with a `camera`, of a new one. Parameters
         are those of `Step`."""
         order = min(self._facts.get("order", 0), len(times) - 1)
         before = previous or frame
         cameras = frame.camera, frame.display_camera, before.camera, before.display_camera
         block = self._of_rendered(cameras, times, exposure)[:]
-        block[_ALPHA.start] = alpha
+        block[_ALPHA] = alpha
         if camera is not None:
             source = frame.camera
-            _put(block, _NEW, (
+            put, start = _NEW
+            put(block, start,
                 *_reprojection(source, camera), *_reprojection(camera, source), *_reprojection(camera, before.camera),
-            ))  # fmt: skip
-            _put(block, _ZOOM, (camera.fx / source.fx, camera.fy / source.fy))
-            start = _POLYNOMIAL.start  # of the weights of order 1, of order 2 and so on, which have 1, 2 ...
-            for weights in _polynomial(times[: order + 1], time):
-                _put(block, slice(start, _POLYNOMIAL.stop), weights)
-                start += len(weights)
+            )  # fmt: skip
+            put, start = _ZOOM
+            put(block, start, camera.fx / source.fx, camera.fy / source.fy)
+            weights = [weight for row in _polynomial(times[: order + 1], time) for weight in row]
+            pack_into(f"{len(weights)}f", block, _POLYNOMIAL, *weights)
         integers = memoryview(block).cast("B").cast("i")
         integers[_HAS_PREVIOUS], integers[_HAS_OVERLAYS], integers[_ORDER] = previous is not None, overlays, order
         for name, numbers in (given or {}).items():
             words, start = integers if name in _INTEGERS else block, _WORDS[name].start
             for k, number in enumerate(numbers if type(numbers) is tuple else (numbers,)):
                 words[start + k] = number
-        return np.frombuffer(block, np.uint8)
+        return block
 
     def _of_rendered(self, cameras: tuple[Camera, ...], times: Sequence[float], exposure: float) -> array[float]:
         """Return the block, as words, with what does not depend on the new frame: those of one rendered frame share
@@ -105,15 +108,20 @@ class BlockWriter:
             return last[2]
         camera, display, camera_before, display_before = cameras
         block = self._fixed[:]
-        _put(block, _BEFORE, (*_reprojection(camera, camera_before), *_reprojection(camera_before, camera)))
-        _put(block, _DISPLAYS, (
-            *_mapping(display, camera), *_mapping(camera, display), *_mapping(camera_before, display_before),
-        ))  # fmt: skip
-        _put(block, _PIXEL, pixel_size(display, camera))
+        put, start = _BEFORE
+        put(block, start, *_reprojection(camera, camera_before), *_reprojection(camera_before, camera))
+        to_render = _mapping(display, camera)
+        put, start = _DISPLAYS
+        put(block, start, *to_render, *_mapping(camera, display), *_mapping(camera_before, display_before))
+        put, start = _PIXEL
+        put(
+            block, start, *(1 / scale for scale in _TWO.unpack(_TWO.pack(*to_render[:2])))
+        )  # scales as kernels have them
         ratio = (times[0] - times[1]) / (times[1] - times[2]) if len(times) > 2 else 1.0
         law, code_offset = self._of_exposure(exposure)
         block[_LAW] = law
-        _put(block, _TIMES, (ratio, exposure, code_offset, distance(camera, camera_before)))
+        put, start = _TIMES
+        put(block, start, ratio, exposure, code_offset, distance(camera, camera_before))
         self._rendered = cameras, others, block
         return block
 
@@ -123,11 +131,6 @@ class BlockWriter:
             code_offset = self._facts.get("code_offset", 0.0) / math.sqrt(max(exposure, 1 / HALF_MAX))
             self._exposed = exposure, (array("f", color_law(exposure)), code_offset)
         return self._exposed[1]
-
-
-def _put(block: array[float], words: slice, numbers: Sequence[Any]) -> None:
-    """Put numbers into a block, from the first of the `words` on."""
-    pack_into(f"{len(numbers)}f", block, 4 * words.start, *numbers)  # NumPy would take longer for so few
 
 
 def block_facts(options: Options, sizes: Sizes) -> dict[str, Any]:
@@ -145,10 +148,10 @@ def reprojection(source: Camera, target: Camera) -> np.ndarray:
     return np.array(_reprojection(source, target), np.float32).reshape(6, 4)
 
 
-def _reprojection(source: Camera, target: Camera) -> list[float]:
+def _reprojection(source: Camera, target: Camera) -> tuple[float, ...]:
     row0, row1, row2 = view_to_view(source.rows, source.inverse, target.rows)
-    inverse = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
-    return [*row0, *row1, *row2, *source.intrinsics, *inverse, *target.intrinsics]
+    fx, fy, cx, cy = own = source.intrinsics
+    return *row0, *row1, *row2, *own, 1 / fx, 1 / fy, cx, cy, *target.intrinsics
 
 
 def see_alike(a: Camera, b: Camera) -> bool:
@@ -163,19 +166,16 @@ def mapping(a: Camera, b: Camera) -> np.ndarray:
 
 
 def _mapping(a: Camera, b: Camera) -> tuple[float, float, float, float]:
+    if a is b:
+        return 1.0, 1.0, 0.0, 0.0
     scale_x, scale_y = b.fx / a.fx, b.fy / a.fy
     return scale_x, scale_y, b.cx - scale_x * a.cx, b.cy - scale_y * a.cy
 
 
-def pixel_size(display: Camera, render: Camera) -> tuple[np.float32, np.float32]:
-    """Return width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
-    one, scale_x, scale_y = map(np.float32, (1, *_mapping(display, render)[:2]))
-    return one / scale_x, one / scale_y
-
-
 def distance(a: Camera, b: Camera) -> float:
     """Return the distance between the positions of two cameras, world units."""
-    return length([x - y for x, y in zip(a.inverse[1], b.inverse[1], strict=True)])
+    (ax, ay, az), (bx, by, bz) = a.inverse[1], b.inverse[1]
+    return length((ax - bx, ay - by, az - bz))
 
 
 def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> np.ndarray:

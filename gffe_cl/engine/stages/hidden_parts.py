@@ -6,29 +6,19 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step, share_of
-from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING, BufferSpec
-from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
-from gffe_cl.engine.stages.warp import DISOCCLUDED, OPEN_LIST
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec
 
 _CONSTANTS = constants("hidden_parts.cl")
-HIDDEN_PARTS = share_of("hidden parts", "frame.filled_by", lambda label: label == BY_HIDDEN_PART)
-REAPPEARING = share_of("reappearing", "frame.filled_by", lambda label: label == BY_REAPPEARING)
-_FILLED = {name: Access(f"frame.{name}", HIDDEN_PARTS) for name in ("color", "depth", "motion", "filled_by")}
-
-
-def _keys() -> dict[str, Access]:
-    return {name: Access(f"warp.{name}", REAPPEARING) for name in ("keys", "winners")}
-
-
+_FILLED = {name: f"frame.{name}" for name in ("color", "depth", "motion", "filled_by")}
+_KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 _OFFERING = {
-    "depth": Access("rendered.depth", REAPPEARING),
-    "motion": Access("rendered.motion", REAPPEARING),
-    "met_depth": Access("history.met_depth", REAPPEARING),
-    "target_position": Access("prediction.target_position", REAPPEARING),
-    "shown_depth": Access("frame.depth", REAPPEARING),
-} | _keys()
+    "depth": "rendered.depth",
+    "motion": "rendered.motion",
+    "met_depth": "history.met_depth",
+    "target_position": "prediction.target_position",
+    "shown_depth": "frame.depth",
+} | _KEYS
 
 
 class HiddenParts(NearestStage):
@@ -52,24 +42,24 @@ class HiddenParts(NearestStage):
             "fill_hidden_parts",
             "walk",
             {
-                "source_depth": Access("rendered.depth", HIDDEN_PARTS),
-                "source_motion": Access("rendered.motion", HIDDEN_PARTS),
-                "depth_prev": Access("previous.depth", HIDDEN_PARTS),
-                "open": OPEN_LIST,
-                "disoccluded": Access("frame.disoccluded", SPLATTED_PIXELS),
-                "is_dynamic": Access("frame.dynamic", DISOCCLUDED),
-                "color": Access("frame.color", HIDDEN_PARTS),
-                "depth": Access("frame.depth", HIDDEN_PARTS),
-                "motion": Access("frame.motion", HIDDEN_PARTS),
+                "source_depth": "rendered.depth",
+                "source_motion": "rendered.motion",
+                "depth_prev": "previous.depth",
+                "open": "warp.open",
+                "disoccluded": "frame.disoccluded",
+                "is_dynamic": "frame.dynamic",
+                "color": "frame.color",
+                "depth": "frame.depth",
+                "motion": "frame.motion",
             },
-            _FILLED | {name: Access(f"hidden_parts.{name}", planes=0) for name in ("edges", "offered")},
+            _FILLED | {name: f"hidden_parts.{name}" for name in ("edges", "offered")},
             group="WALK_GROUP",
         ),
         Kernel(
             "list_edges",
             "flat_level0",
-            _OFFERING | {"dynamic_mask": "history.dynamic_mask", "links": Access("connectivity.links", DYNAMIC_PIXELS)},
-            {"edges": Access("hidden_parts.edges", REAPPEARING)} | _keys(),
+            _OFFERING | {"dynamic_mask": "history.dynamic_mask", "links": "connectivity.links"},
+            {"edges": "hidden_parts.edges"} | _KEYS,
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
         ),
@@ -78,32 +68,31 @@ class HiddenParts(NearestStage):
             "walk",
             _OFFERING
             | {
-                "dynamic_mask": Access("history.dynamic_mask", REAPPEARING),
-                "links": Access("connectivity.links", REAPPEARING),
-                "depth_prev": Access("previous.depth", REAPPEARING),
-                "edges": Access("hidden_parts.edges", REAPPEARING),
+                "dynamic_mask": "history.dynamic_mask",
+                "links": "connectivity.links",
+                "depth_prev": "previous.depth",
+                "edges": "hidden_parts.edges",
             },
             {
-                "filled_by": Access("frame.filled_by", REAPPEARING),
-                "offered": Access("hidden_parts.offered", REAPPEARING),
+                "filled_by": "frame.filled_by",
+                "offered": "hidden_parts.offered",
             }
-            | _keys(),
+            | _KEYS,
             group="WALK_GROUP",
         ),
         Kernel(
             "fill_reappearing",
             "walk",
             {
-                "source_motion": Access("rendered.motion", REAPPEARING),
-                "met_depth": Access("history.met_depth", REAPPEARING),
-                "target_position": Access("prediction.target_position", REAPPEARING),
-                "depth_prev": Access("previous.depth", REAPPEARING),
-                "color_prev": Access("previous.color", REAPPEARING),
-                "offered": Access("hidden_parts.offered", REAPPEARING),
+                "source_motion": "rendered.motion",
+                "met_depth": "history.met_depth",
+                "target_position": "prediction.target_position",
+                "depth_prev": "previous.depth",
+                "color_prev": "previous.color",
+                "offered": "hidden_parts.offered",
             }
-            | _keys(),
-            {name: Access(f"frame.{name}", REAPPEARING) for name in ("color", "depth", "motion")}
-            | {"is_dynamic": Access("frame.dynamic", REAPPEARING)},
+            | _KEYS,
+            {name: f"frame.{name}" for name in ("color", "depth", "motion")} | {"is_dynamic": "frame.dynamic"},
             group="WALK_GROUP",
         ),
     )
@@ -123,11 +112,10 @@ class HiddenParts(NearestStage):
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        before = step.previous or step.frame
-        self.launch("fill_hidden_parts", step, depth_prev=before.depth)
+        self.launch("fill_hidden_parts", step)
         if not self.board.options.reappearing:
             return
         self.launch("list_edges", step)
         for offer_pass in self.passes:
-            self.launch("offer_reappearing", step, depth_prev=before.depth, **{"pass": offer_pass})
-        self.launch("fill_reappearing", step, depth_prev=before.depth, color_prev=before.color)
+            self.launch("offer_reappearing", step, **{"pass": offer_pass})
+        self.launch("fill_reappearing", step)

@@ -8,20 +8,13 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step, share_of
-from gffe_cl.engine.stages.buffers import CUT_SAMPLES, RESIDUAL_STRIDE, BufferSpec
-from gffe_cl.engine.stages.color_code import CODED_AT_ONCE
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
 
 _CONSTANTS = constants("history.cl")
-_SAMPLED = RESIDUAL_STRIDE**-2
-_CUTS = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
 _CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
-
-
-DYNAMIC_PIXELS = share_of("dynamic", "history.dynamic_mask")
-QUANTIZED_SAMPLES = share_of("quantized", "history.motion_steps", lambda steps: np.any(steps) * _SAMPLED)
 
 
 class HistoryTracking(Stage):
@@ -105,11 +98,11 @@ class HistoryTracking(Stage):
             "measure_samples",
             "measures",
             {
-                "color": Access("rendered.color", 4 * _CUTS),
-                "depth": Access("rendered.depth", _SAMPLED + _CUTS),
-                "motion": Access("rendered.motion", _SAMPLED + _CUTS),
-                "color_prev": Access("previous.color", 4 * _CUTS),
-                "depth_prev": Access("previous.depth", 4 * _CUTS),
+                "color": "rendered.color",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
                 "pending": "history.pending",
             },
             {
@@ -126,8 +119,8 @@ class HistoryTracking(Stage):
             "refine_threshold",
             "residuals",
             {
-                "depth": Access("rendered.depth", QUANTIZED_SAMPLES),
-                "motion": Access("rendered.motion", QUANTIZED_SAMPLES),
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
                 "pending": "history.pending",
                 "motion_steps": "history.motion_steps",
             },
@@ -145,19 +138,19 @@ class HistoryTracking(Stage):
             {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
-                "depth_prev": Access("previous.depth", DYNAMIC_PIXELS),
-                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS, planes=0),
-                "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=0),
+                "depth_prev": "previous.depth",
+                "dynamic_prev": "history.dynamic_mask'",
+                "history_prev": "history.history'",
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
-                "color": Access("rendered.color", CODED_AT_ONCE),
+                "color": "rendered.color",
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
-                "history": Access("history.history", DYNAMIC_PIXELS),
-                "last_stir": Access("history.last_stir", DYNAMIC_PIXELS),
-                "codes": Access("color_code.codes", CODED_AT_ONCE),
+                "met_depth": "history.met_depth",
+                "history": "history.history",
+                "last_stir": "history.last_stir",
+                "codes": "color_code.codes",
             },
             step=("LANES", 1),
         ),
@@ -168,19 +161,18 @@ class HistoryTracking(Stage):
         self.detects = board.facts["detects"] = SceneCuts.name in board.stages
         if not self.detects:  # it counts nothing for them
             measure, *others = self.kernels
-            nothing: dict[str, Any] = {"cut_counts": Access("history.pending", planes=0)}
+            nothing: dict[str, Any] = {"cut_counts": "history.pending"}
             self.kernels = (replace(measure, writes={**measure.writes, **nothing}), *others)
+        changes: dict[str, dict[str, Any]]
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
-            *others, track = self.kernels
-            planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
-            declared: Any = track.reads  # these two are no plain names
-            reads = {name: replace(declared[name], planes=count) for name, count in planes.items()}
-            self.kernels = (*others, replace(track, reads={**track.reads, **reads}))
-            changes: dict[str, dict[str, Any]] = {
+            changes = {
                 "dynamic_mask": {"kept": True},
                 "history": {"kept": True, "planes": self.positions - 1},
             }
-        else:
+        else:  # it reads nothing of them
+            *others, track = self.kernels
+            nothing = {"dynamic_prev": "history.dynamic_mask", "history_prev": "history.history"}
+            self.kernels = (*others, replace(track, reads={**track.reads, **nothing}))
             changes = {"history": {"grid": "once", "scratch": True, "known_where": None}}
         self.buffers = tuple(replace(spec, **changes.get(spec.name, {})) for spec in self.buffers)
         super().__init__(board)
@@ -199,16 +191,7 @@ class HistoryTracking(Stage):
 
     def rendered(self, step: Step) -> None:
         """Run Algorithm 1. Without a previous frame, or without motion estimation, everything is static."""
-        previous = step.previous if self.board.options.motion else None
-        before = previous or step.frame
-        if self.automatic and previous is not None:
+        if self.automatic and step.previous is not None:
             self.measure(step)
             self.launch("refine_threshold", step)
-        kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
-        self.launch(
-            "track_history",
-            step,
-            depth_prev=before.depth,
-            dynamic_prev=self.own("dynamic_mask" + kept),
-            history_prev=self.own("history" + kept),
-        )
+        self.launch("track_history", step)

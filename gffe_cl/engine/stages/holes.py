@@ -8,29 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Share, Stage, Step, share_of
-from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
-from gffe_cl.engine.stages.warp import DISOCCLUDED, OPEN_LIST
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.buffers import BufferSpec
 
 _CONSTANTS = constants("holes.cl")
 
-UNFILLED = share_of("unfilled", "frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING))
-BORDER = Share("border", lambda board: _share_of_border(*board.sizes.of("cells")))
-BEYOND_REACH = share_of("beyond reach", "holes.downsampled_color", lambda sums: sums[..., 3] != 0)
-
-
-def _share_of_border(width: int, height: int) -> float:
-    """Return the share of texels at the border of an image."""
-    return 1 - max(width - 2, 0) * max(height - 2, 0) / (width * height)
-
-
-def _image(share: Share) -> dict[str, Access]:
-    """Return accesses to color and depth of the new frame, as far as they are read around a share of the pixels."""
-    return {name: Access(f"frame.{name}", share) for name in ("color", "depth")}
-
-
-def _filled(share: Share) -> dict[str, Access]:
-    return {name: Access(f"frame.{name}", share) for name in ("color", "depth", "motion")}
+_IMAGE = {name: f"frame.{name}" for name in ("color", "depth")}
+_FILLED = {name: f"frame.{name}" for name in ("color", "depth", "motion")}
 
 
 class HoleFilling(Stage):
@@ -68,13 +52,13 @@ class Downsampled(HoleFilling):
             "tiles",
             {
                 "filled_by": "frame.filled_by",
-                "codes": Access("color_code.codes", BEYOND_REACH),
-                "source_color": Access("rendered.color", BEYOND_REACH),
-                "source_depth": Access("rendered.depth", BEYOND_REACH),
+                "codes": "color_code.codes",
+                "source_color": "rendered.color",
+                "source_depth": "rendered.depth",
                 "beyond": "holes.beyond",
             }
-            | _image(BEYOND_REACH),
-            _filled(BEYOND_REACH)
+            | _IMAGE,
+            _FILLED
             | {
                 "downsampled_color": "holes.downsampled_color",
                 "downsampled_inverse_depth": "holes.downsampled_inverse_depth",
@@ -108,15 +92,15 @@ class FarSide(Downsampled):
             "prepare_far_side",
             "walk",
             {
-                "open": OPEN_LIST,
-                "codes": Access("color_code.codes", BORDER),
-                "disoccluded": Access("frame.disoccluded", DISOCCLUDED),
-                "filled_by": Access("frame.filled_by", DISOCCLUDED),
+                "open": "warp.open",
+                "codes": "color_code.codes",
+                "disoccluded": "frame.disoccluded",
+                "filled_by": "frame.filled_by",
             }
-            | _image(DISOCCLUDED),
+            | _IMAGE,
             {
-                "border_lines": Access("holes.border_lines", BORDER),
-                "color": Access("frame.color", DISOCCLUDED),
+                "border_lines": "holes.border_lines",
+                "color": "frame.color",
                 "beyond": "holes.beyond",
             },
             group="WALK_GROUP",
@@ -125,15 +109,15 @@ class FarSide(Downsampled):
             "fill_far_side",
             "walk",
             {
-                "open": OPEN_LIST,
-                "filled_by": Access("frame.filled_by", DISOCCLUDED),
-                "codes": Access("color_code.codes", UNFILLED),
-                "source_depth": Access("rendered.depth", UNFILLED),
-                "is_dynamic": Access("frame.dynamic", UNFILLED),
-                "border_lines": Access("holes.border_lines", BORDER),
+                "open": "warp.open",
+                "filled_by": "frame.filled_by",
+                "codes": "color_code.codes",
+                "source_depth": "rendered.depth",
+                "is_dynamic": "frame.dynamic",
+                "border_lines": "holes.border_lines",
             }
-            | _image(UNFILLED),
-            _filled(UNFILLED) | {"beyond": "holes.beyond"},
+            | _IMAGE,
+            _FILLED | {"beyond": "holes.beyond"},
             group="WALK_GROUP",
         ),
         *Downsampled.kernels,

@@ -3,6 +3,7 @@ the device."""
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -37,10 +38,14 @@ from gffe_cl.engine.frame.rendered_frame import (
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.upload import Upload
+from gffe_cl.engine.stages.user_interface import UserInterface
+
+_NAMES = tuple(spec.name for spec in RENDERED)
 
 
-@dataclass(frozen=True)
+@dataclass
 class PreparedFrame:
     """A rendered frame without structural faults.
 
@@ -100,12 +105,16 @@ def prepare(
         plain = replace(frame, camera=without_jitter(frame.camera, sizes.source))
     display_camera = display_camera_of(plain, sizes.source, sizes.target)
     require_one_pose(frame.camera, display_camera)
-    geometry = require_render_size(format, sizes.source, frame.geometry_size)
-    if geometry != sizes.source and format is None:
-        format = FrameFormat()
+    geometry = sizes.source
+    if format is not None or frame.geometry_size is not None:
+        geometry = require_render_size(format, sizes.source, frame.geometry_size)
+        if geometry != sizes.source and format is None:
+            format = FrameFormat()
     if format is None:
-        known = {spec.name: getattr(earlier, spec.name) for spec in RENDERED} if earlier else {}
-        buffers = _given(frame, RENDERED, sizes, sizes, device, known)
+        if earlier and all(map(operator.is_, (frame.color, frame.depth, frame.motion), earlier.buffers)):
+            buffers = dict(zip(_NAMES, earlier.buffers, strict=True))
+            return PreparedFrame(frame, display_camera, buffers, None, geometry, None)
+        buffers = _given(frame, RENDERED, sizes, sizes, device)
     else:
         buffers = _given(frame, described_specs(format), sizes, replace(sizes, source=geometry), device)
     arrays = types = channels = None
@@ -140,17 +149,13 @@ def _given(
     sizes: Sizes,
     small: Sizes,
     device: Device,
-    known: Mapping[str, cl.Buffer] = {},
 ) -> dict[str, Any]:
     """Return the device buffers that a frame gives, by name, with None for arrays. `small`: the sizes with those of
-    depth and motion; `known`: buffers that were checked before."""
-    buffers: dict[str, Any] = {}
-    for spec in specs:
-        array = getattr(frame, spec.name)
-        if known.get(spec.name) is not array or array is None:
-            array = given_buffer(array, spec, sizes if spec.name == "color" else small, device)
-        buffers[spec.name] = array
-    return buffers
+    depth and motion."""
+    return {
+        spec.name: given_buffer(getattr(frame, spec.name), spec, sizes if spec.name == "color" else small, device)
+        for spec in specs
+    }
 
 
 def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
@@ -168,13 +173,14 @@ def _three(buffers: Mapping[str, cl.Buffer]) -> tuple[cl.Buffer, cl.Buffer, cl.B
 
 
 class Intake:
-    """Intake of a pipeline: checks rendered frames, and brings them into device buffers in the layout of `RENDERED`.
+    """Intake of a pipeline: brings rendered frames into device buffers in the layout of `RENDERED`, and takes from them
+    what keeps its place on the display.
 
     Device buffers in that layout are used in place, and so are NumPy arrays on CPUs, on request. All others are copied
     or converted into buffers of its own, two sets in turn.
 
     `geometry`: width and height of depth and motion of the last frame, as they were given. `reads_arrays`: whether
-    NumPy arrays were used in place.
+    NumPy arrays were used in place. `composition` holds overlays, None until a frame brings some.
     """
 
     def __init__(self, device: Device, sizes: Sizes):
@@ -185,11 +191,13 @@ class Intake:
         self._bad_pixels, self._copied_bytes = BadPixels(), 0  # without those that the stage `upload` still has
         self._slots: list[DeviceFrame] = []
         self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
+        self.composition: Composition | None = None
+        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
 
     def begin(self, board: Board) -> None:
         """Work for the stages on `board` from now on. Counts go on."""
         self._bad_pixels, self._copied_bytes = self.bad_pixels, self.copied_bytes
-        self._board, self._upload, self.geometry = board, None, self.sizes.source
+        self._board, self._upload, self.geometry, self.composition = board, None, self.sizes.source, None
 
     @property
     def bad_pixels(self) -> BadPixels:
@@ -202,9 +210,39 @@ class Intake:
     def copied_bytes(self) -> int:
         return self._copied_bytes + (self._upload.copied_bytes if self._upload else 0)
 
-    def take(self, prepared: PreparedFrame, previous: DeviceFrame | None, times: list[float]) -> DeviceFrame:
-        """Enqueue what brings a frame to the device, and return it there. `previous`: the frame before, None after a
-        reset; `times`: those of the frames before, newest first, seconds."""
+    def take(
+        self, prepared: PreparedFrame, previous: DeviceFrame | None, times: list[float], before: DeviceFrame | None,
+        exposure: float,
+    ) -> tuple[DeviceFrame, DeviceFrame]:  # fmt: skip
+        """Enqueue what brings a frame to the device. Return it for the stages, without what keeps its place, and whole.
+        `previous`, `before`: the frame before in these forms, None after a reset; `times`: those of the frames before,
+        newest first, seconds. Raises GffeError for overlays of wrong shapes."""
+        board = self._board
+        assert board is not None  # `begin` was called
+        overlays, detection = prepared.frame.overlays, board.stages.get(UserInterface.name)
+        if not board.options.overlays:
+            overlays = None
+        if self.composition is None and (overlays or detection):
+            self.composition = Composition(board)
+        layers = self.composition.prepared(overlays) if self.composition else {}
+        shown = self._on_device(prepared, previous, times)
+        if detection:
+            layers = detection.found(layers, shown, before, exposure)
+        return (self.composition.take(layers, shown) if self.composition else shown), shown
+
+    def leave(self, done: cl.Event, frames: Any) -> None:
+        """Keep `frames` until `done` is complete."""
+        complete = cl.command_execution_status.COMPLETE
+        self._leaving = [one for one in self._leaving if one[0].command_execution_status > complete]
+        self._leaving.append((done, frames))
+
+    @property
+    def overlaid(self) -> Composition | None:
+        """The stage that lays overlays over pictures, if the last frame brought any."""
+        return self.composition if self.composition and self.composition.active else None
+
+    def _on_device(self, prepared: PreparedFrame, previous: DeviceFrame | None, times: list[float]) -> DeviceFrame:
+        """Enqueue what brings a frame to the device, and return it there. Parameters are those of `take`."""
         frame, self.geometry = prepared.frame, prepared.geometry
         jitter = frame.geometry_jitter
         if jitter is not NO_JITTER:

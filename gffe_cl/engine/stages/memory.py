@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import pyopencl as cl
 
-from gffe_cl.engine.stages.buffers import BufferSpec, Sizes
+from gffe_cl.engine.stages.buffers import BufferSpec, Sizes, grid_of
 
 _EXTRAPOLATE = 1000  # more than there are stages
 
@@ -80,7 +80,7 @@ class LentMemory:
         lent memory that holds it, and the first byte there. None where none fits."""
         places: dict = {}
         taken: dict[Lent, list] = {lent: [] for lent in self.lent}
-        order = sorted(self.borrowing, key=lambda one: (one[1].grid.startswith("list_"), -one[1].nbytes(self._sizes)))
+        order = sorted(self.borrowing, key=lambda one: (grid_of(one[1].grid).is_list, -one[1].nbytes(self._sizes)))
         for stage, spec in order:
             nbytes, used = spec.nbytes(self._sizes), self.use(stage, spec)
             free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
@@ -98,7 +98,7 @@ class LentMemory:
         """
         name, used = f"{stage.name}.{spec.name}", []
         for number, other in enumerate(self._stages.values()):
-            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
+            names_it = any(name in kernel.buffers.values() for kernel in other.kernels)
             if names_it or other is stage or (used and not spec.scratch):
                 used.append(number)
         start = 0 if spec.fleeting else _EXTRAPOLATE

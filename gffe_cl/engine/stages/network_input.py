@@ -7,7 +7,7 @@ import numpy as np
 from gffe_cl.engine.inference.model_interface import INPUT_PLANES
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.shading import SEEN
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
@@ -40,7 +40,7 @@ class NetworkInput(Stage):
             "depth_histogram",
             "target",
             {
-                "depth": Access("frame.depth", 1 / 8),
+                "depth": "frame.depth",
                 "median_depth": "network_input.median_depth",
                 "histogram": "network_input.histogram",
             },

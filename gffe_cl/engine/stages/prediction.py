@@ -8,9 +8,8 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.acceleration import Acceleration
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
-from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
 
 NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
@@ -39,13 +38,13 @@ class PositionPrediction(NearestStage):
             "predictions",
             {
                 "depth": "rendered.depth",
-                "motion": Access("rendered.motion", DYNAMIC_PIXELS),
+                "motion": "rendered.motion",
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
-                "history": Access("history.history", DYNAMIC_PIXELS),
-                "velocity": Access("acceleration.velocity", DYNAMIC_PIXELS),
-                "bend": Access("acceleration.bend", DYNAMIC_PIXELS),
-                "view_velocity": Access("acceleration.view_velocity", DYNAMIC_PIXELS),
+                "met_depth": "history.met_depth",
+                "history": "history.history",
+                "velocity": "acceleration.velocity",
+                "bend": "acceleration.bend",
+                "view_velocity": "acceleration.view_velocity",
             },
             {
                 "target_position": "prediction.target_position",
@@ -61,10 +60,10 @@ class PositionPrediction(NearestStage):
         board.facts["dilates"] = self.dilates = not board.options.warps_footprints
         (predict,) = self.kernels
         if not board.facts["bends"]:  # it reads nothing of them
-            nothing = dict.fromkeys(("velocity", "bend", "view_velocity"), Access("history.history", planes=0))
+            nothing = dict.fromkeys(("velocity", "bend", "view_velocity"), "history.history")
             predict = replace(predict, reads={**predict.reads, **nothing})
         if not self.dilates:  # it writes nothing of them
-            nothing = dict.fromkeys(("keys", "winners"), Access("prediction.target_position", planes=0))
+            nothing = dict.fromkeys(("keys", "winners"), "prediction.target_position")
             predict = replace(predict, writes={**predict.writes, **nothing})
         self.kernels = (predict,)
         super().__init__(board)

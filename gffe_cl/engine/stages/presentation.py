@@ -59,6 +59,10 @@ class Presentation(Stage):
         ),
     )
 
+    def held(self) -> tuple[BufferSpec, ...]:
+        """Return the buffers that hold something."""
+        return self.buffers
+
     def present(self, frame: DeviceFrame, previous: DeviceFrame | None, with_color: bool = True) -> None:
         """Resample `frame` to its display camera. `previous`: the rendered frame before, of which only the cameras are
         used; None after a reset."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 import pyopencl as cl
 
@@ -38,10 +40,9 @@ class SceneCuts(Stage):
 
     def __init__(self, board: Board):
         super().__init__(board)
-        self._camera_step: float | None = (
-            None  # world units that the camera moved to the last frame; None after a reset
-        )
-        self._counts = np.empty((CUT_SAMPLES[1], len(COUNTED)), np.int32)
+        # World units that the camera moved to the last frame; None after a reset.
+        self._camera_step: float | None = None
+        self._counts = array("i", bytes(4 * CUT_SAMPLES[1] * len(COUNTED)))
         self._counted: cl.Event | None = None  # complete when the counts are known; None: they do not count
         self._jumped = False
 
@@ -52,13 +53,23 @@ class SceneCuts(Stage):
     def rendered(self, step: Step) -> None:
         """Have samples counted, and copy the counts to the host, which does not wait. Without a previous frame there is
         nothing to compare."""
-        before, self._camera_step, self._counted = self._camera_step, None, None
         if step.previous is None:
-            return
-        self._camera_step = distance(step.frame.camera, step.previous.camera)
+            self.board.commands.call(self._forget)
+        else:
+            self.board.stages["history"].measure(step)
+            self.board.commands.call(self._read)
+
+    def _forget(self) -> None:
+        self._camera_step = self._counted = None
+
+    def _read(self) -> None:
+        """Begin to copy the counts at once."""
+        frame, previous, before = self.board.rendered, self.board.previous, self._camera_step
+        assert frame and previous  # as samples of both are counted
+        self._camera_step = distance(frame.camera, previous.camera)
         self._jumped = before is not None and self._camera_step > TELEPORT * before
-        self.board.stages["history"].measure(step)
-        self._counted = self.board.commands.read(self.buffer["counts"], self._counts)
+        self._counted = cl.enqueue_copy(self.device.queue, self._counts, self.buffer["counts"], is_blocking=False)
+        self.device.queue.flush()
 
     def is_cut(self) -> bool:
         """Return whether the last rendered frame must be treated as a reset. Waits until its samples are counted: they
@@ -67,9 +78,9 @@ class SceneCuts(Stage):
             return False
         self._counted.wait()
         self._counted = None
-        _, rows = self.sizes.of("cut_samples")
-        counts = self._counts[:rows].sum(0).tolist()
-        return counts_say_cut(dict(zip(COUNTED, counts, strict=True)), self._jumped)
+        each = len(COUNTED)
+        counts = self._counts[: each * self.sizes.of("cut_samples")[1]]
+        return counts_say_cut({name: sum(counts[k::each]) for k, name in enumerate(COUNTED)}, self._jumped)
 
 
 def counts_say_cut(counts: dict[str, int], jumped: bool = False) -> bool:

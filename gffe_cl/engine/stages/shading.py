@@ -7,9 +7,8 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
-from gffe_cl.engine.stages.history import DYNAMIC_PIXELS
 
 _CONSTANTS = constants("shading.cl")
 FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILON"]
@@ -18,10 +17,10 @@ FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILO
 SEEN = {
     "color": "frame.color",
     "depth": "frame.depth",
-    "out_motion": Access("frame.motion", DYNAMIC_PIXELS),
+    "out_motion": "frame.motion",
     "is_dynamic": "frame.dynamic",
     "disoccluded": "frame.disoccluded",
-    "motion": Access("rendered.motion", DYNAMIC_PIXELS),
+    "motion": "rendered.motion",
     "color_prev": "previous.color",
     "depth_prev": "previous.depth",
 }

@@ -8,7 +8,7 @@ import numpy as np
 from gffe_cl.engine.inference.model_interface import CANDIDATE_PLANES
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
 
@@ -76,7 +76,7 @@ class ShadingFlow(Stage):
         Kernel(
             "halve_frames",
             "network1",
-            {"frames": Access("network_input.frames", planes=6)},
+            {"frames": "network_input.frames"},
             {
                 "colors": "shading_flow.colors",
                 "brightness": "shading_flow.brightness1",
@@ -104,7 +104,7 @@ class ShadingFlow(Stage):
                 "brightness": "shading_flow.brightness1",
                 "coarser": "shading_flow.brightness2",
                 "flow": "shading_flow.flow2",
-                "trends": Access("shading_trend.trends", planes=1),
+                "trends": "shading_trend.trends",
             },
             {"differences": "shading_flow.differences"},
         ),

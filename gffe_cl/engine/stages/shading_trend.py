@@ -8,14 +8,13 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.host_view import HostView
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
 TREND_PLANES = 8  # of `ShadingTrend`'s `trends`
-_SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
 
 
 class ShadingTrend(Stage):
@@ -39,11 +38,11 @@ class ShadingTrend(Stage):
             "measure_changes",
             "cells",
             {
-                "color": Access("rendered.color", _SAMPLED),
-                "depth": Access("rendered.depth", _SAMPLED),
-                "dynamic_mask": Access("history.dynamic_mask", _SAMPLED),
-                "color_prev": Access("previous.color", 4 * _SAMPLED),
-                "depth_prev": Access("previous.depth", 4 * _SAMPLED),
+                "color": "rendered.color",
+                "depth": "rendered.depth",
+                "dynamic_mask": "history.dynamic_mask",
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
             },
             {
                 "changes": "shading_trend.changes",
@@ -78,7 +77,7 @@ class ShadingTrend(Stage):
             "carry_trends",
             "network1",
             {
-                "depth": Access("frame.depth", 1 / 16),
+                "depth": "frame.depth",
                 "trend": "shading_trend.trend",
                 "trend_prev": "shading_trend.trend'",
                 "changes_prev": "shading_trend.changes'",
@@ -134,8 +133,7 @@ class ShadingTrend(Stage):
 
     def rendered(self, step: Step) -> None:
         """Find the trend, and whether any light changes. After a reset there is none."""
-        self._known = []
-        self._changed.close()
+        self.board.commands.call(self._close)
         if step.previous is None:
             self.fill("trend", 0)
             self.fill("changes", 0)
@@ -144,9 +142,16 @@ class ShadingTrend(Stage):
         self.launch("find_change", step)
         options = self.board.options
         if self.host_decides and options.corrects_shading and options.focus_mask:
-            self._known = self._changed.open()
+            self.board.commands.call(self._open)
         self.launch("blur_rows", step, planes=_CHANGES)
         self.launch("find_trend", step)
+
+    def _close(self) -> None:
+        self._known = []
+        self._changed.close()
+
+    def _open(self) -> None:
+        self._known = self._changed.open()
 
     def extrapolated(self, step: Step) -> None:
         """Carry both trends to the new frame, unless there is nothing to correct."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Kernel, Stage, Step, share_of
+from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
 from gffe_cl.engine.stages.pixel_formats import RGB9E5
 
@@ -19,11 +19,6 @@ LAYERS = tuple(
         ("NEAR", "the near side of one"),
     )
 )
-
-
-LAYERED = share_of("layers", "silhouettes.layer")
-NEAR_SILHOUETTES = share_of("near silhouettes", "silhouettes.marked")
-SOFTENED = share_of("softened", "silhouettes.coverage")
 
 
 class Silhouettes(Stage):
@@ -64,16 +59,16 @@ class Silhouettes(Stage):
             {
                 "links": "connectivity.links",
                 "smooth": "backward_blocks.smooth",
-                "depth": Access("rendered.depth", LAYERED),
-                "target_position": Access("prediction.target_position", LAYERED),
-                "codes": Access("color_code.codes", LAYERED),
+                "depth": "rendered.depth",
+                "target_position": "prediction.target_position",
+                "codes": "color_code.codes",
             },
             {
                 "layer": "silhouettes.layer",
-                "behind": Access("silhouettes.behind", LAYERED),
-                "share": Access("silhouettes.share", LAYERED),
-                "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
-                "soft": Access("warp.open", planes=0),
+                "behind": "silhouettes.behind",
+                "share": "silhouettes.share",
+                "marked": "silhouettes.marked",
+                "soft": "warp.open",
             },
             step=("LANES", 1),
         ),
@@ -82,20 +77,20 @@ class Silhouettes(Stage):
             "target",
             {
                 "marked": "silhouettes.marked",
-                "depth": Access("frame.depth", NEAR_SILHOUETTES),
-                "motion": Access("frame.motion", NEAR_SILHOUETTES),
-                "layer": Access("silhouettes.layer", NEAR_SILHOUETTES),
-                "filled_by": Access("frame.filled_by", SOFTENED),
-                "color": Access("frame.color", SOFTENED),
-                "behind": Access("silhouettes.behind", SOFTENED),
-                "share": Access("silhouettes.share", SOFTENED),
-                "codes": Access("color_code.codes", SOFTENED),
-                "target_position": Access("prediction.target_position", SOFTENED),
+                "depth": "frame.depth",
+                "motion": "frame.motion",
+                "layer": "silhouettes.layer",
+                "filled_by": "frame.filled_by",
+                "color": "frame.color",
+                "behind": "silhouettes.behind",
+                "share": "silhouettes.share",
+                "codes": "color_code.codes",
+                "target_position": "prediction.target_position",
             },
             {
-                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
-                "softened": Access("silhouettes.softened", SOFTENED),
-                "soft": Access("warp.open", SOFTENED),
+                "coverage": "silhouettes.coverage",
+                "softened": "silhouettes.softened",
+                "soft": "warp.open",
             },
             step=("LANES", 1),
         ),
@@ -103,10 +98,10 @@ class Silhouettes(Stage):
             "apply_softened",
             "walk",
             {
-                "soft": Access("warp.open", SOFTENED),
-                "softened": Access("silhouettes.softened", SOFTENED),
+                "soft": "warp.open",
+                "softened": "silhouettes.softened",
             },
-            {"color": Access("frame.color", SOFTENED)},
+            {"color": "frame.color"},
             group="WALK_GROUP",
         ),
     )

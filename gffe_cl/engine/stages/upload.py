@@ -10,7 +10,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RENDERED, XY, BufferSpec, DeviceFrame
 from gffe_cl.engine.stages.host_view import pinned_array
 
@@ -60,7 +60,7 @@ class Upload(Stage):
                 name,
                 "runs",
                 {"given": "upload.given"},
-                {"color": "rendered.color", "bad_pixels": Access("upload.bad_pixels", planes=2)},
+                {"color": "rendered.color", "bad_pixels": "upload.bad_pixels"},
                 step=("LANES", 1),
             )
             for name in ("take_floats", "take_halves", "convert_color")
@@ -73,7 +73,7 @@ class Upload(Stage):
                 {
                     "depth": "rendered.depth",
                     "motion": "rendered.motion",
-                    "bad_pixels": Access("upload.bad_pixels", planes=4),
+                    "bad_pixels": "upload.bad_pixels",
                 },
                 step=("LANES", 1),
             )

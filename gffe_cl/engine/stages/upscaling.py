@@ -10,7 +10,7 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec
 from gffe_cl.engine.stages.correction import ShadingCorrection
 
@@ -71,7 +71,7 @@ class Upscaling(Stage):
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
                 "previous_depth": "previous.depth",
-                "history": Access("upscaling.history'", 0.25),
+                "history": "upscaling.history'",
             },
             {
                 "out_compressed": "upscaling.compressed",

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.engine.stages.backward_blocks import SPLATTED_PIXELS, SPLATTING_BLOCKS
-from gffe_cl.engine.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
+from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 
-DISOCCLUDED = share_of("disoccluded", "frame.disoccluded")
-MIXED = share_of("mixed", "warp.mixed")
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
     "1 where the fragment's color was mixed with a silhouette's that moves away, and its neighbor's is shown", "mask",
@@ -19,15 +16,7 @@ _OPEN = BufferSpec(
     "open", np.uint32, (), "list_target", "how many pixels are holes or mixed, then their indices, plus 2^31 if mixed",
     scratch=True, transient=True,
 )  # fmt: skip
-# Pixels that the background may fill; entries of the list of them.
-HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))
-OPEN_LIST, OPEN_LIST_LENGTH = Access("warp.open", HOLES), Access("warp.open", planes=0)
-
-
-def _keys(share: Share) -> dict[str, Access]:
-    return {name: Access(f"warp.{name}", share) for name in ("keys", "winners")}
-
-
+_KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 NEW_FRAME = {
     "out_color": "frame.color",
     "out_depth": "frame.depth",
@@ -50,12 +39,12 @@ class Warp(NearestStage):
             {
                 "reach": "backward_blocks.reach",
                 "block_class": "backward_blocks.block_class",
-                "depth": Access("rendered.depth", SPLATTING_BLOCKS),
-                "links": Access("connectivity.links", SPLATTING_BLOCKS),
-                "target_position": Access("prediction.target_position", SPLATTING_BLOCKS),
+                "depth": "rendered.depth",
+                "links": "connectivity.links",
+                "target_position": "prediction.target_position",
             }
-            | _keys(SPLATTED_PIXELS),
-            _keys(SPLATTED_PIXELS) | {"open": OPEN_LIST_LENGTH},
+            | _KEYS,
+            _KEYS | {"open": "warp.open"},
             step=("LANES", 1),
         ),
         Kernel(
@@ -65,15 +54,15 @@ class Warp(NearestStage):
                 "block_class": "backward_blocks.block_class",
                 "block_source": "backward_blocks.block_source",
                 "source_smooth": "backward_blocks.smooth",
-                "color": Access("rendered.color", 0.0),  # where nothing moves
+                "color": "rendered.color",  # where nothing moves
                 "codes": "color_code.codes",
-                "depth": Access("rendered.depth", SPLATTED_PIXELS),
-                "links": Access("connectivity.links", SPLATTED_PIXELS),
+                "depth": "rendered.depth",
+                "links": "connectivity.links",
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
             }
-            | _keys(SPLATTED_PIXELS),
-            _keys(MIXED) | NEW_FRAME | {"mixed": "warp.mixed", "open": OPEN_LIST},
+            | _KEYS,
+            _KEYS | NEW_FRAME | {"mixed": "warp.mixed", "open": "warp.open"},
             step=("LANES", 1),
         ),
     )

@@ -1,1 +1,1 @@
-"""Measurement of any pipeline: times of its stages, and bytes that they must move."""
+"""Measurement of any pipeline: times of its stages, and their memory."""

@@ -28,7 +28,7 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.timing import traffic
+from gffe_cl.engine.timing import parts as tables
 from gffe_cl.engine.timing.footage import FrameLoop, Turn
 
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts. The paper's own sum for GAE
@@ -79,8 +79,6 @@ class SizeBench:
     bandwidth: float  # GB/s, read and written
     memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames, motion of one only
     memory_gae: int  # without shading correction
-    must_move: dict[str, float]  # bytes per pixel by part, as the stages declare (`traffic`)
-    shares: dict[str, float]  # of the pixels, by which they declare it
     memory_by_stage: dict[str, int]  # bytes
     kernels: dict[str, float]  # milliseconds by "stage.kernel", all launches for the two frames together
     commands: dict[str, int]  # enqueued for the two frames: kernels, fills and copies; "GAE" and "SCN"
@@ -148,11 +146,11 @@ def bench_size(
     before = device.allocated
     pipeline = Pipeline(device, loop.width, loop.height, options, render_size=loop.render_size)
     pipeline.exposure = loop.exposure
-    samples, launches = _Samples(), {}
+    samples = _Samples()
     for turn in loop.turns(repeats):
         bandwidth = copier.bandwidth()
         device.queue.finish()
-        launches = _timed_pair(pipeline, loop, turn, samples)
+        _timed_pair(pipeline, loop, turn, samples)
         if turn.counts:
             if not loop.render_size:
                 samples.parts["misc"].append(_windowing(device, presentation, turn))
@@ -161,8 +159,7 @@ def bench_size(
     bandwidth = statistics.median(samples.bandwidths)
     milliseconds = samples.medians()
     pixels = loop.width * loop.height
-    shares = traffic.counters(pipeline)
-    by_stage = traffic.memory(pipeline)
+    by_stage = tables.memory(pipeline)
     network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
     frames = KEPT_BYTES_PER_PIXEL * math.prod(loop.render_size or (loop.width, loop.height))
     return SizeBench(
@@ -173,9 +170,7 @@ def bench_size(
         wall=statistics.median(samples.walls),
         bandwidth=bandwidth,
         memory=device.allocated - before + frames,
-        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if traffic.group(name) == "GAE"),
-        must_move=_must_move(pipeline, launches, shares),
-        shares=shares,
+        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if tables.group(name) == "GAE"),
         memory_by_stage=by_stage,
         kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
         commands=samples.commands,
@@ -194,23 +189,22 @@ def growth(results: list[SizeBench]) -> float | None:
     return float(1 + np.polyfit(pixels, np.log([r.bytes_per_pixel["GAE"] for r in results]), 1)[0])
 
 
-def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
-    """Submit and extrapolate, and return the launches of both. Adds times to `samples` if the turn counts."""
+def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Samples) -> None:
+    """Submit and extrapolate. Adds times to `samples` if the turn counts."""
     events: dict[str, dict[str, list]] = {}
-    launches: dict[str, traffic.Launches] = {}
     start = time.perf_counter()
     for when, work in (
         ("rendered", lambda: pipeline.submit(turn.frame)),
         ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(loop.interval)).color),
     ):
-        launches[when] = traffic.launches_of(pipeline, work)
+        work()
         events[when] = pipeline.board.commands.take_events()
     pipeline.device.queue.finish()
     wall = (time.perf_counter() - start) * 1e3
     correction = pipeline.stages.get(ShadingCorrection.name)
     network = correction.take_network_milliseconds() if correction else {}
     if not turn.counts:
-        return launches
+        return
     parts: dict[str, float] = defaultdict(float)
     kernels: dict[str, float] = defaultdict(float)
     commands: dict[str, int] = defaultdict(int)
@@ -219,31 +213,21 @@ def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Sampl
             for kernel, event in done:
                 ms = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += ms
-                parts[traffic.part(stage, when)] += ms
-                commands[traffic.group(stage)] += 1
-    parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
+                parts[tables.part(stage, when)] += ms
+                commands[tables.group(stage)] += 1
+    parts |= {tables.SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
         for name, milliseconds in taken.items():
             into[name].append(milliseconds)
     samples.walls.append(wall)
     samples.commands = dict(commands)
-    return launches
-
-
-def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares: dict[str, float]) -> dict[str, float]:
-    """Return bytes per pixel by part, "GAE" and "SCN" among them, from the launches of a pair of frames."""
-    parts: dict[str, float] = defaultdict(float)
-    for when, launched in launches.items():
-        for stage, kernels in traffic.bytes_per_pixel(pipeline, launched, shares).items():
-            parts[traffic.part(stage, when)] += math.fsum(kernels.values())
-    return _with_sums(parts)
 
 
 def _with_sums(parts: dict[str, float]) -> dict[str, float]:
     """Return the parts in order, with sums: those of GAE in the paper's order, "GAE", "misc", upscaling, those of SCN,
     "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
-    scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
+    scn = {name: value for name, value in parts.items() if name in tables.SCN.values()}
     apart = {name: value for name, value in parts.items() if name == "misc" or name == "upscaling"}
     gae = {name: value for name, value in parts.items() if name not in scn and name not in apart}
     return gae | {"GAE": math.fsum(gae.values())} | apart | (scn | {"SCN": math.fsum(scn.values())} if scn else {})

@@ -31,7 +31,6 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
-from gffe_cl.engine.timing import traffic
 from gffe_cl.engine.timing.footage import FrameLoop
 
 SIZE = (1920, 1080)  # pixels, by default
@@ -57,14 +56,12 @@ _BYTES = {"Dh": 2} | dict(zip("ahcstijflmd", (1, 1, 1, 2, 2, 4, 4, 4, 8, 8, 8), 
 
 @dataclass(frozen=True)
 class KernelTraffic:
-    """Bytes per display pixel, for all launches of a rendered and an extrapolated frame: bytes that must move by the
-    declarations (`traffic`), and bytes loaded and stored. Fills count as declared. `executed`: instructions of LLVM per
-    display pixel, those that compute or reach memory."""
+    """Bytes per display pixel that all launches of a kernel for a rendered and an extrapolated frame load and store.
+    `executed`: instructions of LLVM per display pixel, those that compute or reach memory."""
 
-    declared: float
     loaded: float
     stored: float
-    executed: float = 0.0
+    executed: float
 
     @property
     def counted(self) -> float:
@@ -90,9 +87,9 @@ def count(loop: FrameLoop, options: Options, lanes: int) -> dict[str, KernelTraf
         if child.returncode:
             last = (child.stderr.strip().splitlines() or ["it said nothing"])[-1]
             raise GffeError(f"oclgrind ended with {child.returncode}: {last}")
-        made = json.loads((folder / "made").read_text())
+        launched = json.loads((folder / "launched").read_text())
         blocks = list(parse_counts((folder / "counts").read_text()))
-    return _joined(made, blocks, math.prod((loop.width, loop.height)))
+    return _joined(launched, blocks, math.prod((loop.width, loop.height)))
 
 
 def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
@@ -131,8 +128,7 @@ def _moved(times: int, instruction: str) -> tuple[int, int]:
     return 0, 0
 
 
-def _joined(made: dict, blocks: list[tuple[str, int, int, int]], pixels: int) -> dict[str, KernelTraffic]:
-    launched = made["launched"]  # of the last pair of frames, in order
+def _joined(launched: list, blocks: list[tuple[str, int, int, int]], pixels: int) -> dict[str, KernelTraffic]:
     blocks = blocks[len(blocks) - len(launched) :]
     stages = {kernel: stage for stage, kernel in launched}
     if sorted(kernel for _, kernel in launched) != sorted(kernel for kernel, *_ in blocks):
@@ -142,17 +138,14 @@ def _joined(made: dict, blocks: list[tuple[str, int, int, int]], pixels: int) ->
         of = counted[f"{stages[kernel]}.{kernel}"]
         for k, figure in enumerate(figures):
             of[k] += figure / pixels
-    return {
-        name: KernelTraffic(declared, *counted.get(name, (0.0, declared)))
-        for name, declared in made["declared"].items()
-    }
+    order = dict.fromkeys(f"{stage}.{kernel}" for stage, kernel in launched)
+    return {name: KernelTraffic(*counted[name]) for name in order}
 
 
 def _make(folder: Path) -> None:
-    """Make the frames under Oclgrind, and write the launches of the last pair and the bytes that they must move to a
-    file."""
+    """Make the frames under Oclgrind, and write the launches of the last pair to a file, by stage, in order."""
     loop, options = pickle.loads((folder / "asked").read_bytes())
-    device = open_device()
+    device = open_device(profiling=True)  # its commands are noted
     if device.info.platform != _NAME:
         raise GffeError(f"expected {_NAME}, got {device.info.platform}")
     loop = loop.on(device)
@@ -166,20 +159,14 @@ def _make(folder: Path) -> None:
     *before, last = (turn for turn in loop.turns(1))
     for turn in before:
         pipeline.submit(turn.frame)
-    pipeline.device.queue.finish()
-
-    def pair() -> None:
-        pipeline.submit(last.frame)
-        pipeline.extrapolate(last.camera, last.time(loop.interval))
-
-    launches = traffic.launches_of(pipeline, pair)
+    pipeline.board.commands.take_events()
+    pipeline.submit(last.frame)
+    pipeline.extrapolate(last.camera, last.time(loop.interval))
     device.queue.finish()
-    moved = traffic.bytes_per_pixel(pipeline, launches, traffic.counters(pipeline))
-    launched = [
-        (name, kernel.name) for name in pipeline.stages for kernel, _ in launches[name] if kernel.name != "fill"
-    ]
-    declared = {f"{stage}.{kernel}": nbytes for stage, kernels in moved.items() for kernel, nbytes in kernels.items()}
-    (folder / "made").write_text(json.dumps({"launched": launched, "declared": declared}))
+    events = pipeline.board.commands.take_events()
+    kernels = {name: {kernel.name for kernel in stage.kernels} for name, stage in pipeline.stages.items()}
+    launched = [(name, kernel) for name in kernels for kernel, _ in events.get(name, ()) if kernel in kernels[name]]
+    (folder / "launched").write_text(json.dumps(launched))
 
 
 def report(by_lanes: dict[int, dict[str, KernelTraffic]], loop: FrameLoop) -> dict:

@@ -10,7 +10,9 @@ from doctor_clips import H, W, assert_restored, clip, names, tiled, written
 
 from gffe_cl import open_capture
 from gffe_cl.captures.doctor import Finding, Repair, examine, selected
+from gffe_cl.captures.doctor.findings import ENTRIES
 from gffe_cl.captures.doctor.format_keys import tell_keys
+from gffe_cl.captures.doctor.hypotheses.camera_jitter import INVERSE
 from gffe_cl.captures.doctor.hypotheses.cameras import CAMERA_AS_GIVEN, camera_readings
 from gffe_cl.captures.doctor.hypotheses.motions import MOTION_AS_GIVEN, motion_readings
 from gffe_cl.captures.sequence import open_sequence
@@ -64,11 +66,15 @@ def test_colors_are_made_linear_only_where_the_user_names_them():
         np.testing.assert_allclose(first.color, expected.images[0].color, atol=0.002)
 
 
-def test_parts_of_readings_can_be_left():
+def test_parts_of_readings_can_be_left_and_are_in_the_table():
+    differences = [difference for difference in INVERSE if difference != "absent"]
+    assert all(f"{about}: jitter {one}" in ENTRIES for about in ("motion", "camera") for one in differences)
     for reading in motion_readings():
+        assert all(f"motion: {part}" in ENTRIES for part in reading.parts)
         assert reading.keeping(reading.parts) == reading and reading.keeping(()) == MOTION_AS_GIVEN
         assert reading.mirrored().mirrored() == reading
     for reading in camera_readings():
+        assert all(f"camera: {part}" in ENTRIES for part in (*reading.parts, *reading.opposite().parts))
         assert reading.keeping(reading.parts) == reading and reading.keeping(()) == CAMERA_AS_GIVEN
 
 

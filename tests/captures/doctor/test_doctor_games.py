@@ -2,6 +2,7 @@
 than color, user interfaces, effects without depth."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from gffe_cl.lab.fault_injection import Kept
 W, H = 240, 136
 
 
+@cache
 def dilated():
     """The faster half of the clip."""
     frames = [Encoding.parse("dilated").frame(frame) for frame in clip().images[4:]]

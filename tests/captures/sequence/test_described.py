@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
+from engine_buffers import static_motion, stored
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import (
@@ -43,35 +44,17 @@ def plain_frames():
     return [scene.frame(*p, W, H, poses[k - 1] if k else None, reset=k == 0) for k, p in enumerate(poses)]
 
 
-def static_motion(frame, before):
-    """Where points at rest were, less where they are; sky turns only."""
-    y, x = np.mgrid[:H, :W] + 0.5
-    px, z = np.stack([x, y], -1), np.where(np.isinf(frame.depth), 1e9, frame.depth)
-    return before.camera.project(frame.camera.unproject(px, z))[0] - px
-
-
 def as_engine_has_them(frames, format):
-    """Depth and motion as a description says."""
-    for k, frame in enumerate(frames):
-        moved = frame.motion.astype(np.float64)
-        if k and format.camera_motion != "included":
-            static = static_motion(frame, frames[k - 1])
-            moved = np.where(np.isinf(frame.depth)[..., None], static, moved)
-            expected = replace(frame, motion=moved)
-            moved = moved - static if format.camera_motion == "excluded" else moved
-            resting = np.abs(moved - static).max(-1) < 1e-3
-        else:
-            expected, resting = frame, np.zeros((H, W), bool)
-        jitter = JITTERS[k] if format.motion_jittered else (0.0, 0.0)
-        before = JITTERS[k - 1] if k and format.motion_jittered else jitter
-        vectors = -(moved + before - np.array(jitter)) / (W / 2, -H / 2)
-        if format.camera_motion == "movers_only":
-            vectors[resting] = 9.0
-        elif format.motion_invalid:
-            vectors[:2] = 9.0
-            expected = replace(expected, motion=np.where(np.arange(H)[:, None, None] < 2, np.nan, expected.motion))
-        stored = replace(frame, depth=0.5 / frame.depth, motion=vectors, geometry_jitter=jitter)
-        yield stored, expected
+    """Yield frames with depth and motion as the format describes them, and those that are expected to be read."""
+    for k, (before, frame) in enumerate(zip([None, *frames], frames, strict=False)):
+        jitters = (JITTERS[k], JITTERS[max(k - 1, 0)]) if format.motion_jittered else ()
+        if before:  # sky moves, too
+            sky = np.isinf(frame.depth)[..., None]
+            frame = replace(frame, motion=np.where(sky, static_motion(frame, before), frame.motion))
+        expected = frame
+        if format.motion_invalid and format.camera_motion == "included":
+            expected = replace(frame, motion=np.where(np.arange(H)[:, None, None] < 2, np.nan, frame.motion))
+        yield stored(frame, before, format, None, *jitters), expected
 
 
 def write(folder, frames, format):
@@ -93,8 +76,8 @@ def on_device(pipeline):
 @pytest.mark.parametrize("format", [FORMAT, MOVERS, EXCLUDED], ids=["jittered", "movers only", "without the camera"])
 def test_frames_are_read_in_our_conventions(device, tmp_path, format):
     """By the reader, and by a pipeline that gets them as they are stored."""
-    stored, expected = zip(*as_engine_has_them(plain_frames(), format), strict=True)
-    sequence = write(tmp_path / "engine", stored, format)
+    given, expected = zip(*as_engine_has_them(plain_frames(), format), strict=True)
+    sequence = write(tmp_path / "engine", given, format)
     assert sequence.format == format and json.loads((tmp_path / "engine/sequence.json").read_text())["version"] == 2
     pipeline = Pipeline(device, W, H, Options(shading_correction=False), format=sequence.format)
     for entry, frame, ours in zip(sequence.rendered, sequence, expected, strict=True):
@@ -153,12 +136,12 @@ def test_without_a_description_it_is_version_1(tmp_path):
 
 
 def test_import_and_the_doctor_keep_the_description(tmp_path):
-    stored, expected = zip(*as_engine_has_them(plain_frames(), FORMAT), strict=True)
-    sequence = write(tmp_path / "engine", stored, FORMAT)
+    given, expected = zip(*as_engine_has_them(plain_frames(), FORMAT), strict=True)
+    sequence = write(tmp_path / "engine", given, FORMAT)
     import_capture(sequence, tmp_path / "copy")
     copy = open_sequence(tmp_path / "copy")
     assert copy.format == FORMAT and [e.geometry_jitter for e in copy.rendered] == [*JITTERS]
-    for entry, frame in zip(copy.rendered, stored, strict=True):
+    for entry, frame in zip(copy.rendered, given, strict=True):
         np.testing.assert_array_equal(copy.read_stored(entry).motion, frame.motion.astype(np.float32))
     import_capture(sequence, tmp_path / "thinned", 2, encoding=Encoding.parse("half-depth"))
     thinned = open_sequence(tmp_path / "thinned")
@@ -185,10 +168,10 @@ def test_the_quick_check_takes_a_description():
 
 def test_the_display_part_of_a_run_is_in_our_conventions(device, tmp_path):
     """The frames as they were rendered keep their description; their display parts are converted, and say so."""
-    stored, expected = zip(*as_engine_has_them(plain_frames(), MOVERS), strict=True)
+    given, expected = zip(*as_engine_has_them(plain_frames(), MOVERS), strict=True)
     width, height, left, top = W - 8, H - 6, 4, 2
     with SequenceWriter(tmp_path / "wide", width, height, 30, format=MOVERS) as writer:
-        for k, frame in enumerate(stored):
+        for k, frame in enumerate(given):
             shown = replace(frame.camera, cx=frame.camera.cx - left, cy=frame.camera.cy - top)
             cameras = {"render_camera": frame.camera, "display_camera": shown}
             entry = FrameEntry(f"frame_{k}.exr", frame.time, render_size=(W, H), **cameras)

@@ -242,6 +242,7 @@ def set_camera(value):
 
 BROKEN = {
     "singular camera": (set_camera({"world_to_view": [[0] * 4] * 3 + [[0, 0, 0, 1]]}), "singular"),
+    "flat camera": (set_camera({"fx": 0.0}), "singular"),
     "non-finite camera": (set_camera({"fx": float("nan")}), "must be a finite number"),
     "infinite camera": (set_camera({"cx": 1e999}), "must be a finite number"),
     "huge camera": (set_camera({"cx": 10**400}), "must be a finite number"),

@@ -158,7 +158,7 @@ def test_a_device_that_is_lost(device, seen, monkeypatch):
         def fail(*_, **__):
             raise error
 
-        patch.setattr("gffe_cl.engine.stages.base.Stage.launch", fail)
+        patch.setattr("gffe_cl.engine.stages.base.Board.perform", fail)
         for work_on in (lambda: pipeline.submit(seen[0][1]), pipeline.extrapolate):
             said = r"(submit|extrapolate) failed: .*64×36 takes .* MiB of the .*new pipeline"
             with pytest.raises(GffeError, match=said) as told:

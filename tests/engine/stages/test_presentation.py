@@ -73,7 +73,7 @@ def test_a_full_window_is_bit_exact(device):
     pipeline = Pipeline(device, W, H)
     pipeline.submit(replace(frame, reset=True))
     presented = pipeline.present()
-    assert presented.color is pipeline.frames.current.color and pipeline.presentation is None
+    assert presented.color is pipeline.frames.current.color and pipeline.display.presentation is None
     assert presented.numpy("color").tobytes() == frame.color.tobytes()
     assert presented.numpy("depth").tobytes() == frame.depth.tobytes()
 

@@ -47,7 +47,7 @@ def without_rests(monkeypatch):
     def moving(self, *given):
         made = write(self, *given)
         for name in ("rests", "stays"):
-            made[FRAME.fields[name][1] :][:4] = 0
+            made[FRAME.fields[name][1] // 4] = 0.0
         return made
 
     monkeypatch.setattr(BlockWriter, "write", moving)

@@ -350,7 +350,7 @@ class _Watcher:
         """Start reading the layers back while the program continues."""
         converted = tuple(spec.name for _, spec, _ in pipeline.conversions())
         board, before = (
-            (pipeline.board, bool(pipeline.presentation), bool(pipeline.composition), converted),
+            (pipeline.board, bool(pipeline.display.presentation), bool(pipeline.intake.composition), converted),
             self._specs_of,
         )
         if before is None or before[0] is not board[0] or before[1:] != board[1:]:

@@ -95,10 +95,6 @@ class RemoteSlots:
             buffers=seen.buffers,
         )
 
-    def must_move(self) -> dict[str, dict[str, float]]:
-        """Return an empty dict: the traffic of another process's pipeline is not known."""
-        return {}
-
     def inspect(self, x: int, y: int) -> Inspection | None:
         """Return the values of the program's next frame at display pixel (x, y); None outside."""
         if not (0 <= x < self.source.width and 0 <= y < self.source.height):

@@ -34,16 +34,6 @@ _LAYOUTS: dict[tuple[str, ...], Callable] = {
     ("position instead of translation",): _position_given,
     ("inverted", "rotation transposed"): lambda m: _rotation_transposed(_inverted(m)),
 }
-SENTENCES = {
-    "inverted": "camera matrices are inverted: they are view to world",
-    "rotation transposed": "the rotations of the camera matrices are transposed",
-    "position instead of translation": "camera matrices hold the camera's position where the translation should be",
-    "OpenGL axes": "camera axes are OpenGL's (x right, y up, z backward), not x right, y down, z forward",
-    "y up": "camera axes are Direct3D's (x right, y up, z forward), not x right, y down, z forward",
-    "z backward": "camera axes are left-handed (x right, y down, z backward), not x right, y down, z forward",
-    "x left": "camera axes are left-handed (x left, y down, z forward), not x right, y down, z forward",
-    "axes": "camera axes are {axes}, not x right, y down, z forward",
-}
 _FLIPS = {(1, -1, -1): "OpenGL axes", (1, -1, 1): "y up", (1, 1, -1): "z backward", (-1, 1, 1): "x left"}
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "backward"))
 

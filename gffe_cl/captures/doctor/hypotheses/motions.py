@@ -23,21 +23,6 @@ _LEFT = {("x flipped",): ((-1, 0), (0, 1))}  # of two parts, where only the othe
 _UNITS = {(): None, ("in UV",): 1.0, ("in NDC",): 0.5}  # pixels of a unit, in image sizes
 _FACTORS = {(): 1.0, ("twice too long",): 0.5, ("half as long as they are",): 2.0}
 _HELD, _LACKING = ("one frame late", "one frame early"), ("without the camera", "zero")
-SENTENCES = {
-    "negated": "motion vectors are negated: they point from the previous position to here (current − previous)",
-    "y flipped": "the y of motion vectors is flipped: they count upwards",
-    "x flipped": "the x of motion vectors is flipped: they count leftwards",
-    "x and y swapped": "x and y of motion vectors are swapped",
-    "in UV": "motion vectors are in UV (shares of the image), not in pixels",
-    "in NDC": "motion vectors are in normalized device coordinates (−1 … 1), not in pixels",
-    "twice too long": "motion vectors are twice too long",
-    "half as long as they are": "motion vectors are half as long as the motion is",
-    "to the next frame": "motion vectors point to the next frame, not to the previous one",
-    "one frame late": "motion vectors are one frame late: each frame holds those of the frame before it",
-    "without the camera": "motion vectors contain only the movement of objects: the camera's part is missing",
-    "zero": "motion vectors are zero everywhere although the camera moves",
-    "one frame early": "motion vectors are one frame early: each frame holds those of the frame after it",
-}
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ Vectors = tuple[np.ndarray, np.ndarray]  # motion vectors and static motion, (N,
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ResidualChange:
     """Residuals of static points in one frame, in pixels: as `given` and as `read`. `step`: of quantized vectors."""
 
     given: float
@@ -157,7 +157,7 @@ class Comparison:
     step: float = 0.0
 
     @classmethod
-    def of(cls, given: Vectors, read: Vectors, solid: np.ndarray, step: float = 0.0) -> Comparison | None:
+    def of(cls, given: Vectors, read: Vectors, solid: np.ndarray, step: float = 0.0) -> ResidualChange | None:
         """Compare the vectors at the samples `solid` (N,), and return the residuals; None if the camera moves so few of
         them visibly that the frame is no evidence."""
         moved = [np.linalg.norm(np.nan_to_num(static), axis=-1) for _, static in (given, read)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -97,9 +98,22 @@ class Search:
     def __init__(self, looks: list[Look], step: float = 0.0, rows: tuple[str, ...] = (), edges: float = 0.0):
         self.plain, self.edges = Reading(rows=rows), edges
         self.full = Bench(looks)
-        self.middle, self.thin = (Bench(looks, max(1, len(looks[0].px) // n)) for n in (_REFINING, _PER_FRAME))
         self.step = step
         self._color: dict = {}
+
+    @cached_property
+    def middle(self) -> Bench:
+        """Samples on which parameters are refined."""
+        return self._thinned(_REFINING)
+
+    @cached_property
+    def thin(self) -> Bench:
+        """Few samples, on which all readings are compared."""
+        return self._thinned(_PER_FRAME)
+
+    def _thinned(self, per_frame: int) -> Bench:
+        looks = self.full.looks
+        return Bench(looks, max(1, len(looks[0].px) // per_frame))
 
     def agreement(self, bench: Bench, motion: np.ndarray, static: np.ndarray, jitter="", sharp=False) -> float:
         """Return the agreement of motion vectors with depth and cameras, relative to the vectors' length. With
