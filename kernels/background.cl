@@ -180,19 +180,6 @@ INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
         is_run ? load_floats(0, to.level_depth + first) : gather_floats(to.level_depth, cell_x + (first - first_x));
     return !ANY(now.z * BEHIND > z);
 }
-
-/* The least state of the texels that LANES fragments touch, which land in one row from texel `first` on, side by
-   side. */
-INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left, const Ints up,
-                                __global const uchar *taken) {
-    __global const uchar *p = taken + first, *above = p - row, *below = p + row;
-    const char8 is_left = convert_char8(left), is_up = convert_char8(up);
-    const Bytes beside = is_left ? load_bytes(0, p - 1) : load_bytes(0, p + 1);
-    const Bytes next = is_up ? load_bytes(0, above) : load_bytes(0, below);
-    const Bytes next_above = is_left ? load_bytes(0, above - 1) : load_bytes(0, above + 1);
-    const Bytes next_below = is_left ? load_bytes(0, below - 1) : load_bytes(0, below + 1);
-    return min(min(load_bytes(0, p), beside), min(next, is_up ? next_above : next_below));
-}
 #endif
 
 /* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own
@@ -207,14 +194,6 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
     const Ints left = x - to_floats(cell_x) < 0.5f, up = y - to_floats(cell_y) < 0.5f;
     const Floats most = now.z * BEHIND;
     const bool last = level == to.last_level;
-#if LANES > 1
-    const int first = cell_y.s0 * row + cell_x.s0;
-    if (first > row && first + row + RUN <= row * rows
-        && ALL((cell_y == cell_y.s0) & (cell_x == cell_x.s0 + LANE_NUMBERS)))
-        return in
-               & ((to_ints(least_taken_of_run(first, row, left, up, to.taken)) == EMPTY)
-                  | (last ? (Ints)(0) : most > load_floats(0, to.level_depth + first)));
-#endif
     const Ints beside = clamp(cell_x + (left ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(row - 1));
     const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row,
                own = cell_y * row;
@@ -258,38 +237,19 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
                            .fill_winners = fill_winners,
                            .push_winners = push_winners};
 
-    /* The last texels of a row, one by one. */
-    const int count = min(LANES, level_width - texel_x);
-    if (count < LANES) {
-        const Texels old = {.depth = old_depth,
-                            .frame_depth = frame_depth,
-                            .px = old_px,
-                            .state = old_state,
-                            .level = level,
-                            .width = level_width};
-        for (int k = 0; k < count; ++k) {
-            const int i = texel + k;
-            const bool shown = old_state[i] == SHOWN;
-            if (!shown && old_state[i] != REMEMBERED) continue;
-            const float2 px = px_of(old, i, texel_x + k, texel_y, shown);
-            const float3 now = reproject(px, depth_of(old, i, shown), to_current);
-            offer_fragment(now, (uint)i | (shown ? 0u : FROM_MEMORY), to);
-        }
-        return;
-    }
-
     /* LANES texels at once: what the frame before shows there, or what they remember. */
-    const Ints state = to_ints(load_bytes(0, old_state + texel));
-    const Ints remembered = state == REMEMBERED, held = (state == SHOWN) | remembered;
+    const int count = level_width - texel_x;
+    const Ints state = to_ints(load_some_bytes(count, old_state + texel));
+    const Ints remembered = state == REMEMBERED, held = ((state == SHOWN) | remembered) & (LANE_NUMBERS < count);
     if (!ANY(held)) return;
     const float side = (float)(1 << level);
     Floats px_x = row_centers(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
-    Floats z = load_floats(0, frame_depth + texel);
+    Floats z = load_some_floats(count, frame_depth + texel);
     if (ANY(remembered)) {
-        const Ints packed = remembered ? load_ints(0, old_px + texel) : (Ints)(0);
+        const Ints packed = remembered ? load_some_ints(count, old_px + texel) : (Ints)(0);
         px_x += unpack_x(packed, level);
         px_y += unpack_y(packed, level);
-        z = remembered ? load_floats(0, old_depth + texel) : z;
+        z = remembered ? load_some_floats(count, old_depth + texel) : z;
     }
 
     /* Most only meet the surface that they are of; a rough position tells. */

@@ -157,7 +157,7 @@ INLINE float4 load_texel(const int i, __global const half *image) {
 /* Linear RGB of pixel i. */
 INLINE float3 load_color(__global const half *color, const int i) { return finite_texel(load_texel(i, color)).xyz; }
 
-/* Every image of colors is stored by these two, and by store_texels and store_rgb_run of simd_rgb.h. */
+/* Every image of colors is stored by these two, and by store_texels of simd_rgb.h. */
 INLINE void store_texel(const float4 c, const int i, __global half *color) {
     ulong texel;
     vstore_half4_rte(finite_texel(c), 0, (half *)&texel);

@@ -201,7 +201,7 @@ WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __gl
 INLINE void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color,
                         __global half *out) {
     if (count >= LANES && ALL(holds)) {
-        store_rgb_run(c, out);
+        store_strip(strip_of(c.r, c.g, c.b, (Floats)(0.0f)), count, out);
         return;
     }
     if (count >= LANES && !ANY(holds)) {
@@ -245,8 +245,7 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
         store_where((Ints)(0), none, count, color + 4 * i, out_color + 4 * i);
         return;
     }
-    const WideRgb c = finite_rgb(count >= LANES ? load_rgb_run(color + 4 * i)
-                                                : gather_rgb(color, i + min((Ints)(LANE_NUMBERS), (Ints)(count - 1))));
+    const WideRgb c = finite_rgb(load_some_rgb(count, color + 4 * i));
     const Floats keep = interpolate(correction + KEPT * plane, &taps);
     const Floats low_r = interpolate(frames, &taps);
     const Floats low_g = interpolate(frames + plane, &taps);

@@ -29,11 +29,10 @@ INLINE void wide_without_corners(Floats *wx, const Floats *wy) {
     for (int k = 0; k < 4; ++k) wx[k] *= scale;
 }
 
-/* Cubic interpolation of the 4x4 taps from index `first` on, but for the corners, clamped to the four inner ones. Of
-   finite numbers. */
-INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
-    const float16 b = load_four_texels(first + width, image), c = load_four_texels(first + 2 * width, image);
-    const float8 a = load_two_texels(first + 1, image), d = load_two_texels(first + 3 * width + 1, image);
+/* Cubic interpolation of 4x4 taps in four rows, but for the corners, clamped to the four inner ones. Of finite numbers.
+   The first and the last row begin at the second tap. */
+INLINE float4 cubic_of_rows(const float8 a, const float16 b, const float16 c, const float8 d, const float4 wx,
+                            const float4 wy) {
     const float16 columns = wy.y * b + wy.z * c;
     const float8 inner = columns.s456789ab + (wy.x * a + wy.w * d);
     const float4 sum = wx.x * columns.s0123 + wx.y * inner.lo + wx.z * inner.hi + wx.w * columns.scdef;
@@ -41,7 +40,15 @@ INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int
                  most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
     const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
     const float4 raised = sum < low ? low : sum;
-    return (high < raised ? high : raised).xyz;
+    return high < raised ? high : raised;
+}
+
+/* The same of the taps from index `first` on. */
+INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image) {
+    return cubic_of_rows(load_two_texels(first + 1, image), load_four_texels(first + width, image),
+                         load_four_texels(first + 2 * width, image), load_two_texels(first + 3 * width + 1, image), wx,
+                         wy)
+        .xyz;
 }
 
 #if LANES == 8

@@ -29,7 +29,7 @@ WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pas
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
     Ints nearest;
-    wide_find_nearest(depth, x, y, width, height, &nearest);
+    find_nearest(depth, x, y, width, height, &nearest);
     const Ints here = min((Ints)(y * width + x + LANE_NUMBERS), (Ints)(y * width + width - 1));
     Places places;
     find_places(nearest, 0, plane, &places);
@@ -72,7 +72,7 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
     if (x >= target_width || y >= target_height) return;
     const Rendered shown = {
         .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
-    const Uints word = load_words(count, keys, winners, dst);
+    const Uints word = load_some_winners(count, keys, winners, dst);
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);
     if (!ALL(reached)) {
@@ -118,9 +118,5 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
                              .alike = whole ? (Ints)(ALL_ALIKE) : within,
                              .u = px_x - 0.5f - left,
                              .v = px_y - 0.5f - top};
-#if LANES == 8
     resample_lanes(samples, LANE_NUMBERS < count, width, shown, dst, out_color);
-#else
-    store_color(resample(samples, width, shown), out_color, dst);
-#endif
 }

@@ -1,6 +1,7 @@
 /* Dilation of motion, and words that carry a vector of two components in 1/STEPS px to the pixel where it leads
    (nearest.h): for the dilated warp, and the peer to compare with. */
 
+#include "stencil.h"
 #include "thresholds.h"
 
 #define STEPS 32.0f     /* of a word, per pixel */
@@ -13,49 +14,20 @@
 #define TAP_X(k) (TAP(k) % 3 - 1)
 #define TAP_Y(k) (TAP(k) / 3 - 1)
 
-/* The least depth of the 3x3 around (x, y), and its pixel; of sky (x, y) itself. */
-INLINE float find_nearest(__global const float *depth, const int x, const int y, const int width, const int height,
-                          int *nearest) {
-    float least = INFINITY;
-    *nearest = y * width + x;
-    for (int k = 0; k < 9; ++k) {
-        const int i = clamp(y + TAP_Y(k), 0, height - 1) * width + clamp(x + TAP_X(k), 0, width - 1);
-        const float z = depth[i];
-        const bool nearer = z > 0.0f && z < least;
-        least = nearer ? z : least;
-        *nearest = nearer ? i : *nearest;
-    }
-    return least;
-}
-
-/* The same of LANES pixels. */
-INLINE Floats wide_find_nearest(__global const float *depth, const int x, const int y, const int width,
-                                const int height, Ints *nearest) {
-#if LANES == 8
-    const int here = y * width + x;
-    if (x < 1 || y < 1 || x + LANES >= width || y + 1 >= height) {
-        float lane_least[LANES];
-        int lane_nearest[LANES];
-        for (int k = 0; k < LANES; ++k)
-            lane_least[k] = find_nearest(depth, min(x + k, width - 1), y, width, height, lane_nearest + k);
-        *nearest = load_ints(0, lane_nearest);
-        return load_floats(0, lane_least);
-    }
+/* The least depth of the 3x3 around LANES pixels from (x, y) on, and its pixels; of sky their own. */
+INLINE Floats find_nearest(__global const float *depth, const int x, const int y, const int width, const int height,
+                           Ints *nearest) {
+    const Span p = {x, y, width, height, x >= 1 && y >= 1 && x + LANES < width && y + 1 < height};
     Floats least = (Floats)(INFINITY);
-    Ints step = (Ints)(0);
+    *nearest = clamped_beside(p, 0, 0);
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const int tap = TAP_Y(k) * width + TAP_X(k);
-        const Floats z = load_floats(0, depth + here + tap);
+        const Floats z = beside(p, depth, TAP_X(k), TAP_Y(k));
         const Ints nearer = (z > 0.0f) & (z < least);
         least = nearer ? z : least;
-        step = nearer ? (Ints)(tap) : step;
+        *nearest = nearer ? clamped_beside(p, TAP_X(k), TAP_Y(k)) : *nearest;
     }
-    *nearest = here + LANE_NUMBERS + step;
     return least;
-#else
-    return find_nearest(depth, x, y, width, height, nearest);
-#endif
 }
 
 /* A component in px as half of a word, and back. */
@@ -117,12 +89,4 @@ INLINE uint nearest_beside(__global const Key *keys, __global const uint *winner
                 word = beside;
             }
     return word;
-}
-
-/* The vectors that reached LANES pixels from index i on, `count` of which are left of their row. */
-INLINE Uints load_words(const int count, __global const Key *keys, __global const uint *winners, const int i) {
-    if (IS_WHOLE(count)) return load_winners(keys, winners, i);
-    uint lane_word[LANES];
-    for (int k = 0; k < LANES; ++k) lane_word[k] = winner_of(keys, winners, i + min(k, count - 1));
-    return load_uints(0, lane_word);
 }

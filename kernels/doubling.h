@@ -32,22 +32,19 @@ INLINE void taps_of(const Ints columns, const int y, const int width, const int 
 INLINE void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
     taps_of(x + LANE_NUMBERS, y, width, height, t);
     t->first = (x >> 1) - 1;
-    t->inner = t->first >= 0 && t->first + 8 <= width;
+    t->inner = LANES > 1 && t->first >= 0 && t->first + LANES <= width;
 }
 
 /* Bilinear interpolation of a plane. */
 INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     Floats a, b, c, d;
-#if LANES == 8
     if (t->inner) {
-        const float8 top = vload8(0, plane + t->top + t->first), bottom = vload8(0, plane + t->bottom + t->first);
-        a = top.s01122334;
-        b = top.s12233445;
-        c = bottom.s01122334;
-        d = bottom.s12233445;
-    } else
-#endif
-    {
+        __global const float *top = plane + t->top + t->first, *bottom = plane + t->bottom + t->first;
+        a = load_left_taps(top);
+        b = load_right_taps(top);
+        c = load_left_taps(bottom);
+        d = load_right_taps(bottom);
+    } else {
         a = gather_floats(plane + t->top, t->left);
         b = gather_floats(plane + t->top, t->right);
         c = gather_floats(plane + t->bottom, t->left);
@@ -58,34 +55,13 @@ INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
 }
 
-#if LANES == 8
-/* LANES quads of 2x2 pixels that follow one another, from `top` and `bottom` on: upper left and right, lower left and
-   right. */
-INLINE void load_whole_quads(__global const float *top, __global const float *bottom, Floats *part) {
-    const float16 a = vload16(0, top), b = vload16(0, bottom);
-    part[0] = a.even;
-    part[1] = a.odd;
-    part[2] = b.even;
-    part[3] = b.odd;
-}
-#endif
-
-/* The 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image of half
-   the size has `count`: upper left and right, lower left and right. */
+/* The 2x2 pixels of a plane `width` pixels wide, which is even, for LANES pixels of a row from (x, y) on, of which the
+   image of half the size has `count`: upper left and right, lower left and right. */
 INLINE void load_quads(__global const float *plane, const int width, const int x, const int y, const int count,
                        Floats *part) {
-    __global const float *top = plane + 2 * y * width + 2 * x, *bottom = top + width;
-#if LANES == 8
-    if (count >= LANES) {
-        load_whole_quads(top, bottom, part);
-        return;
-    }
-#endif
-    const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    part[0] = gather_floats(top, i);
-    part[1] = gather_floats(top, i + 1);
-    part[2] = gather_floats(bottom, i);
-    part[3] = gather_floats(bottom, i + 1);
+    __global const float *top = plane + 2 * y * width + 2 * x;
+    part[0] = load_some_xy(count, (__global const float2 *)top, &part[1]);
+    part[2] = load_some_xy(count, (__global const float2 *)(top + width), &part[3]);
 }
 
 INLINE Floats mean_of_quad(const Floats *part) { return 0.25f * ((part[0] + part[1]) + (part[2] + part[3])); }

@@ -1,5 +1,7 @@
-/* Flow, which is where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), one by one
-   and LANES at once. */
+/* Flow, which is where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), of LANES
+   fragments at once. */
+
+#include "places.h"
 
 #define FOOTPRINT_HALF 0.65f /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8 /* px: the most that a fragment covers to each side */
@@ -10,52 +12,15 @@ INLINE float3 position_of(__global const float *target_position, const int src, 
     return (float3)(target_position[src], target_position[plane + src], target_position[2 * plane + src]);
 }
 
-/* Fragments of the rendered frame, and the image that they go to. target_position: planes of x, y and depth there. */
+/* Fragments of the rendered frame, and the image that they go to. */
 typedef struct {
-    __global const float *depth, *target_position;
-    __global const uchar *links;
-    int width, height, plane; /* of the rendered frame; plane: its pixels */
+    __global const float *depth;           /* in the rendered frame */
+    __global const float *target_position; /* planes of x, y (px) and depth in the new one */
+    __global const uchar *links;           /* to neighbors of the same surface; none leaves the image */
+    int width, height, plane;              /* of the rendered frame; plane: its pixels */
     int target_width, target_height;
-    float2 zoom;
+    float2 zoom; /* target pixels per source pixel of points equally far from both cameras */
 } Fragments;
-
-/* Whether anything of a fragment at `here` may land in the image. */
-INLINE bool may_land(const Fragments f, const float3 here) {
-    const float reach = (float)FOOTPRINT_REACH;
-    return here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)f.target_width + reach
-           && here.y < (float)f.target_height + reach;
-}
-
-/* ---- LANES at once ------------------------------------------------------------------------------------------- */
-
-/* Pixels of LANES fragments: `one` run from `first` on, or `two`, of which one ends with `last`, or anywhere. */
-typedef struct {
-    Ints at, of_last;
-    int first, last;
-    bool one, two;
-} Places;
-
-/* `margin`: number of additional pixels on each side that are read from the image, of `pixels`. */
-INLINE void find_places(const Ints at, const int margin, const int pixels, Places *p) {
-    p->at = at;
-    p->first = FIRST_LANE(at);
-    p->last = LAST_LANE(at) - (LANES - 1);
-    const Ints of_first = at == p->first + LANE_NUMBERS;
-    p->of_last = at == p->last + LANE_NUMBERS;
-    p->one = ALL(of_first);
-    p->two = ALL(of_first | p->of_last) && min(p->first, p->last) >= margin
-             && max(p->first, p->last) + margin + LANES <= pixels;
-}
-
-INLINE Floats floats_at(__global const float *plane, const Places p) {
-    if (p.one) return load_floats(0, plane + p.first);
-    if (p.two) return p.of_last ? load_floats(0, plane + p.last) : load_floats(0, plane + p.first);
-    return gather_floats(plane, p.at);
-}
-
-INLINE Bytes bytes_at(__global const uchar *plane, const Places p) {
-    return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);
-}
 
 /* The values of one plane at LANES fragments and at their neighbors. */
 typedef struct {
@@ -83,11 +48,13 @@ INLINE void load_cross(__global const float *plane, const int source_width, cons
         a->up = src.of_last ? b.up : a->up;
         a->down = src.of_last ? b.down : a->down;
     } else {
+        const Ints left = stepped(src, -1), right = stepped(src, 1), up = stepped(src, -source_width),
+                   down = stepped(src, source_width);
         a->here = gather_floats(plane, src.at);
-        a->left = gather_floats(plane - 1, src.at);
-        a->right = gather_floats(plane + 1, src.at);
-        a->up = gather_floats(plane - source_width, src.at);
-        a->down = gather_floats(plane + source_width, src.at);
+        a->left = gather_floats(plane, left);
+        a->right = gather_floats(plane, right);
+        a->up = gather_floats(plane, up);
+        a->down = gather_floats(plane, down);
     }
 }
 
@@ -100,7 +67,7 @@ INLINE void load_cross_of_one(__global const float *p, const int source_width, c
     a->down = (Floats)(p[bits & LINK_DOWN ? source_width : 0]);
 }
 
-/* Predicted positions of LANES fragments and of their neighbors. */
+/* Predicted positions of LANES fragments and of their neighbors; beyond the image's border of any others. */
 typedef struct {
     Cross x, y, z;
 } Positions;
@@ -172,35 +139,4 @@ INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source
     f.yz = (open & known_y) ? f.yz : none;
     f.det = open ? det : scale_x * scale_y;
     *flow = f;
-}
-
-/* ---- one by one ------------------------------------------------------------------------------------------------ */
-
-/* The first lane of a WideFlow. */
-typedef struct {
-    float xx, xy, xz, yx, yy, yz, det;
-} Flow;
-
-/* Flow at fragment `src`, which may lie at the border of the image. Returned by pointer: Oclgrind fails on returned
-   structs after inlining. */
-INLINE void flow_at(const Fragments f, const int src, Flow *flow) {
-    const int bits = f.links[src];
-    Positions at;
-    WideFlow wide;
-    load_positions_of_one(f, src, bits, &at);
-    wide_flow(at, (Ints)(bits), (Floats)(f.depth[src]), f.zoom, &wide);
-    const Flow first = {FIRST_LANE(wide.xx), FIRST_LANE(wide.xy), FIRST_LANE(wide.xz), FIRST_LANE(wide.yx),
-                        FIRST_LANE(wide.yy), FIRST_LANE(wide.yz), FIRST_LANE(wide.det)};
-    *flow = first;
-}
-
-/* Source px, times the determinant, that correspond to (x, y) target px. */
-INLINE float2 source_offset(const Flow flow, const float x, const float y) {
-    return (float2)(flow.yy * x - flow.yx * y, flow.xx * y - flow.xy * x);
-}
-
-/* px to each side of its position that a fragment covers. */
-INLINE float2 footprint(const Flow flow) {
-    return (float2)(fmin(FOOTPRINT_HALF * (fabs(flow.xx) + fabs(flow.yx)), (float)FOOTPRINT_REACH),
-                    fmin(FOOTPRINT_HALF * (fabs(flow.xy) + fabs(flow.yy)), (float)FOOTPRINT_REACH));
 }

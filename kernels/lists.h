@@ -2,6 +2,8 @@
    list instead of a mask of the whole image. Element 0 of a list is its length, which an earlier kernel sets to 0, and
    there is room for every pixel behind it. Results must not depend on the order. */
 
+#include "simd.h"
+
 #define WALK_GROUP 64 /* work-items of a group that walks a list ... */
 #if LANES == 1
 #define TEAM 8 /* ... and of a team, which works on one pixel */
@@ -28,10 +30,10 @@ INLINE uint entry_of(__global const uint *open, const uint i) { return i < open[
 
 INLINE void append(const uint entry, __global uint *list) { LISTED(list, atomic_inc(list)) = entry; }
 
+/* Appends the entries of the lanes that `has` tells. With one lane there is one atomic for a group, all of which must
+   come here. `shared`: two numbers of the group. */
+INLINE void append_lanes(const Ints has, const Uints entries, __global uint *list, __local uint *shared) {
 #if LANES == 1
-/* Appends an entry of each work-item that `has` one, with one atomic for a group, all of which must come here.
-   `shared`: two numbers of the group. */
-INLINE void append_of_group(const bool has, const uint entry, __global uint *list, __local uint *shared) {
     const bool is_first = get_local_id(0) == 0 && get_local_id(1) == 0;
     if (is_first) shared[0] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -39,9 +41,18 @@ INLINE void append_of_group(const bool has, const uint entry, __global uint *lis
     barrier(CLK_LOCAL_MEM_FENCE);
     if (is_first && shared[0]) shared[1] = atomic_add(list, shared[0]);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (has) LISTED(list, shared[1] + place) = entry;
-}
+    if (has) LISTED(list, shared[1] + place) = entries;
+#else
+    (void)shared;
+    if (!ANY(has)) return;
+    int lane_has[LANES];
+    uint lane_entry[LANES];
+    store_ints(has, 0, lane_has);
+    store_ints(entries, 0, lane_entry);
+    for (int k = 0; k < LANES; ++k)
+        if (lane_has[k]) append(lane_entry[k], list);
 #endif
+}
 
 /* Work-items of a group that looks for a value in a mask, and the bytes that each of them looks at. */
 #define SCAN_GROUP 64

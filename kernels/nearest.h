@@ -1,6 +1,8 @@
 /* Keeping, per target pixel, the nearest of all fragments that are offered to it; ties go to the smallest index, so the
    result does not depend on the order of execution. Keys and winners start with all bits set. */
 
+#include "simd.h"
+
 #define NOBODY 0xFFFFFFFFu
 #define GIVES_WAY 0x80000000u /* of a depth's bits: every offer without it is nearer */
 
@@ -69,20 +71,21 @@ INLINE uint depth_bits_of(__global const Key *keys, const int c) {
 #endif
 }
 
-#ifdef LANES
-/* winner_of LANES pixels from c on. */
-INLINE Uints load_winners(__global const Key *keys, __global const uint *winners, const int c) {
-#if LANES == 1
-    return winner_of(keys, winners, c);
-#elif defined(INT64_ATOMICS)
-    (void)winners;
-    return convert_uint8(vload8(0, keys + c));
+/* winner_of the first `count` of LANES pixels from c on, or all if it is more, as for load_some_floats of simd.h. */
+INLINE Uints load_some_winners(const int count, __global const Key *keys, __global const uint *winners, const int c) {
+#if LANES == 8
+    if (IS_WHOLE(count)) {
+#ifdef INT64_ATOMICS
+        return convert_uint8(vload8(0, keys + c));
 #else
-    (void)keys;
-    return load_uints(0, winners + c);
+        return load_uints(0, winners + c);
 #endif
+    }
+#endif
+    uint lanes[LANES];
+    for (int k = 0; k < LANES; ++k) lanes[k] = winner_of(keys, winners, c + min(k, count - 1));
+    return load_uints(0, lanes);
 }
-#endif
 
 /* Sets all bits, for the next who offers. */
 INLINE void forget(__global Key *keys, __global uint *winners, const int c) {

@@ -171,31 +171,27 @@ INLINE void find_pixels(const int x, const int y, const int width, const int hei
 
 /* Values of these pixels; `whole`: they are all in the image. */
 INLINE void load_pixels(__global const float *plane, const Ints *at, const bool whole, Floats *part) {
-#if LANES == 8
     if (whole) {
-        load_whole_quads(plane + at[0].s0, plane + at[2].s0, part);
-        return;
+        const Pairs top = load_pairs(plane + FIRST_LANE(at[0])), bottom = load_pairs(plane + FIRST_LANE(at[2]));
+        part[0] = top.even;
+        part[1] = top.odd;
+        part[2] = bottom.even;
+        part[3] = bottom.odd;
+    } else {
+        for (int k = 0; k < 4; ++k) part[k] = gather_floats(plane, at[k]);
     }
-#else
-    (void)whole;
-#endif
-    for (int k = 0; k < 4; ++k) part[k] = gather_floats(plane, at[k]);
 }
 
 INLINE void find_set_pixels(__global const uchar *mask, const Ints *at, const bool whole, Ints *part) {
-#if LANES == 8
     if (whole) {
-        const uchar16 a = vload16(0, mask + at[0].s0), b = vload16(0, mask + at[2].s0);
-        part[0] = convert_int8(a.even) != 0;
-        part[1] = convert_int8(a.odd) != 0;
-        part[2] = convert_int8(b.even) != 0;
-        part[3] = convert_int8(b.odd) != 0;
-        return;
+        const BytePairs top = load_pairs(mask + FIRST_LANE(at[0])), bottom = load_pairs(mask + FIRST_LANE(at[2]));
+        part[0] = to_ints(top.even) != 0;
+        part[1] = to_ints(top.odd) != 0;
+        part[2] = to_ints(bottom.even) != 0;
+        part[3] = to_ints(bottom.odd) != 0;
+    } else {
+        for (int k = 0; k < 4; ++k) part[k] = to_ints(gather_bytes(mask, at[k])) != 0;
     }
-#else
-    (void)whole;
-#endif
-    for (int k = 0; k < 4; ++k) part[k] = to_ints(gather_bytes(mask, at[k])) != 0;
 }
 
 /* Product of lifted colors of t-1 of a smooth quad, from pixel `dst` on: of its left and of its right pixels; false if

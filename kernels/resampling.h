@@ -81,21 +81,17 @@ INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, con
     return true;
 }
 
-/* The samples of the lanes in `use`. */
-INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
-                           __global half *out_color) {
-    const Ints tap = s.tap, alike = s.alike;
-    const Floats u = s.u, v = s.v;
-    int lane_tap[LANES], lane_use[LANES], lane_alike[LANES], lane_src[LANES];
-    float lane_u[LANES], lane_v[LANES];
+/* Resamples halves whose taps lie in a row. Gives the lanes in `use` that are left. */
+INLINE Ints resample_halves(const Samples s, const Ints use, const int source_width, const Rendered shown,
+                            const int dst, __global half *out_color) {
+    int lane_tap[LANES];
     Floats wx[4], wy[4];
-    store_ints(tap, 0, lane_tap);
-    wide_cubic_weights(u, wx);
-    wide_cubic_weights(v, wy);
+    store_ints(s.tap, 0, lane_tap);
+    wide_cubic_weights(s.u, wx);
+    wide_cubic_weights(s.v, wy);
     wide_without_corners(wx, wy);
-    const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
-    /* Halves whose taps lie in a row; elsewhere one lane after another. */
-    const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
+    const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f);
+    const Ints whole = use & ((s.alike == ALL_ALIKE) | exact), in_row = s.tap - LANE_NUMBERS;
     const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo},
                  left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
     const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi},
@@ -105,18 +101,29 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     const bool right =
         all(whole.hi & (in_row.hi == lane_tap[4] - 4))
         && resample_four(lane_tap[4], exact.hi, right_x, right_y, source_width, shown, out_color + 4 * (dst + 4));
-    if (left && right) return;
-    const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
-    store_ints(rest, 0, lane_use);
-    store_ints(alike, 0, lane_alike);
+    return use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
+}
+#else
+#define resample_halves(s, use, source_width, shown, dst, out_color) (use)
+#endif
+
+/* The samples of the lanes in `use`. */
+INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
+                           __global half *out_color) {
+    const Ints rest = resample_halves(s, use, source_width, shown, dst, out_color);
+    if (!ANY(rest)) return;
+    int lane_rest[LANES], lane_tap[LANES], lane_alike[LANES], lane_src[LANES];
+    float lane_u[LANES], lane_v[LANES];
+    store_ints(rest, 0, lane_rest);
+    store_ints(s.tap, 0, lane_tap);
+    store_ints(s.alike, 0, lane_alike);
     store_ints(s.src, 0, lane_src);
-    store_floats(u, 0, lane_u);
-    store_floats(v, 0, lane_v);
+    store_floats(s.u, 0, lane_u);
+    store_floats(s.v, 0, lane_v);
     for (int k = 0; k < LANES; ++k) {
-        if (!lane_use[k]) continue;
+        if (!lane_rest[k]) continue;
         const Sample one = {
             .src = lane_src[k], .tap = lane_tap[k], .alike = lane_alike[k], .u = lane_u[k], .v = lane_v[k]};
         store_color(resample(one, source_width, shown), out_color, dst + k);
     }
 }
-#endif

@@ -47,6 +47,26 @@ INLINE float16 rows_of(const Weights *w, const int part, const int *first, const
 
 #endif
 
+/* Weighted sums of the 3x3 samples around a pixel, a column at a time: all of them at once take 36 registers. */
+INLINE void sums_of_one(const int x, const int y, float3 near_x, const float3 near_y, float3 far_x, const float3 far_y,
+                        const int width, const int height, __global const half *compressed, float4 *near_sum,
+                        float4 *far_sum) {
+    const int above_row = clamp(y - 1, 0, height - 1) * width, below_row = clamp(y + 1, 0, height - 1) * width;
+#pragma unroll 1
+    for (int k = 0; k < 3; ++k) { /* near_x.x and far_x.x are the weights of this column */
+        const int column = clamp(x + k - 1, 0, width - 1);
+        const float4 above = load_texel(above_row + column, compressed),
+                     here = load_texel(y * width + column, compressed),
+                     below = load_texel(below_row + column, compressed);
+        const float4 a = near_x.x * (near_y.x * above + near_y.y * here + near_y.z * below);
+        const float4 b = far_x.x * (far_y.x * above + far_y.y * here + far_y.z * below);
+        *near_sum = k == 0 ? a : *near_sum + a;
+        *far_sum = k == 0 ? b : *far_sum + b;
+        near_x = near_x.yzz;
+        far_x = far_x.yzz;
+    }
+}
+
 /* The weighted sum of the 3x3 samples around each of LANES pixels of a row, and one with other weights. */
 INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width,
                          const int height, __global const half *compressed, Wide4 *far_sum) {
@@ -79,42 +99,24 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const We
         *far_sum = far_channels;
         return channels;
     }
+#endif
+    int lane_x[LANES];
     float sums[4 * LANES], far_sums[4 * LANES], near_x[3][LANES], far_x[3][LANES];
+    store_ints(x, 0, lane_x);
     for (int k = 0; k < 3; ++k) {
         store_floats(near.x[k], 0, near_x[k]);
         store_floats(far.x[k], 0, far_x[k]);
     }
     for (int k = 0; k < LANES; ++k) {
-        const float16 above = four_texels(compressed, column[k] - 1, y - 1, width, height),
-                      here = four_texels(compressed, column[k] - 1, y, width, height),
-                      below = four_texels(compressed, column[k] - 1, y + 1, width, height);
-        const float16 a = columns_of(near.y, above, here, below), b = columns_of(far.y, above, here, below);
-        vstore4(near_x[0][k] * a.s0123 + near_x[1][k] * a.s4567 + near_x[2][k] * a.s89ab, k, sums);
-        vstore4(far_x[0][k] * b.s0123 + far_x[1][k] * b.s4567 + far_x[2][k] * b.s89ab, k, far_sums);
+        float4 near_all, far_all;
+        sums_of_one(lane_x[k], y, (float3)(near_x[0][k], near_x[1][k], near_x[2][k]), near.y,
+                    (float3)(far_x[0][k], far_x[1][k], far_x[2][k]), far.y, width, height, compressed, &near_all,
+                    &far_all);
+        vstore4(near_all, k, sums);
+        vstore4(far_all, k, far_sums);
     }
     *far_sum = channels_in(far_sums);
     return channels_in(sums);
-#else  /* a column at a time: all of them at once take 36 registers */
-    float4 near_all = (float4)(0.0f), far_all = (float4)(0.0f);
-    float3 near_x = (float3)(near.x[0], near.x[1], near.x[2]), far_x = (float3)(far.x[0], far.x[1], far.x[2]);
-#pragma unroll 1
-    for (int k = 0; k < 3; ++k) {  /* near_x.x and far_x.x are the weights of this column */
-        const int column = clamp(x + k - 1, 0, width - 1);
-        const float4 above = load_texel(clamp(y - 1, 0, height - 1) * width + column, compressed);
-        const float4 here = load_texel(y * width + column, compressed);
-        const float4 below = load_texel(clamp(y + 1, 0, height - 1) * width + column, compressed);
-        const float4 a = near_x.x * (near.y.x * above + near.y.y * here + near.y.z * below);
-        const float4 b = far_x.x * (far.y.x * above + far.y.y * here + far.y.z * below);
-        near_all = k == 0 ? a : near_all + a;
-        far_all = k == 0 ? b : far_all + b;
-        near_x = near_x.yzz;
-        far_x = far_x.yzz;
-    }
-    const Wide4 channels = {near_all.x, near_all.y, near_all.z, near_all.w};
-    const Wide4 far_channels = {far_all.x, far_all.y, far_all.z, far_all.w};
-    *far_sum = far_channels;
-    return channels;
-#endif
 }
 
 INLINE Floats sum_of_weights(const Weights w) { return (w.x[0] + w.x[1] + w.x[2]) * (w.y.x + w.y.y + w.y.z); }

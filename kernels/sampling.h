@@ -1,7 +1,7 @@
 /* Sampling planes anywhere, LANES pixels at once: bilinear, borders repeated. */
 
 #include "common.h"
-#include "simd.h"
+#include "places.h"
 
 /* Column of each lane's pixel. */
 INLINE Floats row_indices(const int x) { return to_floats(x + LANE_NUMBERS); }
@@ -34,43 +34,24 @@ INLINE Floats sampled(__global const float *plane, const Sample *s) {
     return between_taps(a, b, c, d, s);
 }
 
-/* Samples of several planes: the taps of most lie in rows but for one jump, which the ends tell. With in_runs, all of
-   them are in the image, and each lane's first is in the run from `first` on, or, where in_second, from `second` on. */
+/* Samples of several planes: the taps of most lie `in_runs`, all of them in the image. */
 typedef struct {
     Sample sample;
-    int first, second, width;
-    Ints in_second;
+    Places taps;
+    int width;
     bool in_runs;
 } SampleRuns;
 
 INLINE void find_sample_runs(const Floats x, const Floats y, const int width, const int height, SampleRuns *s) {
     find_sample(x, y, width, height, &s->sample);
-#if LANES == 8
-    const Ints tap = s->sample.tap, whole = (s->sample.right == 1) & (s->sample.down == width);
+    find_places(s->sample.tap, width + 1, width * height, &s->taps);
     s->width = width;
-    s->first = FIRST_LANE(tap);
-    s->second = max(LAST_LANE(tap) - (LANES - 1), 0);
-    s->in_second = tap != s->first + LANE_NUMBERS;
-    s->in_runs = max(s->first, s->second) + width + LANES < width * height
-                 && ALL(whole & (!s->in_second | (tap == s->second + LANE_NUMBERS)));
-#endif
+    s->in_runs = (s->taps.one || s->taps.two) && ALL((s->sample.right == 1) & (s->sample.down == width));
 }
-
-#if LANES == 8
-/* One tap of each lane, `step` after the first. */
-INLINE Floats tap_of_runs(__global const float *plane, const SampleRuns *s, const int step) {
-    const Floats first = load_floats(0, plane + s->first + step);
-    return s->in_second ? load_floats(0, plane + s->second + step) : first;
-}
-#endif
 
 INLINE Floats sampled_by_runs(__global const float *plane, const SampleRuns *s) {
-#if LANES == 8
-    if (s->in_runs) {
-        const Floats a = tap_of_runs(plane, s, 0), b = tap_of_runs(plane, s, 1);
-        const Floats c = tap_of_runs(plane, s, s->width), d = tap_of_runs(plane, s, s->width + 1);
-        return between_taps(a, b, c, d, &s->sample);
-    }
-#endif
-    return sampled(plane, &s->sample);
+    if (!s->in_runs) return sampled(plane, &s->sample);
+    const Floats a = floats_of_runs(plane, s->taps, 0), b = floats_of_runs(plane, s->taps, 1);
+    const Floats c = floats_of_runs(plane, s->taps, s->width), d = floats_of_runs(plane, s->taps, s->width + 1);
+    return between_taps(a, b, c, d, &s->sample);
 }

@@ -127,15 +127,11 @@ INLINE void load_flow(__global const float *flow, const bool doubles, const int 
 
 /* One plane of the flow, interpolated at pixels from (x, y) on; x is even with several lanes. */
 INLINE Floats flow_at(__local const float *near, const int x, const int y) {
-    __local const float *top = near + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH - TILE_X + AROUND;
+    __local const float *top =
+        near + (((y - 1) >> 1) - TILE_Y + AROUND) * FLOW_PITCH + ((x - 1) >> 1) - TILE_X + AROUND;
     __local const float *bottom = top + FLOW_PITCH;
-#if LANES == 8
-    const float8 above = vload8(0, top + (x >> 1) - 1), below = vload8(0, bottom + (x >> 1) - 1);
-    const float8 a = above.s01122334, b = above.s12233445, c = below.s01122334, d = below.s12233445;
-#else
-    const int left = (x - 1) >> 1;
-    const float a = top[left], b = top[left + 1], c = bottom[left], d = bottom[left + 1];
-#endif
+    const Floats a = load_left_taps(top), b = load_right_taps(top);
+    const Floats c = load_left_taps(bottom), d = load_right_taps(bottom);
     const Floats u = ((x + LANE_NUMBERS) & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
     const float v = (y & 1) ? 0.25f : 0.75f;
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
@@ -152,18 +148,6 @@ INLINE void load_both(__global const float *brightness, __local const float *nea
     find_sample(row_indices(x) + flow_at(near, x, y), (float)y + flow_at(near + FLOW_PLANE, x, y), width, height,
                 &there);
     *moved = sampled(brightness + width * height, &there);
-}
-
-/* LANES pairs of pixels that follow one another. */
-INLINE void load_pairs(__local const float *p, Floats *left, Floats *right) {
-#if LANES == 8
-    const float16 pairs = vload16(0, p);
-    *left = pairs.even;
-    *right = pairs.odd;
-#else
-    *left = p[0];
-    *right = p[1];
-#endif
 }
 
 /* Mean over the 3x3 pixels around those of the tile from (x, y) on, or over those of them that there are. */
@@ -214,15 +198,15 @@ WIDE TILED __kernel void step_flow(__constant Frame *restrict frame, const int l
             const int y = 2 * (TILE_Y - 1 + row) + part;
             const int at = (y - 2 * TILE_Y + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
             __local const float *here = both + at;
-            Floats before, left, right, after, top[2], bottom[2], difference[2];
-            load_pairs(here - 1, &before, &left);
-            load_pairs(here + 1, &right, &after);
-            load_pairs(here - (y > 0 ? PIXEL_PITCH : 0), &top[0], &top[1]);
-            load_pairs(here + (y < fine_height - 1 ? PIXEL_PITCH : 0), &bottom[0], &bottom[1]);
-            load_pairs(rest + at, &difference[0], &difference[1]);
-            const Floats gradient[2] = {right - (x == 0 ? left : before), (x == width - 1 ? right : after) - left};
+            const Pairs left = load_pairs(here - 1), right = load_pairs(here + 1);
+            const Pairs top = load_pairs(here - (y > 0 ? PIXEL_PITCH : 0)),
+                        bottom = load_pairs(here + (y < fine_height - 1 ? PIXEL_PITCH : 0));
+            const Pairs differences = load_pairs(rest + at), down = bottom - top;
+            const Floats gradient[2] = {right.even - (x == 0 ? left.odd : left.even),
+                                        (x == width - 1 ? right.even : right.odd) - left.odd};
+            const Floats gradients_y[2] = {down.even, down.odd}, difference[2] = {differences.even, differences.odd};
             for (int side = 0; side < 2; ++side) {
-                const Floats gradient_y = bottom[side] - top[side];
+                const Floats gradient_y = gradients_y[side];
                 sums[0] += gradient[side] * gradient[side];
                 sums[1] += gradient[side] * gradient_y;
                 sums[2] += gradient_y * gradient_y;
@@ -283,11 +267,9 @@ WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __gl
         if (y < 0 || y >= height) continue;
         const Ints x = clamp(TILE_X - 1 + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1)), at = y * width + x;
         const int first = (2 * row - 2 + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
-        Floats of_still[4], of_along[4], of_repeated[4];
-        for (int part = 0; part < 2; ++part) {
-            load_pairs(still + first + part * PIXEL_PITCH, &of_still[2 * part], &of_still[2 * part + 1]);
-            load_pairs(along + first + part * PIXEL_PITCH, &of_along[2 * part], &of_along[2 * part + 1]);
-        }
+        const Pairs still_top = load_pairs(still + first), still_bottom = load_pairs(still + first + PIXEL_PITCH);
+        const Pairs along_top = load_pairs(along + first), along_bottom = load_pairs(along + first + PIXEL_PITCH);
+        Floats of_repeated[4];
         for (int part = 0; part < 4; ++part)
             of_repeated[part] = gather_floats(repeated, (2 * y + (part >> 1)) * fine + 2 * x + (part & 1));
         __local const float *here = near + (row - 1 + AROUND) * FLOW_PITCH + column - 1 + AROUND;
@@ -297,8 +279,9 @@ WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __gl
         const Floats changed = gather_floats(coarser, at) - gather_floats(coarser + plane, at);
         const Floats again = changed - mean_of_quad(of_repeated), again_along = changed - sampled(repeated, &there);
         __local float *out = squares + row * SUM_PITCH + column;
-        store_floats(0.25f * (of_still[0] + of_still[1] + of_still[2] + of_still[3]), 0, out);
-        store_floats(0.25f * (of_along[0] + of_along[1] + of_along[2] + of_along[3]), 0, out + SUM_PLANE);
+        store_floats(0.25f * (still_top.even + still_top.odd + still_bottom.even + still_bottom.odd), 0, out);
+        store_floats(0.25f * (along_top.even + along_top.odd + along_bottom.even + along_bottom.odd), 0,
+                     out + SUM_PLANE);
         store_floats(again * again, 0, out + 2 * SUM_PLANE);
         store_floats(again_along * again_along, 0, out + 3 * SUM_PLANE);
     }

@@ -510,7 +510,7 @@ INLINE void soften_group(const Source s, const Layers l, const Shown f, __global
         covered = soften_pixel(s, l, f, soft_x, soft_y, as_float4(own).xyz, own.w >> SOFT_BITS, softened);
         coverage[dst] = covered;
     }
-    append_of_group(covered != 0, (uint)dst, soft, shared);
+    append_lanes(covered != 0, (uint)dst, soft, shared);
 }
 #else
 /* The coverage of `count` pixels, at most LANES, and their new colors. */

@@ -7,7 +7,7 @@
    - The last work-item of a row may have fewer pixels: load_some_... and store_some_... take their `count`. Loads
      repeat the last pixel, stores skip the rest.
    - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes
-     through the function of one pixel, lane by lane, or takes all lanes, as in `flow_at`.
+     through the function of one pixel, lane by lane.
    - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
 
 #if LANES == 8
@@ -33,6 +33,12 @@ typedef uchar8 Bytes;
 #define to_bytes convert_uchar8
 #define ints_as_floats as_float8
 #define floats_as_ints as_int8
+typedef float16 Pairs;       /* of numbers that follow one another: its .even and .odd are Floats */
+typedef uchar16 BytePairs;
+#define load_pairs(p) vload16(0, p)
+/* The left and the right taps of LANES pixels in an image of half the size, from the first left one on. */
+#define load_left_taps(p) (vload8(0, p).s01122334)
+#define load_right_taps(p) (vload8(0, p).s12233445)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
 #define load_two_texels(i, image) vload_half8(0, (image) + 4 * (i))
@@ -83,6 +89,11 @@ typedef uchar Bytes;
 #define to_bytes convert_uchar
 #define ints_as_floats as_float
 #define floats_as_ints as_int
+typedef float2 Pairs;
+typedef uchar2 BytePairs;
+#define load_pairs(p) vload2(0, p)
+#define load_left_taps(p) ((p)[0])
+#define load_right_taps(p) ((p)[1])
 #define LANE_NUMBERS 0
 #define ALL_LANES 1
 #define FIRST_LANE(v) (v)
@@ -140,6 +151,10 @@ INLINE Floats load_some_floats(const int count, __global const float *p) {
     if (IS_WHOLE(count)) return load_floats(0, p);
     const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_floats(p, i);
+}
+
+INLINE Ints load_some_ints(const int count, __global const int *p) {
+    return floats_as_ints(load_some_floats(count, (__global const float *)p));
 }
 
 INLINE Bytes load_some_bytes(const int count, __global const uchar *p) {

@@ -30,13 +30,6 @@ INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
 
 #if LANES == 8
 
-/* LANES colors of a row, from the first on. */
-INLINE WideRgb load_rgb_run(__global const half *color) {
-    const float16 a = vload_half16(0, color), b = vload_half16(1, color);
-    const WideRgb rgb = {(float8)(a.s048c, b.s048c), (float8)(a.s159d, b.s159d), (float8)(a.s26ae, b.s26ae)};
-    return rgb;
-}
-
 INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     vstore16(vload16(0, (__global const uint *)color), 0, (__global uint *)out);
 }
@@ -59,20 +52,7 @@ INLINE void store_texels(const Texels c, const int i, __global half *color) {
     vstore_half16_rte(finite_texels(c), i, color);
 }
 
-INLINE void store_rgb_run(const WideRgb c, __global half *color) {
-    store_texels((float16)(c.r.s0, c.g.s0, c.b.s0, 0.0f, c.r.s1, c.g.s1, c.b.s1, 0.0f, c.r.s2, c.g.s2, c.b.s2, 0.0f,
-                           c.r.s3, c.g.s3, c.b.s3, 0.0f),
-                 0, color);
-    store_texels((float16)(c.r.s4, c.g.s4, c.b.s4, 0.0f, c.r.s5, c.g.s5, c.b.s5, 0.0f, c.r.s6, c.g.s6, c.b.s6, 0.0f,
-                           c.r.s7, c.g.s7, c.b.s7, 0.0f),
-                 1, color);
-}
-
 #else
-
-INLINE WideRgb load_rgb_run(__global const half *color) { return gather_rgb(color, 0); }
-
-INLINE void store_rgb_run(const WideRgb c, __global half *color) { store_color((float3)(c.r, c.g, c.b), color, 0); }
 
 INLINE void copy_rgb_run(__global const half *color, __global half *out) {
     *(__global uint2 *)out = *(__global const uint2 *)color;
@@ -111,6 +91,20 @@ INLINE void channels_of(const Strip *s, Floats *channels) {
 #endif
 }
 
+/* A strip of these channels. */
+INLINE Strip strip_of(const Floats x, const Floats y, const Floats z, const Floats w) {
+    Strip s;
+#if LANES == 8
+    s.part[0] =
+        (float16)(x.s0, y.s0, z.s0, w.s0, x.s1, y.s1, z.s1, w.s1, x.s2, y.s2, z.s2, w.s2, x.s3, y.s3, z.s3, w.s3);
+    s.part[1] =
+        (float16)(x.s4, y.s4, z.s4, w.s4, x.s5, y.s5, z.s5, w.s5, x.s6, y.s6, z.s6, w.s6, x.s7, y.s7, z.s7, w.s7);
+#else
+    s.part[0] = (float4)(x, y, z, w);
+#endif
+    return s;
+}
+
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */
 INLINE Strip load_strip(const int count, __global const half *color) {
     Strip s;
@@ -132,4 +126,12 @@ INLINE void store_strip(const Strip s, const int count, __global half *color) {
     float texels[4 * LANES];
     for (int part = 0; part < PARTS; ++part) unload_texels(s.part[part], part, texels);
     for (int k = 0; k < count; ++k) store_texel(vload4(k, texels), k, color);
+}
+
+INLINE WideRgb load_some_rgb(const int count, __global const half *color) {
+    const Strip s = load_strip(count, color);
+    Floats c[4];
+    channels_of(&s, c);
+    const WideRgb rgb = {c[0], c[1], c[2]};
+    return rgb;
 }

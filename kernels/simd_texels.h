@@ -19,16 +19,7 @@ INLINE Wide4 channels_in(const float *texels) {
 }
 
 INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
-    Strip s;
-#if LANES == 8
-    s.part[0] = (float16)(c.x.s0, c.y.s0, c.z.s0, c.w.s0, c.x.s1, c.y.s1, c.z.s1, c.w.s1, c.x.s2, c.y.s2, c.z.s2,
-                          c.w.s2, c.x.s3, c.y.s3, c.z.s3, c.w.s3);
-    s.part[1] = (float16)(c.x.s4, c.y.s4, c.z.s4, c.w.s4, c.x.s5, c.y.s5, c.z.s5, c.w.s5, c.x.s6, c.y.s6, c.z.s6,
-                          c.w.s6, c.x.s7, c.y.s7, c.z.s7, c.w.s7);
-#else
-    s.part[0] = (float4)(c.x, c.y, c.z, c.w);
-#endif
-    store_strip(s, count, image);
+    store_strip(strip_of(c.x, c.y, c.z, c.w), count, image);
 }
 
 /* The four channels of the pixels i. */
@@ -86,15 +77,7 @@ INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const flo
     const float8 above = two_texels(image, x + 1, y, width, height),
                  below = two_texels(image, x + 1, y + 3, width, height);
     const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
-    const float16 columns = wy.y * b + wy.z * c;
-    const float4 left = columns.s4567 + (wy.x * above.lo + wy.w * below.lo),
-                 right = columns.s89ab + (wy.x * above.hi + wy.w * below.hi);
-    const float4 sum = wx.x * columns.s0123 + wx.y * left + wx.z * right + wx.w * columns.scdef;
-    const float8 least = b.s456789ab < c.s456789ab ? b.s456789ab : c.s456789ab,
-                 most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
-    const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
-    const float4 raised = sum < low ? low : sum;
-    return high < raised ? high : raised;
+    return cubic_of_rows(above, b, c, below, wx, wy);
 #else  /* a column at a time: all of them at once take 48 registers */
     const int row_b = clamp(y + 1, 0, height - 1) * width, row_c = clamp(y + 2, 0, height - 1) * width;
     float4 sum = (float4)(0.0f), low = sum, high = sum;

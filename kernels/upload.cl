@@ -92,19 +92,6 @@ INLINE float given_value(__global const float *given, const int type, const int 
 }
 
 #if LANES == 8
-INLINE float4 given_4(__global const float *given, const int type, const int i) {
-    switch (type) {
-    case FLOAT16:
-        return vload_half4(0, (__global const half *)given + i);
-    case UNORM8:
-        return convert_float4(vload4(0, (__global const uchar *)given + i)) * color_unit(type);
-    case UNORM16:
-        return convert_float4(vload4(0, (__global const ushort *)given + i)) * color_unit(type);
-    default:
-        return vload4(0, given + i);
-    }
-}
-
 /* Four texels with 0 in their fourth channels. */
 INLINE float16 rgb_of(const float16 texels) {
     const int4 rgb = (int4)(-1, -1, -1, 0);
@@ -134,13 +121,10 @@ INLINE void load_given(__global const float *given, const int type, const int ch
         s->part[1] = rgb_of(given_16(given, type, 4 * i + 16));
         return;
     }
-    if (count >= LANES) {  /* with the first value of the next pixel, but for the last one */
-        const float4 a = given_4(given, type, 3 * i), b = given_4(given, type, 3 * i + 3),
-                     c = given_4(given, type, 3 * i + 6), d = given_4(given, type, 3 * i + 9),
-                     e = given_4(given, type, 3 * i + 12), f = given_4(given, type, 3 * i + 15),
-                     g = given_4(given, type, 3 * i + 18), h = given_4(given, type, 3 * i + 20).yzww;
-        s->part[0] = rgb_of((float16)(a, b, c, d));
-        s->part[1] = rgb_of((float16)(e, f, g, h));
+    if (count >= LANES) {
+        const float16 first = given_16(given, type, 3 * i), last = given_16(given, type, 3 * i + 8);
+        s->part[0] = rgb_of(first.s0120345067809ab0);
+        s->part[1] = rgb_of(last.s45607890abc0def0);
         return;
     }
 #endif

@@ -24,7 +24,7 @@ WIDE __kernel void splat(const int width, const int height, const float alpha, c
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
     Ints nearest;
-    const Floats z = wide_find_nearest(depth, x, y, width, height, &nearest);
+    const Floats z = find_nearest(depth, x, y, width, height, &nearest);
     Floats motion_y;
     const Floats motion_x = gather_xy(motion, nearest, &motion_y);
     const Floats move_x = -alpha * motion_x, move_y = -alpha * motion_y;
@@ -65,7 +65,7 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
                         __global half *out_color) {
     const int x = get_global_id(0) * LANES, y = get_global_id(1), dst = y * width + x, count = width - x;
     if (x >= width || y >= height) return;
-    const Uints word = load_words(count, keys, winners, dst);
+    const Uints word = load_some_winners(count, keys, winners, dst);
     Floats move_x = component(word & 0xFFFFu), move_y = component(word >> 16);
     if (ANY(word == NOBODY)) {
         uint lane_word[LANES];
