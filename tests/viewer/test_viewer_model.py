@@ -66,7 +66,8 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     before, taken = model.pointing.story, model.contents.changes
     model.playback.seek(3)
     session.until(lambda: model.contents.changes > taken)
-    assert not model.settled  # the story is still that of the slot before
+    told = model.pointing.tells(model.contents.result.key)
+    assert model.settled == told, "or the story is still that of the slot before"
     model.pointing.hover((7.5, 5.5))
     session.settle()
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
