@@ -52,7 +52,7 @@ _HOME = {
     "present": "engine.stages.presentation",
     "Pacer": "engine.pipeline.pacing",
     "check": "captures.doctor.quick",
-    "attach": "viewer.engine.attached.client",
+    "attach": "engine.inspection.attached.client",
     "psnr": "lab.metrics",
     "ssim": "lab.metrics",
     "to_display": "engine.frame.transfer_function",

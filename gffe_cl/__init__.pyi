@@ -26,6 +26,7 @@ from gffe_cl.engine.frame.window import Window as Window
 from gffe_cl.engine.frame.window import adaptive_window as adaptive_window
 from gffe_cl.engine.frame.window import fixed_window as fixed_window
 from gffe_cl.engine.frame.window import nearest_depth as nearest_depth
+from gffe_cl.engine.inspection.attached.client import attach as attach
 from gffe_cl.engine.opencl.device import Device as Device
 from gffe_cl.engine.opencl.device import DeviceInfo as DeviceInfo
 from gffe_cl.engine.opencl.device import list_devices as list_devices
@@ -45,7 +46,6 @@ from gffe_cl.engine.stages.presentation import present as present
 from gffe_cl.engine.timing.choice import choose_options as choose_options
 from gffe_cl.lab.metrics import psnr as psnr
 from gffe_cl.lab.metrics import ssim as ssim
-from gffe_cl.viewer.engine.attached.client import attach as attach
 
 __version__: str
 __all__: list[str]

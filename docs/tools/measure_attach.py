@@ -39,7 +39,7 @@ CASES = {  # the viewer's requests: recorded rendered frames, and the displayed 
 
 def look() -> None:
     """Serve as the viewer: follow the lines of the input, "FRAMES LAYER" or "leave"."""
-    from gffe_cl.viewer.engine.attached.program import RunningProgram
+    from gffe_cl.viewer.engine.sources.program import RunningProgram
 
     program = stop = thread = None
     for line in sys.stdin:

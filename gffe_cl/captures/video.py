@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import closing
+from itertools import chain
 from pathlib import Path
 from typing import cast
 
@@ -11,8 +13,13 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError, require_packages
 
 
+class EncoderError(GffeError):
+    """The encoder failed."""
+
+
 def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError without the encoder's package and when it fails."""
+    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError without the encoder's package, EncoderError when it
+    fails, and whatever `frames` raise; the encoder has ended then."""
     require_video()
     import imageio_ffmpeg
 
@@ -28,13 +35,12 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
             ffmpeg_log_level="error",
             output_params=["-crf", "16", "-preset", "fast", "-movflags", "+faststart"],
         )
-        writer.send(None)
-        writer.send(np.ascontiguousarray(first))
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
+        with closing(writer):
+            writer.send(None)
+            for frame in chain([first], frames):
+                writer.send(np.ascontiguousarray(frame))
     except (OSError, RuntimeError) as error:
-        raise GffeError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
+        raise EncoderError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
 
 
 def require_video() -> None:

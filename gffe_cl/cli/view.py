@@ -153,11 +153,11 @@ def view(
     from gffe_cl.viewer.automation.scripting import play_script, require_film
     from gffe_cl.viewer.automation.steps import parse, read_place
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
-    from gffe_cl.viewer.shell.start import leaving, require_display
-    from gffe_cl.viewer.shell.start import view as run_viewer
     from gffe_cl.viewer.state.comparing import WAYS
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
+    from gffe_cl.viewer.window.start import leaving, require_display
+    from gffe_cl.viewer.window.start import view as run_viewer
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")

@@ -31,16 +31,16 @@ from gffe_cl.engine.frame import conventions
 from gffe_cl.engine.frame.camera import predict_camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.inspection.attached import wire
+from gffe_cl.engine.inspection.attached.channel import own_version, socket_folder
+from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
+from gffe_cl.engine.inspection.attached.shared_memory import About, Placed, RecordingPlan, recorded
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS
 from gffe_cl.engine.options import OPTIONS, Options
 from gffe_cl.engine.pipeline.pacing import PacingStatistics
 from gffe_cl.engine.selftest.scene import FPS, frames
-from gffe_cl.viewer.engine.attached import wire
-from gffe_cl.viewer.engine.attached.channel import own_version, socket_folder
-from gffe_cl.viewer.engine.attached.encoding import decoded, encoded
-from gffe_cl.viewer.engine.attached.program import RunningProgram
-from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan, _About, recorded
-from gffe_cl.viewer.engine.buffers import Moment
-from gffe_cl.viewer.engine.layers import FRAME_LAYERS
+from gffe_cl.viewer.engine.sources.program import RunningProgram, sequence_of
 
 W, H, COUNT = 12, 9, 2
 
@@ -347,9 +347,11 @@ RECORDING = RecordingPlan(3, (W, H), (W, H), FPS)
 
 def read_recording(data):
     """Read the frames that an attached program leaves in shared memory."""
-    found = recorded(RECORDING, bytearray(data[: RECORDING.nbytes].ljust(RECORDING.nbytes, b"\0")), "program")
-    for entry in found.rendered if found else ():
-        found.read(entry)
+    kept = recorded(RECORDING, bytearray(data[: RECORDING.nbytes].ljust(RECORDING.nbytes, b"\0")))
+    if kept:
+        found = sequence_of(kept, RECORDING, "program")
+        for entry in found.rendered:
+            found.read(entry)
 
 
 def answer_seed():
@@ -367,9 +369,7 @@ def recording_seed():
     for k, frame in enumerate(seen()):
         color, depth, motion = RECORDING.images(memory, k)
         color[..., :3], depth[:], motion[:] = frame.color, frame.depth, frame.motion
-        said = encoded(
-            _About(k, frame.time, frame.camera, frame.camera, k == 0, 1.0, {frame.time + 0.01: frame.camera})
-        )
+        said = encoded(About(k, frame.time, frame.camera, frame.camera, k == 0, 1.0, {frame.time + 0.01: frame.camera}))
         RECORDING.about(memory, k)[: len(said)] = np.frombuffer(said, np.uint8)
         RECORDING.head(memory, k)[:] = 1, 1, len(said)
     return bytes(memory)

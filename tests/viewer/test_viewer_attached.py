@@ -22,10 +22,10 @@ import pytest
 import gffe_cl as gffe
 from gffe_cl.captures.offline.source import Live
 from gffe_cl.captures.scenes import load_scene
-from gffe_cl.viewer.engine.attached import channel, client, wire
-from gffe_cl.viewer.engine.attached.encoding import encoded
-from gffe_cl.viewer.engine.attached.program import RunningProgram
+from gffe_cl.engine.inspection.attached import channel, client, wire
+from gffe_cl.engine.inspection.attached.encoding import encoded
 from gffe_cl.viewer.engine.sources.attached import resolved
+from gffe_cl.viewer.engine.sources.program import RunningProgram
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import Settings
 
@@ -541,7 +541,7 @@ def test_viewer_follows_switches_and_freezes(device, program, looking, tmp_path,
 
     monkeypatch.chdir(tmp_path)
     model.save_recording()
-    looking.until(lambda: model.export is None)
+    looking.until(lambda: model.saving.work is None)
     assert (tmp_path / "game_recorded" / "sequence.json").exists()
     code, said, _ = gffe("check", "game_recorded")
     assert code == 0 and "rendered frames, 160×96" in said
@@ -568,7 +568,7 @@ def test_program_is_killed(device, program, looking, sockets):
 def test_viewer_is_killed(device, program, sockets):
     """The program goes on, and the next viewer can look."""
     look = (
-        "import sys; from gffe_cl.viewer.engine.attached.program import RunningProgram; p = RunningProgram('game')\n"
+        "import sys; from gffe_cl.viewer.engine.sources.program import RunningProgram; p = RunningProgram('game')\n"
         "while True: p.see(frozenset({'final'}), False, lambda: None); print('seen', flush=True)"
     )
     viewer = subprocess.Popen([sys.executable, "-c", look], stdout=subprocess.PIPE, text=True)

@@ -2,7 +2,6 @@
 
 import colorsys
 import os
-import time
 from dataclasses import replace
 from importlib.resources import files
 from types import SimpleNamespace
@@ -16,19 +15,19 @@ from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
-from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
-from gffe_cl.viewer.picture.invalid import RENDERED, SHOWN, bad_values
+from gffe_cl.viewer.picture.invalid import bad_values
 from gffe_cl.viewer.picture.shown_numbers import numbers_of
 from gffe_cl.viewer.picture.textures import texels_of
-from gffe_cl.viewer.picture.view import CLIPPING, View
-from gffe_cl.viewer.shell.picture_frames import uncovered
+from gffe_cl.viewer.picture.view import CLIPPING, INVALID_RENDERED, INVALID_SHOWN, View
+from gffe_cl.viewer.window.picture_frames import uncovered
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))
@@ -248,7 +247,7 @@ def test_bad_values_are_counted_where_they_are_drawn(canvas, spec):
 
 def with_masks(canvas, rendered, seen, generated=True):
     canvas.frame = replace(canvas.frame, display_size=seen.shape[::-1], generated=generated)
-    for name, mask, grid in ((RENDERED, rendered, "source"), (SHOWN, seen, "target")):
+    for name, mask, grid in ((INVALID_RENDERED, rendered, "source"), (INVALID_SHOWN, seen, "target")):
         canvas.upload(name, (255 * mask).astype(np.uint8), replace(MASK, grid=grid))
 
 
@@ -721,28 +720,6 @@ def test_overview(canvas, count):
 # ---- uploads -------------------------------------------------------------------------------------------
 
 
-def test_uploads_go_through_a_ring_of_pixel_buffers(context, monkeypatch):
-    canvas = Canvas(context)
-    written, write = [], moderngl.TextureArray.write
-    monkeypatch.setattr(moderngl.TextureArray, "write", lambda *a, **k: (written.append(a[1]), write(*a, **k))[1])
-    canvas.frame = FrameInfo((6, 5))
-    for index in range(7):
-        values = np.full((5, 6), index, np.uint8)
-        canvas.upload("l", values, LABEL)
-        assert canvas._buffers.sizes == [30] * min(index + 1, 3)
-        assert (
-            canvas._buffers._rings[30][-1].read() == values.tobytes() and written[-1] is canvas._buffers._rings[30][-1]
-        )
-        close(drawn(canvas, View("l", Display(), center=(3, 2.5)), (6, 5)), LABEL_COLORS[index])
-    assert len(set(map(id, written[:3]))) == 3 and all(written[i] is written[i + 3] for i in range(4))  # in turn
-    canvas.upload("s", np.zeros((5, 6), np.float32), SCALAR)
-    assert canvas._buffers.sizes == [30] * 3 + [120]
-    for width in range(100, 120):
-        canvas.upload("s", np.zeros((5, width), np.float32), SCALAR)
-    assert len(canvas._buffers.sizes) == 12  # old sizes are given back
-    canvas.release()
-
-
 def test_size_and_type_may_change_any_time(canvas):
     display = Display(high=8, color_map="gray")
     for array in (
@@ -793,6 +770,26 @@ def test_canvas_is_reused_and_resized(canvas, context):
     assert canvas.draw(View("absent", Display()), (0, -3)).size == (1, 1)
 
 
+def test_only_a_change_is_drawn(canvas, monkeypatch):
+    canvas.upload("c", np.zeros((8, 12, 4), np.float32), replace(COLOR, name="c"))
+    view, draw, drawn = View("c", Display()), canvas._draw, []
+    monkeypatch.setattr(canvas, "_draw", lambda *given: drawn.append(draw(*given)))
+    counts = []
+    for change in (
+        lambda: None,
+        lambda: None,
+        lambda: setattr(view, "zoom", 2.0),
+        lambda: setattr(canvas, "frame", FrameInfo((12, 8))),
+        lambda: canvas.upload("c", np.ones((8, 12, 4), np.float32), replace(COLOR, name="c")),
+        lambda: canvas.forget(["c"]),
+        lambda: canvas.forget(["c"]),
+    ):
+        change()
+        canvas.draw(view, (20, 10))
+        counts.append(len(drawn))
+    assert counts == [1, 1, 2, 3, 4, 5, 5]
+
+
 def test_what_was_bound_stays_bound(canvas, context):
     framebuffer = context.simple_framebuffer((4, 4))
     framebuffer.use()
@@ -802,25 +799,6 @@ def test_what_was_bound_stays_bound(canvas, context):
     framebuffer.clear(1, 0, 0, 1)
     assert framebuffer.read()[:3] == b"\xff\x00\x00"
     framebuffer.release()
-
-
-def test_upload_and_draw_speed(canvas, context):
-    """Told, not judged: machines differ."""
-    canvas.frame = FrameInfo((1280, 720))
-    image = RNG.uniform(0, 1, (720, 1280, 4)).astype(np.float16)
-    view = View("c", Display(), center=(640, 360))
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        canvas.upload("c", image, replace(COLOR, name="c"))
-        context.finish()
-        middle = time.perf_counter()
-        canvas.draw(view, (1280, 720))
-        context.finish()
-        times.append((middle - start, time.perf_counter() - middle))
-    upload, draw = (min(t) * 1e3 for t in zip(*times, strict=True))
-    print(f"\n{context.info['GL_RENDERER']}: 1280×720 half ×4 uploads in {upload:.1f} ms, draws in {draw:.1f} ms")
-    close(read(canvas.draw(view, (1280, 720)))[::90, ::160, :3] / 255, to_display(image[::90, ::160, :3]))
 
 
 @pytest.mark.parametrize("compare", ["off", "split", "difference"])

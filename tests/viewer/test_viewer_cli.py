@@ -132,7 +132,7 @@ def test_wayland_without_x11_is_named(monkeypatch):
     monkeypatch.setattr(glfw, "init", lambda: False)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setenv("WAYLAND_DISPLAY", "wl-9")
-    from gffe_cl.viewer.shell.start import require_display
+    from gffe_cl.viewer.window.start import require_display
 
     with pytest.raises(GffeError, match=r"no X display: WAYLAND_DISPLAY is wl-9, .* XWayland; without a screen: xvfb"):
         require_display()
@@ -353,7 +353,7 @@ def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
     """The viewer opens, and says so when it is closed."""
     (tmp_path / "file").write_text("")
     script = (
-        "import gffe_cl.viewer.shell.app as a\n"
+        "import gffe_cl.viewer.window.app as a\n"
         "def close(app):\n    app.close()\n"
         "a.App.__init__ = lambda self, model, on_frame=None, init=a.App.__init__: init(self, model, close)\n"
         "from gffe_cl.cli import main; main()\n"
@@ -383,7 +383,7 @@ def test_leaving_while_the_device_works(tmp_path, fault, code):
         "import atexit\n"
         "from types import SimpleNamespace\n"
         "from gffe_cl.engine.core.errors import GffeError\n"
-        "from gffe_cl.viewer.shell.start import leaving\n"
+        "from gffe_cl.viewer.window.start import leaving\n"
         "atexit.register(print, 'taken down')\n"
         "print('figures')\n"
         "with leaving(SimpleNamespace(close=lambda: print('closed'), left_working=True)):\n"

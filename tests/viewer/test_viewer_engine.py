@@ -30,7 +30,6 @@ from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.engine.timing import bench as bench_module
 from gffe_cl.lab.metrics import focus_mask
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import Failure, Frame, Setup
@@ -607,14 +606,6 @@ def test_close_while_work_runs(device):
         engine.close()
         assert time.monotonic() - start < 2 and not engine._thread.is_alive()
         assert len(source.asked) < 8
-
-
-def test_bandwidth(device, monkeypatch):
-    monkeypatch.setattr(bench_module, "_COPY_BYTES", 1 << 22)
-    with running(device) as engine:
-        assert engine.bandwidth is None
-        engine.measure_bandwidth()
-        assert wait_for(lambda: engine.bandwidth) > 0
 
 
 # ---- kernels ----------------------------------------------------------------------------------------------

@@ -12,13 +12,14 @@ from gffe_cl import Options
 from gffe_cl.captures.scenes import load_scene
 from gffe_cl.captures.scenes.render import render_sequence
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import Metric, psnr, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as TABLE
 from gffe_cl.lab.table.labels import find_labels
-from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
 from gffe_cl.viewer.engine.figures import (
     NEEDED,
     REGIONS,
@@ -30,7 +31,6 @@ from gffe_cl.viewer.engine.figures import (
     region_labels,
 )
 from gffe_cl.viewer.engine.invalid import seen_at, seen_through
-from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.store import Store, Want
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
@@ -362,7 +362,7 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
     wait_for(lambda: known().surveyed)
     for _ in range(2):
         measured.measure(frame, 1.0)
-    wait_for(lambda: "slow" in known().values)
+    wait_for(lambda: measured.faults)
     assert counted == {"psnr": 1, "flip": 1, "slow": 1} and known().parts
     assert measured.faults == ["ZeroDivisionError: division by zero"]
     measured.measure(made(slot=2, alpha=0.0), 1.0)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
@@ -22,7 +23,6 @@ from gffe_cl.engine.stages.prediction import PositionPrediction
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import ShadingInputs
 from gffe_cl.engine.stages.shading_flow import ShadingFlow
-from gffe_cl.viewer.engine.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.display_settings import Looks

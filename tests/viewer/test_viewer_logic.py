@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import resource
-import string
 import subprocess
 import sys
 from functools import partial
@@ -21,17 +20,16 @@ from PIL import Image
 
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.viewer.automation.steps import read_place
-from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.panels.picture import short
-from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
-from gffe_cl.viewer.shell import keys
-from gffe_cl.viewer.state import settings as settings_module
-from gffe_cl.viewer.state.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
+from gffe_cl.viewer.state.actions import IMGUI_KEYS, Action, Actions, parse_shortcut
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
 from gffe_cl.viewer.state.settings import Settings, default_path
 from gffe_cl.viewer.state.timings import Timings
+from gffe_cl.viewer.window import keys
+from gffe_cl.viewer.window.picture import short
+from gffe_cl.viewer.window.plot import scale_of
 
 cases = settings(deadline=None, max_examples=100)
 
@@ -422,10 +420,8 @@ def make(*rows):
     ("text", "modifiers", "key"),
     [
         ("Ctrl+O", {"Ctrl"}, "O"),
-        ("shift + e", {"Shift"}, "E"),
         ("Space", set(), "Space"),
-        ("f5", set(), "F5"),
-        ("Left", set(), "Left"),
+        ("Super+Alt+Left", {"Super", "Alt"}, "Left"),
         ("1", set(), "1"),
         ("Shift+1", {"Shift"}, "1"),
         ("?", set(), "?"),
@@ -433,43 +429,17 @@ def make(*rows):
         ("Shift+?", set(), "?"),
         ("Ctrl++", {"Ctrl"}, "+"),
         ("+", set(), "+"),
-        ("Super+Alt+Esc", {"Super", "Alt"}, "Escape"),
-        ("PgUp", set(), "PageUp"),
     ],
 )
 def test_shortcuts_are_read(text, modifiers, key):
     assert parse_shortcut(text) == (modifiers, key)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "no key"),
-        ("Ctrl+", r"no key after Ctrl\+"),
-        ("Ctrl", "no key"),
-        ("Ctrl+Shift", "no key"),
-        ("Hyper+X", "'Hyper' is none of the modifiers"),
-        ("O+Ctrl", "'O' is none of the modifiers"),
-        ("Ctrl+Ctrl+O", "Ctrl twice"),
-        ("Leftt", "no key is called 'Leftt'"),
-        ("F25", "no key is called 'F25'"),
-        ("++", "'' is none of the modifiers"),
-        ("+O", "'' is none of the modifiers"),
-        ("É", "no key is called"),
-    ],
-)
-def test_nonsense_shortcuts_are_refused(text, message):
-    with pytest.raises(ValueError, match=message) as info:
+@pytest.mark.parametrize("text", ["", "Ctrl+", "Ctrl", "Hyper+X", "O+Ctrl", "Leftt", "F25", "ctrl+O"])
+def test_nonsense_shortcuts_are_refused(text):
+    with pytest.raises(ValueError, match="expected Ctrl, Alt, Shift, Super, and a key") as info:
         parse_shortcut(text)
     assert repr(text) in str(info.value)
-
-
-@cases
-@given(st.sets(st.sampled_from(MODIFIERS)), st.sampled_from(sorted(set(IMGUI_KEYS.values()) - {"*"})))
-def test_shortcut_texts_are_read_back(modifiers, key):
-    shortcut = parse_shortcut("+".join([*sorted(modifiers), key]))
-    assert parse_shortcut(shortcut_text(shortcut)) == shortcut
-    assert shortcut[0] | {"Shift"} == modifiers | {"Shift"}
 
 
 def test_every_key_is_one_of_imgui():
@@ -528,11 +498,11 @@ def test_duplicates_are_refused():
     actions, _ = make(("Open", "Ctrl+O", None), ("Help", "?", None))
     for id, shortcut, also, words in (
         ("open", "", (), ["'open'", "Open", "Other"]),
-        ("other", "ctrl+o", (), ["Ctrl+O", "'open'", "'other'"]),
+        ("other", "Ctrl+O", (), ["Ctrl", "'open'", "'other'"]),
         ("other", "Shift+/", (), ["?", "'help'", "'other'"]),
-        ("other", "F1", ("Ctrl+O",), ["Ctrl+O", "'open'", "'other'"]),
-        ("other", "F1", ("f1",), ["F1", "'other'"]),
-        ("other", "Ctrl+Nope", (), ["Nope", "'other'"]),
+        ("other", "F1", ("Ctrl+O",), ["Ctrl", "'open'", "'other'"]),
+        ("other", "F1", ("F1",), ["F1", "'other'"]),
+        ("other", "Ctrl+Nope", (), ["Nope"]),
     ):
         with pytest.raises(ValueError) as info:
             actions.register(Action(id, "Other", "Group", shortcut, print, also=also))
@@ -544,8 +514,8 @@ def test_duplicates_are_refused():
 def test_groups_and_the_table_of_shortcuts():
     actions = Actions()
     for id, label, group, shortcut, more in (
-        ("open", "Open …", "File", "ctrl+shift+o", {}),
-        ("play", "Play", "Playback", "Space", {"also": ("k",)}),
+        ("open", "Open …", "File", "Ctrl+Shift+O", {}),
+        ("play", "Play", "Playback", "Space", {"also": ("K",)}),
         ("flip", "Reference", "Playback", "R", {"hold": True}),
         ("quit", "Quit", "File", "", {}),
         ("about", "About", "Help", "", {}),
@@ -579,28 +549,6 @@ def test_search():
     assert found("tgl") == ["Toggle loop"] and found("rf")[0] == "Reload frames"
     assert len(found("group load")) == 2 and found("grou")[0] == "Loop"
     assert found("xyzzy") == [] and len(found("")) == 5 and found(" … ")[-1] == "Toggle loop"
-
-
-labels = st.lists(st.text(string.ascii_letters + " ", min_size=1).filter(str.strip), min_size=1, max_size=6)
-
-
-@cases
-@given(
-    st.lists(st.tuples(labels.map(" ".join), st.booleans()), max_size=8),
-    st.text(string.ascii_letters + " ", max_size=6),
-)
-def test_search_finds_labels_and_puts_the_enabled_first(rows, text):
-    actions = Actions()
-    for i, (label, enabled) in enumerate(rows):
-        actions.register(Action(str(i), label, "", "", print, lambda enabled=enabled: None if enabled else "not now"))
-    found = actions.search(text)
-    refused = [action.enabled() is not None for action in found]
-    assert refused == sorted(refused) and len({action.id for action in found}) == len(found)
-    letters = set(text.casefold()) - {" "}
-    assert all(letters <= set(action.label.casefold()) for action in found)
-    for action in actions:
-        assert action in actions.search(action.label)
-        assert action in actions.search(action.label.split()[0][:3])
 
 
 # -- settings --------------------------------------------------------------------------------------------------------
@@ -709,33 +657,11 @@ def test_settings_without_a_file_or_a_folder(tmp_path, monkeypatch):
     assert default_path() == tmp_path / ".config" / "gffe-cl" / "viewer.json"
 
 
-def test_settings_of_an_older_version_are_read_where_it_wrote_them(tmp_path, monkeypatch):
-    """Systems whose folder for configuration is not ~/.config: an older version used that everywhere."""
-    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(settings_module.platformdirs, "user_config_path", lambda *_, **__: tmp_path / "Library")
-    assert Settings(theme="light").save(tmp_path / ".config" / "gffe-cl" / "viewer.json") is None
-    assert Settings.load()[0].theme == "light"
-    assert Settings(ui_scale=2.0).save() is None
-    assert default_path() == tmp_path / "Library" / "viewer.json" and default_path().is_file()
-    assert Settings.load()[0] == Settings(ui_scale=2.0)
-
-
 def test_linked_settings_stay_linked(tmp_path):
     link = tmp_path / "viewer.json"
     link.symlink_to(tmp_path / "dotfiles" / "viewer.json")
     assert Settings(theme="light").save(link) is None
     assert link.is_symlink() and Settings.load(tmp_path / "dotfiles" / "viewer.json")[0].theme == "light"
-
-
-@pytest.mark.limits
-def test_a_full_disk_keeps_the_old_settings(tmp_path):
-    path = tmp_path / "viewer.json"
-    Settings(theme="light").save(path)
-    with limited(100):
-        warning = Settings(recent=["/" + "x" * 500]).save(path)
-    assert "cannot be saved" in warning and os.listdir(tmp_path) == ["viewer.json"]
-    assert Settings.load(path) == (Settings(theme="light"), None)
 
 
 def test_recent_paths(tmp_path):

@@ -26,19 +26,19 @@ from gffe_cl.lab.fault_injection import broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
-from gffe_cl.viewer.engine.seeker import Seeker
-from gffe_cl.viewer.panels import status
-from gffe_cl.viewer.panels.doctor import offers_repair
-from gffe_cl.viewer.panels.inspector import rows_of
-from gffe_cl.viewer.panels.palette import stepped
+from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.picture.legends import value_text
-from gffe_cl.viewer.state import model as model_module
+from gffe_cl.viewer.state import opening
 from gffe_cl.viewer.state.copying import numbers_of, value_of
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.state.settings import Settings
+from gffe_cl.viewer.window import status
+from gffe_cl.viewer.window.doctor import offers_repair
+from gffe_cl.viewer.window.inspector import rows_of
+from gffe_cl.viewer.window.palette import stepped
 
 
 @pytest.fixture
@@ -66,7 +66,8 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     before, taken = model.pointing.story, model.contents.changes
     model.playback.seek(3)
     session.until(lambda: model.contents.changes > taken)
-    assert not model.settled  # the story is still that of the slot before
+    told = model.pointing.tells(model.contents.result.key)
+    assert model.settled == told, "or the story is still that of the slot before"
     model.pointing.hover((7.5, 5.5))
     session.settle()
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
@@ -142,9 +143,9 @@ def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
 def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     model, seen = session.model, set()
-    model.save(LayersWork)
-    work = model.export
-    session.until(lambda: seen.add((work.done, work.total)) or model.export is None)
+    model.saving.start(LayersWork)
+    work = model.saving.work
+    session.until(lambda: seen.add((work.done, work.total)) or model.saving.work is None)
     assert work.done == work.total == len(list(work.path.iterdir())) > 5, seen
 
 
@@ -455,8 +456,8 @@ def test_numbers_of_the_palette():
 def test_the_first_rendered_frame_is_shown_before_there_is_a_device(tmp_path, monkeypatch):
     """... and stays until there is a result."""
     held, shown = threading.Event(), {}
-    open_device = model_module.open_viewer_device
-    monkeypatch.setattr(model_module, "open_viewer_device", lambda wanted: held.wait(PATIENCE) and open_device(wanted))
+    open_device = opening.open_viewer_device
+    monkeypatch.setattr(opening, "open_viewer_device", lambda wanted: held.wait(PATIENCE) and open_device(wanted))
     model, canvas = Model(Settings(), save_settings=False), Canvas()
     try:
         model.open(str(tiny_sequence.write(tmp_path / "first")))
@@ -573,7 +574,7 @@ def test_saved_pictures_name_frame_layers_and_settings(session):
     session.settle()
 
     def titles():
-        return [entry.title for entry in model._subject.legends()]
+        return [entry.title for entry in model.saving.subject.legends()]
 
     name = model.source.name
     assert titles()[:2] == [f"{name}   generated: frame 1 + 1/2", "frame: Depth   defaults"]

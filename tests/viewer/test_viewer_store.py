@@ -10,14 +10,14 @@ from viewer_session import Session
 
 from gffe_cl import Options
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.engine.buffers import Moment
+from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.store import Playhead, Store, Want
-from gffe_cl.viewer.panels.timeline import runs
+from gffe_cl.viewer.picture.current_frame import Contents, Picture, Showing
 from gffe_cl.viewer.state.navigation import Flight
-from gffe_cl.viewer.state.wanting import Picture, Showing
+from gffe_cl.viewer.window.timeline import runs
 
 BYTES = 1000
 FINAL = frozenset({"final"})
@@ -110,13 +110,23 @@ def test_a_failure_is_what_is_there_until_it_is_asked_for_again():
     assert store.next() == broken
 
 
+class Shown(Contents):
+    """Contents that remember all that was shown."""
+
+    def __init__(self):
+        super().__init__()
+        self.given = []
+
+    def take(self, result, second=None):
+        super().take(result, second)
+        self.given.append((result, second))
+
+
 @pytest.fixture
 def showing():
-    shown, failed = [], []
-    showing = Showing(
-        store_of(10), lambda *frames: shown.append(frames), lambda failure, of_b: failed.append((failure.error, of_b))
-    )
-    showing.given, showing.failures = shown, failed
+    failed, contents = [], Shown()
+    showing = Showing(store_of(10), contents, lambda failure, of_b: failed.append((failure.error, of_b)))
+    showing.given, showing.failures = contents.given, failed
     return showing
 
 
@@ -234,7 +244,7 @@ def session(tmp_path):
 @pytest.fixture
 def computed(monkeypatch):
     """Slots that were computed since this list was cleared."""
-    from gffe_cl.viewer.engine.slot_renderer import SlotMaker
+    from gffe_cl.viewer.engine.slot_maker import SlotMaker
 
     slots, make = [], SlotMaker.make
 
@@ -448,19 +458,19 @@ def test_the_render_rate_of_a_flight(session):
     model.open("corridor")
     session.until(lambda: model.source.live)
     session.settle()
-    model.toggle_flying()
+    model.flights.toggle()
     for _ in range(20):
-        model.fly(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0), time.perf_counter())
+        model.flights.steer(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0), time.perf_counter())
         session.frame()
         time.sleep(0.01)
-    pose = model.flyer.pose.position
+    pose = model.flights.flyer.pose.position
     assert not np.allclose(pose, model.source.scene.camera(0.0, 8, 8).position)
     for rate, n in (("10", 5), ("15", 3), ("30", 1)):
         source = model.source
         model.set("render_rate", rate)
         session.until(lambda source=source: model.source is not source and model.contents.result is not None)
         assert (model.source.fps, model.n, model.playback.target_rate) == (float(rate), n, 60.0)
-        assert model.flying and model.playback.playing and np.array_equal(model.flyer.pose.position, pose)
+        assert model.flying and model.playback.playing and np.array_equal(model.flights.flyer.pose.position, pose)
         session.until(lambda: model.contents.result.moment.alpha > 0)
         assert model.contents.result.moment.camera.position == pytest.approx(pose, abs=1e-6)
     model.stop_flying()

@@ -28,9 +28,9 @@ def main(report: Path) -> None:
     set_dpi()
     from imgui_bundle import imgui
 
-    from gffe_cl.viewer.shell.app import App
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
+    from gffe_cl.viewer.window.app import App
 
     model, frames = Model(Settings(), start=False, save_settings=False), []
 

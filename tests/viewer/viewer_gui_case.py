@@ -26,7 +26,7 @@ def add_panel_of_the_map() -> None:
     import importlib.util
     import re
 
-    from gffe_cl.viewer.panels import table
+    from gffe_cl.viewer.window import table
 
     text = Path(__file__).parents[2].joinpath("docs", "map.md").read_text(encoding="utf-8")
     code, line = re.findall(r"```python\n(.*?)```", text.partition("## Add a panel")[2], re.DOTALL)[:2]
@@ -48,10 +48,10 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
 
     from gffe_cl.engine.inference import network
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
-    from gffe_cl.viewer.shell.app import App
-    from gffe_cl.viewer.shell.start import leaving
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
+    from gffe_cl.viewer.window.app import App
+    from gffe_cl.viewer.window.start import leaving
 
     network.default_model = lambda: None  # nothing hangs on weights that are installed
     settings, warning = Settings.load()

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import glfw
@@ -222,7 +218,7 @@ def saving(gui: Gui):
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)
     gui.frames(2)
-    gui.wait(lambda: model.export is None, "the layers")
+    gui.wait(lambda: model.saving.work is None, "the layers")
     (folder,) = _made(before)
     images = gui.images()
     values["exr"] = {"files": sorted(path.stem for path in folder.iterdir()), "layers": sorted(images)}
@@ -235,62 +231,13 @@ def saving(gui: Gui):
     gui.frames(2)
     values["progress"] = gui.exists("//###export")
     gui.shot("saving")
-    gui.wait(lambda: model.export is None, "the video")
+    gui.wait(lambda: model.saving.work is None, "the video")
     (video,) = _made(before)
     import imageio_ffmpeg
 
     values["mp4"] = {"frames": imageio_ffmpeg.count_frames_and_secs(video)[0], "name": video.suffix}
     values["back at"] = model.playback.slot
     values["told"] = gui.told()
-
-
-_ROOM = 16 << 10  # bytes
-
-
-@contextmanager
-def full_disk(folder: Path):
-    """Be in a folder on a disk of `_ROOM`, if one may be mounted; else no file may become larger."""
-    import resource
-
-    folder.mkdir()
-    here, limits = Path.cwd(), resource.getrlimit(resource.RLIMIT_FSIZE)
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={_ROOM}", "none", str(folder)]
-    mounted = shutil.which("mount") and not subprocess.run(mount, capture_output=True).returncode
-    try:
-        os.chdir(folder)
-        if not mounted:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (_ROOM, limits[1]))
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        os.chdir(here)
-        if mounted:
-            subprocess.run(["umount", str(folder)], check=True)
-
-
-@case
-def saving_on_a_full_disk(gui: Gui):
-    """Picture, layers and video say why they are not there, leave nothing, and the viewer goes on."""
-    model, values = gui.model, gui.values
-    values["told"] = {}
-    with full_disk(gui.sequences / "full"):
-        for name, key in (("picture", KEY.s), ("layers", KEY.e), ("video", KEY.m)):
-            gui.settle()
-            model.messages = []
-            gui.key(key, CTRL)
-            gui.wait(lambda: model.export is None and model.messages, f"what is told of the {name}")
-            values["told"][name] = [(message.text, message.error) for message in model.messages]
-            if name == "picture":
-                gui.shot("saving_on_a_full_disk")
-        values["left over"] = [path.name for path in Path.cwd().rglob("*")]
-        before = model.playback.slot
-        gui.key(KEY.right_arrow)
-        gui.settle()
-        values["shown then"] = model.slot - before
-    before, model.messages = set(Path.cwd().iterdir()), []
-    gui.key(KEY.s, CTRL)
-    gui.settle()
-    values["saved elsewhere"] = [path.suffix for path in _made(before)]
 
 
 @case
@@ -301,50 +248,12 @@ def cancelling(gui: Gui):
     gui.settle()
     before = set(Path.cwd().iterdir())
     gui.key(KEY.m, CTRL)
-    gui.wait(lambda: model.export is not None and model.export.done > 3, "some frames")
-    values["of"] = model.export.total
+    gui.wait(lambda: model.saving.work is not None and model.saving.work.done > 3, "some frames")
+    values["of"] = model.saving.work.total
     gui.click("//###export/###cancel_export")
-    gui.wait(lambda: model.export is None, "the end")
+    gui.wait(lambda: model.saving.work is None, "the end")
     values["left over"] = [path.name for path in _made(before)]
     values["told"] = gui.told()
-
-
-@case
-def frame_rate(gui: Gui):
-    """Frames of the interface per second while 960×540 is computed, the panels with the plots in front."""
-    model, values = gui.model, gui.values
-    gui.open(gui.sequences / "large")
-    model.set_measuring(False)
-    for name in ("Compare", "Timings"):
-        gui.ctx.window_focus(f"//{name}")
-    values["open"] = [name for name in gui.app.docks.names if gui.app.docks.panel(name).is_visible]
-    window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
-    for size in ((1280, 720), (1600, 900)):
-        gui.on_screen(lambda size=size: glfw.set_window_size(window, *size))
-        gui.frames(10)
-        model.playback.mode, model.playback.speed = "every frame", 4.0
-        model.playback.play()
-        gui.frames(5)
-        frames, computed, start = 0, model.contents.changes, time.perf_counter()
-        longest = now = start
-        longest = 0.0
-        while now - start < 2.5:
-            gui.frames()
-            frames, before, now = frames + 1, now, time.perf_counter()
-            longest = max(longest, now - before)
-        name = f"{size[0]}×{size[1]}"
-        values[name] = {
-            "interface": frames / (now - start),
-            "computed": (model.contents.changes - computed) / (now - start),
-            "longest": longest,
-        }
-        model.playback.pause()
-        gui.shot(f"frame rate, {name}")
-    values["load"] = os.getloadavg()[0]
-    gui.on_screen(lambda: glfw.set_window_size(window, 1280, 720))
-    for name in ("Modules", "Inspector"):
-        gui.ctx.window_focus(f"//{name}")
-    gui.open(gui.sequences / "small")
 
 
 def leave_while_working(gui: Gui) -> None:
@@ -361,7 +270,7 @@ def leave_while_working(gui: Gui) -> None:
     gui.choose("//Timeline/###mode", "every frame")
     gui.choose("//Timeline/###speed", "0.5×")
     gui.click("//Timeline/loop")
-    model.view.b = "frame.motion"
+    model.comparison.with_layer("frame.motion")
     gui.key(KEY.w)
     model.view.split = 0.25
     app.docks.toggle("Timings")
@@ -383,7 +292,7 @@ def leave_while_saving(gui: Gui) -> None:
     model.set("n", 7)
     gui.settle()
     gui.key(KEY.m, CTRL)
-    gui.wait(lambda: model.export is not None and model.export.done > 3, "some frames")
+    gui.wait(lambda: model.saving.work is not None and model.saving.work.done > 3, "some frames")
     gui.values["part"] = [path.name for path in Path.cwd().glob(".*.part*")]
 
 

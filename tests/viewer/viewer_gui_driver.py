@@ -16,8 +16,8 @@ from PIL import Image
 from gffe_cl import Options
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.shell.app import App
 from gffe_cl.viewer.state.parameters import ALWAYS
+from gffe_cl.viewer.window.app import App
 
 KEY = imgui.Key
 CTRL, SHIFT = KEY.mod_ctrl.value, KEY.mod_shift.value
@@ -78,7 +78,7 @@ class Gui:
     def settle(self) -> None:
         """Until what was asked for is on the screen."""
         self.ctx.yield_()
-        self.wait(lambda: self.model.settled and self.model.export is None, "a settled picture")
+        self.wait(lambda: self.model.settled and self.model.saving.work is None, "a settled picture")
         self.ctx.yield_()
 
     def on_screen(self, job):
@@ -102,7 +102,9 @@ class Gui:
 
     def picture(self) -> np.ndarray:
         """(H, W, 3) uint8: the canvas as it is on the screen."""
-        return self.on_screen(lambda: read(self.app._texture)[..., :3].astype(np.int16))
+        return self.on_screen(
+            lambda: read(self.app.canvas._texture(self.app.canvas._targets["canvas"]))[..., :3].astype(np.int16)
+        )
 
     def window(self) -> np.ndarray:
         """(H, W, 3) uint8: the whole window."""

@@ -6,10 +6,10 @@ import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
+from gffe_cl.engine.inspection.buffers import moved
 from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.viewer.engine.buffers import moved
-from gffe_cl.viewer.panels import status
+from gffe_cl.viewer.window import status
 
 CASES, case = collector()
 

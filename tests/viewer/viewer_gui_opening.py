@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,8 @@ from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.sequence import SequenceWriter, named_channels
-from gffe_cl.viewer.panels.timeline import DOUBT
-from gffe_cl.viewer.shell.app import has_dialogs
-from gffe_cl.viewer.state.navigation import Flight
+from gffe_cl.viewer.window.timeline import DOUBT
+from gffe_cl.viewer.window.workspace import has_dialogs
 
 CASES, case = collector()
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value
@@ -203,13 +201,11 @@ def doctor(gui: Gui):
 
 @case
 def kernel_timings(gui: Gui):
-    """A stage is opened: each of its kernels, with the bytes per pixel that its time is."""
+    """A stage is opened: each of its kernels."""
     model, values = gui.model, gui.values
     gui.ctx.window_focus("//Timings")
     gui.frames(3)
     gui.app.docks.panel("Inspector").is_visible = False
-    gui.click("//Timings/###bandwidth")
-    gui.wait(lambda: model.engine.bandwidth, "bandwidth")
     values["stages"], values["kernels"] = sorted(model.timings.means()), sorted(model.timings.of_stage("warp"))
     values["sum"] = sum(model.timings.of_stage("warp").values()), model.timings.means()["warp"]
     before = gui.window()
@@ -350,59 +346,3 @@ def flying(gui: Gui):
     values["home"] = float(np.abs(model.contents.result.moment.camera.position - home.position).max())
     values["still flying"] = model.flying
     gui.open(gui.sequences / "small")
-
-
-@contextmanager
-def own_clock(gui: Gui):
-    """Time for playback and flights that passes only when what is shown is what was asked for, however slow that is."""
-    seconds = 0.0
-
-    def step(by: float) -> None:
-        nonlocal seconds
-        seconds += by
-        gui.settle()
-
-    usual, gui.app.clock = gui.app.clock, lambda: seconds
-    try:
-        yield step
-    finally:
-        gui.app.clock = usual
-
-
-@case
-def disocclusions_in_flight(gui: Gui):
-    """A camera that turns evenly at 15 rendered frames a second, with the rendering window and without."""
-    model, values = gui.model, gui.values
-    gui.open("corridor")
-    gui.choose("//Modules/choice/###render rate", "15")
-    gui.wait(lambda: model.source.fps == 15, "the render rate")
-    gui.settle()
-    gui.key(KEY.x)
-    values["out of screen"] = {}
-    for window in ("off", "adaptive"):
-        gui.choose("//Modules/choice/###rendering window", window)
-        gui.settle()
-        with own_clock(gui) as step:
-            gui.key(KEY.g)
-            gui.app.steering = Flight((0.0, 0.0, 0.0), 1.0, 0.0, 0.0, (60.0, 0.0))
-            for _ in range(11):
-                step(1 / 60)
-        values["out of screen"][window] = model.disocclusions.mean
-        gui.shot(f"disocclusions in flight, window {window}")
-        gui.app.steering = None
-        model.playback.pause()
-        gui.key(KEY.h)
-        gui.settle()
-    values["of"] = model.n
-    gui.choose("//Modules/choice/###render rate", "scene")
-    gui.wait(lambda: model.source.fps == 30, "the scene's own rate")
-    gui.open(gui.sequences / "small")
-    model.playback.seek(13)
-    gui.settle()
-    over = gui.inside()
-    holes = model.contents.result.images["frame.disoccluded"] != 0
-    values["told"], values["share"] = model.disocclusions.text(), float(holes.mean())
-    gui.key(KEY.x)
-    gui.settle()
-    values["tinted"] = float((np.abs(over - gui.inside()).max(-1) > 8).mean())
-    values["off again"] = model.view.overlay

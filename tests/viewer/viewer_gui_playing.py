@@ -10,8 +10,8 @@ from scn_models import movers_model
 from viewer_gui_driver import KEY, SHIFT, Gui, collector
 
 from gffe_cl.engine.inference import network as inference
-from gffe_cl.viewer.engine.slot_renderer import SlotMaker
-from gffe_cl.viewer.panels.timeline import CACHED
+from gffe_cl.viewer.engine.slot_maker import SlotMaker
+from gffe_cl.viewer.window.timeline import CACHED
 
 CASES, case = collector()
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from ..shell.app import App
 from ..state.model import Model
+from ..window.app import App
 from .screenshot import PATIENCE, Look
 
 _SIZE = (1280, 720)  # of the window

@@ -11,8 +11,8 @@ from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.engine.core.errors import GffeError
 from ..picture.files import save_png
-from ..shell.app import App
 from ..state.model import Model
+from ..window.app import App
 from .steps import FIRST, Place, found_layer
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest

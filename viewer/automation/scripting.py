@@ -10,9 +10,9 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from ..picture.files import save_png
-from ..shell.app import App
 from ..state.model import Model
 from ..state.playback import EVERY_FRAME
+from ..window.app import App
 from .screenshot import PATIENCE, without_pointer
 from .steps import DONE, Step, check, perform
 
@@ -135,7 +135,7 @@ class Director:
 def _works_beside(model: Model) -> bool:
     """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
     examines = model.doctor is not None and not model.doctor.done
-    return model.survey.busy or model.studies.busy or model.export is not None or examines
+    return model.survey.busy or model.studies.busy or model.saving.work is not None or examines
 
 
 def require_film(path: Path) -> None:

@@ -14,7 +14,6 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded
 from gffe_cl.engine.options import Option
-from ..shell.app import App
 from ..state.actions import Action, Actions
 from ..state.captions import Message
 from ..state.comparing import WAYS
@@ -23,6 +22,7 @@ from ..state.navigation import Flight
 from ..state.parameters import ALL, parsed
 from ..state.playback import Playback
 from ..state.settings import Settings
+from ..window.app import App
 
 _MOST_BYTES = 1 << 20  # of a script
 _NEAR = 3  # names that are suggested where one is unknown

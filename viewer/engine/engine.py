@@ -19,12 +19,11 @@ import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.timing.bench import Copier
-from .layers import LayerSpec
 from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
 from .reloading import WATCH_SECONDS, Kernels
-from .slot_renderer import SlotMaker, weights_of
+from .slot_maker import SlotMaker, weights_of
 from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
 from .sources.source import FrameSource
@@ -32,11 +31,7 @@ from .sources.stored import StoredSlots
 from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
-_ACTIVITIES = {
-    "source": "opening",
-    "kernels": "building kernels",
-    "bandwidth": "measuring bandwidth",
-}
+_ACTIVITIES = {"source": "opening", "kernels": "building kernels"}
 
 
 class Engine:
@@ -65,8 +60,6 @@ class Engine:
         All that the compiler said of that, in its lines.
     cuts : dict
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
-    bandwidth : float or None
-        GB/s of copying, once measured.
     wake : callable
         Called on the thread when files that are watched have changed.
     """
@@ -77,7 +70,6 @@ class Engine:
         self.source: FrameSource | None = None
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error, self.build_log = 0, None, ""
-        self.bandwidth: float | None = None
         self.cuts: dict[Recipe, frozenset[int]] = {}
         self.wake: Callable[[], object] = lambda: None
         self._news = self.store.news
@@ -139,11 +131,6 @@ class Engine:
     def reload_kernels(self) -> None:
         """Rebuild the kernels if their text changed."""
         self._post("kernels", self._do_kernels)
-
-    def measure_bandwidth(self) -> None:
-        """Measure `bandwidth`, once; takes a second, and 512 MiB on the device."""
-        if self.bandwidth is None:
-            self._post("bandwidth", self._do_bandwidth)
 
     @property
     def nbytes(self) -> int:
@@ -251,10 +238,6 @@ class Engine:
         assert self._kernels is not None
         self.builds += self._kernels.reload()
         self.build_log, self.build_error = self._kernels.log, self._kernels.error
-
-    def _do_bandwidth(self) -> None:
-        if self.bandwidth is None:
-            self.bandwidth = Copier(self._need_device()).bandwidth()
 
     def _do_want(self, want: Want) -> None:
         """Make what is wanted. A failure of it is what is shown in its place."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import METRICS, focus_mask, measurable, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
 from gffe_cl.lab.metrics.regions import shows, steps, world_positions
-from . import names
 from .background import Background
 from .messages import Frame, Key, Recipe
 
@@ -47,8 +48,9 @@ class Quantity:
 
 
 QUANTITIES = {
-    "psnr": Quantity("PSNR", "dB", -1),
-    "flip": Quantity("FLIP", "", 1, 4),
+    metric.name: Quantity(metric.label, metric.unit, -1 if metric.higher_is_better else 1, metric.digits)
+    for metric in METRICS.values()
+} | {
     "flicker": Quantity("flicker", "%", 1, 3),
     "disoccluded": Quantity("disoccluded", "%", 1),
     "kernels": Quantity("kernel time", "ms", 1),
@@ -105,9 +107,10 @@ class Measurer:
             self._before = None
             return Figures(values, surveyed=True)
         shown, true = displayed(frame, exposure)
-        for name in ("psnr", "flip"):
-            if name not in values and not METRICS[name].missing():
-                values[name] = METRICS[name].measure(shown, true)
+        for metric in measurable():
+            if metric.name not in values:
+                with suppress(Exception):  # whatever a binary package throws; `Measurements.measure` tells it
+                    values[metric.name] = metric.measure(shown, true)
         change = self._change(frame, shown, true)
         if change is not None:
             values["flicker"] = change

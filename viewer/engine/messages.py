@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.options import Options
-from .buffers import Moment
-from .explain.pixel_explain_types import Story
 from .invalid import Invalid
-from .layers import LayerSpec
 
 
 @dataclass(frozen=True)
@@ -121,36 +120,10 @@ class Frame:
 @dataclass(frozen=True)
 class Failure:
     """Reason why there is nothing, in one line. `during`: "slot", "network" (of shading correction, while a slot was
-    made), "inspection", and of the engine's other work "device", "source", "kernels", "bandwidth"."""
+    made), "inspection", and of the engine's other work "device", "source", "kernels"."""
 
     error: str
     during: str = "slot"
-
-
-@dataclass(frozen=True)
-class Inspection:
-    """Values of a computed slot at display pixel `pixel`.
-
-    `values` are (planes?, channels) by layer, as the picture shows them at the pixel. `source` is the position in the
-    rendered image (pixels) that the warp's motion points to, and `origin` the values there of the layers on that image;
-    of a rendered slot, whose pixels come from where they are, there are none. `fault`: why the pixel at `source` is
-    invalid; empty if it is not.
-    """
-
-    pixel: tuple[int, int]
-    slot: int
-    source: tuple[float, float] | None
-    values: dict[str, np.ndarray]
-    story: Story
-    fault: str = ""
-    origin: dict[str, np.ndarray] = field(default_factory=dict)
-
-    def of(self, layers: frozenset[str] | None) -> Inspection:
-        """Return the same with the values of `layers` alone; None: of all."""
-        if layers is None:
-            return self
-        values, origin = ({name: of[name] for name in of if name in layers} for of in (self.values, self.origin))
-        return replace(self, values=values, origin=origin)
 
 
 class Closing(Exception):

@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from gffe_cl.engine.frame.camera import Camera
-from .messages import Failure, Frame, Inspection, Key, Recipe
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
+from .messages import Failure, Frame, Key, Recipe
 
 CACHE_MIB = 2048
 

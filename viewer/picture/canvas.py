@@ -8,22 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
 from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.engine.stages.frame_block import reprojection
-from ..engine import names
-from ..engine.layers import VIEWS, LayerSpec
-from . import colors, differences, invalid
+from . import colors, differences
 from .colors import Rgb
 from .displays import TONE_MAPS, Display, FrameInfo, shown_as
-from .textures import PixelBuffers, Texture, texels_of
-from .view import COMPARISONS, OVERLAYS, Size, View
+from .textures import Texture, texels_of
+from .view import COMPARISONS, INVALID, INVALID_RENDERED, INVALID_SHOWN, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 # of display.frag
@@ -92,16 +92,18 @@ class Canvas:
     """Draws layers in a context of OpenGL ≥ 3.3; use it from that context's thread.
 
     `frame` says what the layers refer to: set it with every new set of layers. Textures that `draw` and `overview`
-    return are drawn into again by the next call of the same name and `target`.
+    return are drawn into again by the next call of the same name and `target`, if that would change anything.
     """
 
     def __init__(self, ctx: moderngl.Context):
         self.ctx = ctx
         self.largest: int = ctx.info["GL_MAX_TEXTURE_SIZE"]  # pixels: a picture's width or height
-        self.frame = FrameInfo((1, 1))
+        self._frame = FrameInfo((1, 1))
+        self._changes = 0  # of layers and frame
+        self._drawn: dict[str, tuple] = {}  # by target: what was drawn last, and the changes up to then
+        self._tiles: tuple[Tile, ...] = ()
         self._programs: dict[tuple[int, ...], _Program] = {}
         self._layers: dict[str, Texture] = {}
-        self._buffers = PixelBuffers(ctx)
         self._targets: dict[str, moderngl.Framebuffer] = {}
         self._nothing = _Shown(Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
         tables = np.stack([colors.color_table(name) for name in colors.COLOR_MAPS])
@@ -109,6 +111,15 @@ class Canvas:
         self._color_maps.repeat_x = self._color_maps.repeat_y = False
 
     # ---- layers ----------------------------------------------------------------------------------------
+
+    @property
+    def frame(self) -> FrameInfo:
+        return self._frame
+
+    @frame.setter
+    def frame(self, frame: FrameInfo) -> None:
+        self._frame = frame
+        self._changes += 1
 
     def upload(self, name: str, array: np.ndarray, spec: LayerSpec, frame: FrameInfo | None = None) -> None:
         """Upload an image as `name`: (H, W), (H, W, C) or, with `spec.planes` > 1, (planes, H, W[, C]); C ≤ 4. `frame`:
@@ -124,12 +135,11 @@ class Canvas:
         if layer is None or layer.format != (texels.shape, texels.dtype):
             self.forget([name])
             layer = self._layers[name] = Texture(self.ctx, texels)
-        buffer = self._buffers.next(texels.nbytes)
-        buffer.write(texels)
-        layer.texels.write(buffer, alignment=1)
+        layer.texels.write(texels, alignment=1)
         layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
-        layer.host = texels if name in invalid.MASKS else None
+        layer.host = texels if name in INVALID else None
         layer.drop_reduced()
+        self._changes += 1
 
     @property
     def layers(self) -> dict[str, LayerSpec]:
@@ -138,9 +148,8 @@ class Canvas:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all textures of layers, without mipmaps, and of the buffers through which they are uploaded."""
-        texels = (math.prod(layer.format[0]) * layer.format[1].itemsize for layer in self._layers.values())
-        return sum(texels) + sum(self._buffers.sizes)
+        """Bytes of all textures of layers, without mipmaps."""
+        return sum(math.prod(layer.format[0]) * layer.format[1].itemsize for layer in self._layers.values())
 
     def forget(self, layers: Iterable[str]) -> None:
         """Release these layers, if they are there."""
@@ -148,11 +157,11 @@ class Canvas:
             layer = self._layers.pop(name, None)
             if layer:
                 layer.release()
+                self._changes += 1
 
     def release(self) -> None:
         """Release everything; the canvas must not be used any more."""
         self.forget(list(self._layers))
-        self._buffers.release()
         for framebuffer in self._targets.values():
             _release(framebuffer)
         for program in self._programs.values():
@@ -167,10 +176,16 @@ class Canvas:
         """Draw `view` at `size` (width, height); returns RGBA8, opaque, first row on top. `target` distinguishes
         pictures that exist at the same time."""
         framebuffer = self._target(target, size)
-        with self.ctx.scope(framebuffer, moderngl.NOTHING):
-            framebuffer.clear(*view.background, 1.0)
-            self._draw(view, (0, 0), framebuffer)
+        if self._is_due(target, replace(view), size):
+            with self.ctx.scope(framebuffer, moderngl.NOTHING):
+                framebuffer.clear(*view.background, 1.0)
+                self._draw(view, (0, 0), framebuffer)
         return self._texture(framebuffer)
+
+    def _is_due(self, target: str, *what: object) -> bool:
+        """Return whether drawing this into the target would change what is there."""
+        before, self._drawn[target] = self._drawn.get(target), (*what, self._changes)
+        return before != self._drawn[target]
 
     def draw_into(
         self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size, clips: Iterable[Rectangle]
@@ -197,17 +212,19 @@ class Canvas:
         Returns the picture, and where which layer is.
         """
         framebuffer = self._target("overview", size)
+        if not self._is_due("overview", tuple(tiles), size, caption, gap, background):
+            return self._texture(framebuffer), self._tiles
         places = _grid(len(tiles), framebuffer.size, self.frame.display_size, caption, gap)
-        placed = tuple(Tile(name, *place) for (name, _), place in zip(tiles, places, strict=True))
+        self._tiles = tuple(Tile(name, *place) for (name, _), place in zip(tiles, places, strict=True))
         with self.ctx.scope(framebuffer, moderngl.NOTHING):
             framebuffer.clear(*background, 1.0)
-            for tile, (name, display) in zip(placed, tiles, strict=True):
+            for tile, (name, display) in zip(self._tiles, tiles, strict=True):
                 view = View(name, display, background=background, grid=False)
                 view.fit((tile.width, tile.height), self.frame.display_size)
                 framebuffer.viewport = (tile.x, tile.y, tile.width, tile.height)
                 self._draw(view, (tile.x, tile.y), framebuffer)
             framebuffer.viewport = (0, 0, *framebuffer.size)
-        return self._texture(framebuffer), placed
+        return self._texture(framebuffer), self._tiles
 
     @staticmethod
     def _texture(framebuffer: moderngl.Framebuffer) -> moderngl.Texture:
@@ -392,7 +409,7 @@ class Canvas:
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
         variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
-        mask = "" if frame.is_true(spec) else invalid.RENDERED if grid_of(spec.grid).lies_on_source else invalid.SHOWN
+        mask = "" if frame.is_true(spec) else INVALID_RENDERED if grid_of(spec.grid).lies_on_source else INVALID_SHOWN
         return _Shown(layer, variant, uniforms, mask)
 
 

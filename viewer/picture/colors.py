@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection.layers import LayerSpec
 
 # "heat" is for errors, "diverging" for signed differences: blue below the middle, which is dark, and red above it
 COLOR_MAPS = ("turbo", "viridis", "gray", "heat", "diverging")

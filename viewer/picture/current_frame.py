@@ -1,15 +1,21 @@
-"""Displayed content: the open source, and the slot that was computed last."""
+"""The picture from the store to the canvas: what is awaited, what is shown, and its images."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..engine import names
-from ..engine.layers import LayerSpec
-from ..engine.messages import Frame
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
+from ..engine.messages import Failure, Frame
+from ..engine.sources.preview import Preview
 from ..engine.sources.source import FrameSource
+from ..engine.store import Store, Want
+from .canvas import Canvas
 from .displays import FrameInfo, area_of
 
 
@@ -111,3 +117,198 @@ class Contents:
         return FrameInfo(
             self.size, rendered, self.size, source.exposure, *cameras, source_area=area, generated=generated
         )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that is due: a slot as A's settings make it, and as B's do where these are compared."""
+
+    a: Want
+    b: Want | None = None
+
+    @property
+    def wants(self) -> list[Want]:
+        return [want for want in (self.a, self.b) if want is not None]
+
+    def is_like(self, other: Picture) -> bool:
+        """Return whether both are of the same settings and layers: one may be shown on the way to the other."""
+        return len(self.wants) == len(other.wants) and all(
+            mine.key.recipe.continues(its.key.recipe) and mine.layers == its.layers
+            for mine, its in zip(self.wants, other.wants, strict=True)
+        )
+
+
+class Showing:
+    """The picture that is made for the screen, and the one that is on it: A and B of one slot, or neither.
+
+    Parameters
+    ----------
+    contents : Contents
+        Takes A's frame and B's, or None, as soon as they are there.
+    fail : callable
+        Called with the failure of A's or of B's, and whether it is B's, once for each picture. Without B's A is shown.
+
+    Attributes
+    ----------
+    awaited : Picture or None
+        What is made first. While frames pass, it is finished before the next one is due.
+    shown : Picture or None
+    from_cache : bool
+        What is shown was there before it was wanted.
+    fault_of_b : str
+        Why there is nothing of B; empty if there is.
+    """
+
+    def __init__(self, store: Store, contents: Contents, fail: Callable[[Failure, bool], None]):
+        self._store, self._contents, self._fail = store, contents, fail
+        self.awaited: Picture | None = None
+        self.shown: Picture | None = None
+        self._due: Picture | None = None
+        self._told: set[Want] = set()  # failures
+        self.from_cache = self._was_there = False
+        self.fault_of_b = ""
+
+    def forget(self) -> None:
+        """Drop the picture after a change of the source."""
+        self.awaited = self.shown = self._due = None
+        self.fault_of_b = ""
+
+    def update(self, due: Picture, passing: bool, may_show: bool = True) -> bool:
+        """Show what is there of the awaited picture, and await the one that is due. Call once per frame of the
+        interface; `passing`: frames pass (it plays, for example): none is given up for the next one. Returns whether
+        another picture is shown."""
+        before, changes = self.awaited, self._contents.changes
+        self._due = due
+        there = before is not None and may_show and self._take(before)
+        if before is None or (before != due and (there or not passing or not before.is_like(due))):
+            self.awaited, self._told = due, set()
+            for want in due.wants:
+                self._store.retry(want)
+            self._was_there = not self.is_waiting
+            if may_show:
+                self._take(due)
+        return self._contents.changes != changes
+
+    @property
+    def wants(self) -> list[Want]:
+        """Parts of the awaited picture to make."""
+        return self.awaited.wants if self.awaited is not None else []
+
+    @property
+    def following(self) -> list[Want]:
+        """Parts of the picture that is due by now, to make next."""
+        return self._due.wants if self._due is not None and self._due != self.awaited else []
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether anything is still to be made of the awaited picture."""
+        return any(self._store.get(want) is None for want in self.wants)
+
+    @property
+    def failed(self) -> bool:
+        """Whether A of the awaited picture cannot be made."""
+        return self.awaited is not None and isinstance(self._store.get(self.awaited.a), Failure)
+
+    @property
+    def shows_like_due(self) -> bool:
+        """Whether the picture on the screen has the settings and layers of the one that is due."""
+        return self._due is not None and self.shown is not None and self.shown.is_like(self._due)
+
+    @property
+    def shows_due(self) -> bool:
+        """Whether the picture that is due is on the screen."""
+        return self._due is not None and self.shown == self._due and not self.is_waiting
+
+    @property
+    def shows_slot_due(self) -> bool:
+        """Whether the slot that is due is on the screen, made as it is now, with whichever layers."""
+        if self._due is None or self.shown is None or (self.shown.b is None and self._due.b is not None):
+            return False
+        return all(mine.key == its.key for mine, its in zip(self.shown.wants, self._due.wants, strict=False))
+
+    def _take(self, picture: Picture) -> bool:
+        """Show a picture if all of it is there. Returns whether nothing of it is to be made any more."""
+        made = [self._store.get(want) for want in picture.wants]
+        for want, one in zip(picture.wants, made, strict=True):
+            if isinstance(one, Failure) and want not in self._told:
+                self._told.add(want)
+                self._fail(one, want is not picture.a)
+        if not made or any(one is None for one in made):
+            return False
+        first, second = made[0], made[1] if len(made) > 1 else None
+        self.fault_of_b = second.error if isinstance(second, Failure) else ""
+        if isinstance(first, Frame):
+            second, contents = second if isinstance(second, Frame) else None, self._contents
+            if first is not contents.result or second is not contents.second:
+                self.from_cache, self.shown = self._was_there, picture
+                contents.take(first, second)
+        return True
+
+
+_BUDGET = 0.02  # seconds per frame of the interface, but at least one image
+
+
+class Screen:
+    """Puts the images of `contents` on a canvas.
+
+    Attributes
+    ----------
+    canvas : Canvas or None
+        None: there is nothing to draw on.
+    upload_ms : float
+        What the images on the canvas took.
+    """
+
+    def __init__(self, contents: Contents):
+        self._contents = contents
+        self._on_canvas: dict[str, np.ndarray] = {}
+        self._uploaded: set[str] = set()  # names, with those whose images are other ones by now
+        self._changes = self._coming = 0  # of the contents that are on the canvas, and of those that come
+        self.canvas: Canvas | None = None
+        self.upload_ms = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether all images are on the canvas."""
+        return self._changes == self._contents.changes
+
+    def preview(self, preview: Preview) -> None:
+        """Show a preview on the canvas before there are contents."""
+        if self.canvas is not None:
+            self.canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
+            self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
+            self._uploaded.add(names.FINAL)
+
+    def update(self, first: set[str]) -> None:
+        """Upload the images of the contents that are not on the canvas yet, and remove all others, which belong to
+        another time: those of `first` at once, the others as time permits. Call once per frame of the interface, and
+        after the contents have changed."""
+        if self.ready:
+            return
+        images = self._contents.images
+        if self._coming != self._contents.changes:
+            self._coming, self.upload_ms = self._contents.changes, 0.0
+            if self.canvas is not None:
+                if self._contents.result is not None:
+                    self.canvas.frame = self._contents.frame_info()
+                self.canvas.forget(self._uploaded - images.keys())
+                self._uploaded &= images.keys()
+        self._on_canvas = {name: image for name, image in self._on_canvas.items() if images.get(name) is image}
+        end = time.perf_counter() + _BUDGET
+        left = sorted(images.keys() - self._on_canvas.keys(), key=lambda name: name not in first)
+        for place, name in enumerate(left):
+            if place and name not in first and time.perf_counter() > end:
+                return
+            self._upload(name, images[name])
+        self._changes = self._contents.changes
+
+    def _upload(self, name: str, image: np.ndarray) -> None:
+        start = time.perf_counter()
+        if self.canvas is not None:
+            own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
+            spec = self._contents.spec(name)
+            assert spec is not None  # there is an image of it
+            self.canvas.upload(name, image, spec, *own)
+            self._uploaded.add(name)
+        self._on_canvas[name] = image
+        self.upload_ms += (time.perf_counter() - start) * 1e3

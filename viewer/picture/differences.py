@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection.layers import LayerSpec
 from .displays import Display, shown_as
 
 DIFFERENCES = ("absolute", "signed", "relative")

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..engine import names
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.figures import out_of_screen
-from ..engine.layers import LayerSpec
 from ..engine.messages import Frame, Setup
 from .current_frame import Contents
 from .view import View

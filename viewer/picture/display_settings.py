@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
-from ..engine import names
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from .current_frame import Contents
 from .displays import Display, default_display, fitted, shown_as
 
@@ -25,21 +24,19 @@ class Looks:
         self._displays: dict[str, Display] = {}
 
     def of(self, name: str) -> Display:
-        """Return the display of the layer `name` now, whichever settings made the layer."""
+        """Return the display of the layer `name` now, whichever settings made the layer. At the first look its range is
+        fitted to the picture, if that is there."""
         name = names.plain(name)
-        if name not in self._displays:
-            spec = self._contents.spec(name)
-            if name not in self._saved:
-                return Display() if spec is None else default_display(spec)
+        if name in self._displays:
+            return self._displays[name]
+        spec = self._contents.spec(name)
+        if name in self._saved:
             self._displays[name] = Display.from_dict(self._saved[name])
+        elif spec is None or self._contents.image(name) is None:
+            return Display() if spec is None else default_display(spec)
+        else:
+            self._displays[name] = self._first(spec)
         return self._displays[name]
-
-    def meet(self, layers: Iterable[str]) -> None:
-        """Fit the ranges of those of `layers` that were never looked at, now that their images are there."""
-        for name in layers:
-            spec = self._contents.spec(name)
-            if name not in self._displays and name not in self._saved and spec is not None:
-                self._displays[name] = self._first(spec)
 
     def forget(self) -> None:
         """Drop values that were fitted to the pictures, after a change of the source."""

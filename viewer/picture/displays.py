@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import NATIVE, LayerSpec
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
-from ..engine import names
-from ..engine.layers import NATIVE, LayerSpec
 from .colors import COLOR_MAPS, Rgb
 
 TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")

@@ -16,11 +16,12 @@ import numpy as np
 
 from gffe_cl.captures.offline.run import _dump_channels
 from gffe_cl.captures.sequence.exr import write_channels
-from gffe_cl.captures.video import require_video, write_video
+from gffe_cl.captures.video import EncoderError, write_video
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import replacing
 
 if TYPE_CHECKING:
-    from ..engine.layers import LayerSpec
+    from gffe_cl.engine.inspection.layers import LayerSpec
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv")
 _LONGEST_STEM = 120  # characters; file names end at 255 bytes
@@ -41,12 +42,10 @@ def save_png(path: Path, rgba: np.ndarray) -> None:
     """Write (H, W, 3 or 4) uint8 display values. Raises GffeError, leaving nothing new."""
     from PIL import Image
 
-    path = Path(path)
+    path = _not_a_folder(path)
     _require_image(path, rgba, (3, 4))
-    with _faults(path, "the image"), _partial(path) as part:
-        with open(part, "wb") as file:
-            Image.fromarray(np.ascontiguousarray(rgba)).save(file, "PNG")
-        os.replace(part, path)
+    with _faults(path, "the image"), replacing(path) as part:
+        Image.fromarray(np.ascontiguousarray(rgba)).save(part, "PNG")
 
 
 def save_layers_exr(
@@ -86,72 +85,59 @@ def export_video(
     Returns False if `cancelled` said so, asked before every frame and at the end. Then, and when GffeError is raised,
     no new file is left.
     """
-    path = Path(path)
+    path = _not_a_folder(path)
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise GffeError(f"{path}: a video's name must end in {', '.join(VIDEO_SUFFIXES)}")
     if not (math.isfinite(fps) and fps > 0):
         raise GffeError(f"{path}: a video's frames per second must be positive, got {fps}")
-    require_video()
-    feed = _Feed(path, iter(frames), cancelled)
-    with _faults(path, "the video"), _partial(path) as part:
-        open(part, "wb").close()  # the encoder's own message would not name the problem
-        first = feed.next()
-        if first is not None:
+    written = 0
+
+    def counted() -> Iterator[np.ndarray]:
+        nonlocal written
+        for frame in _even(path, iter(frames), cancelled):
+            yield frame
+            written += 1
+
+    try:
+        with _faults(path, "the video"), replacing(path) as part:
+            open(part, "wb").close()  # the encoder's own message would not name the problem
             try:
-                write_video(part, feed.rest(first), float(fps))
-            except GffeError as error:
-                feed.reraise()
+                write_video(part, counted(), float(fps))
+            except EncoderError as error:
                 raise GffeError(f"{path}: cannot write the video: {_encoder_fault(path, str(error))}") from None
-        feed.reraise()
-        if feed.cancelled:
-            return False
-        if first is None:
-            raise GffeError(f"{path}: there are no frames to export")
-        if _frames_in(part) != feed.done:
-            raise GffeError(f"{path}: cannot write the video: {_encoder_fault(path, '')}")
-        os.replace(part, path)
+            if _frames_in(part) != written:
+                raise GffeError(f"{path}: cannot write the video: {_encoder_fault(path, '')}")
+    except _Cancelled:
+        return False
     return True
 
 
-class _Feed:
-    """Hands frames to the encoder and ends early, so that it always ends in good order, where it is cancelled or
-    where making a frame fails: the fault is kept for `reraise`."""
+class _Cancelled(Exception):
+    """Nothing is to be saved any more."""
 
-    def __init__(self, path: Path, frames: Iterator[np.ndarray], is_cancelled: Callable[[], bool]):
-        self.path, self.frames, self.is_cancelled = path, frames, is_cancelled
-        self.cancelled, self.done = False, 0
-        self.fault: BaseException | None = None
-        self.shape: tuple[int, ...] | None = None
 
-    def next(self) -> np.ndarray | None:
-        """Return the next frame, its sides even; None at the end."""
+def _even(path: Path, frames: Iterator[np.ndarray], cancelled: Callable[[], bool]) -> Iterator[np.ndarray]:
+    """Yield frames of one size with even sides. Raises _Cancelled, and GffeError where there are none or others."""
+    shape, number = None, 0
+    while True:
+        if cancelled():
+            raise _Cancelled
         try:
-            frame: Any = None if self.is_cancelled() else next(self.frames, None)
-            if frame is None:  # perhaps because it was cancelled while the frame was awaited
-                self.cancelled = self.is_cancelled()
-                return None
-            _require_image(self.path, frame, (3,))
-            self.shape = first = self.shape or frame.shape
-            if frame.shape != first:
-                raise GffeError(f"{self.path}: frame {self.done} is {_size(frame.shape)}, not {_size(first)}")
+            frame: Any = next(frames, None)
         except OSError as error:  # not a fault of the file that is being written
-            self.fault = GffeError(f"{self.path}: cannot make frame {self.done}: {error.strerror or error}")
-            return None
-        except BaseException as fault:
-            self.fault = fault
-            return None
-        self.done += 1
-        height, width = frame.shape[:2]
-        return np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-
-    def rest(self, frame: np.ndarray | None) -> Iterator[np.ndarray]:
-        while frame is not None:
-            yield frame
-            frame = self.next()
-
-    def reraise(self) -> None:
-        if self.fault is not None:
-            raise self.fault
+            raise GffeError(f"{path}: cannot make frame {number}: {error.strerror or error}") from None
+        if frame is None:
+            break
+        _require_image(path, frame, (3,))
+        shape = shape or frame.shape
+        if frame.shape != shape:
+            raise GffeError(f"{path}: frame {number} is {_size(frame.shape)}, not {_size(shape)}")
+        yield np.pad(frame, ((0, shape[0] % 2), (0, shape[1] % 2), (0, 0)), mode="edge")
+        number += 1
+    if cancelled():  # perhaps the frames ended because of that
+        raise _Cancelled
+    if not number:
+        raise GffeError(f"{path}: there are no frames to export")
 
 
 def _write_all(folder: Path, images, specs, cancelled, on_layer) -> list[Path]:
@@ -175,18 +161,10 @@ def _channels(spec: LayerSpec, image: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(plane) for name, plane in _dump_channels(spec, image).items()}
 
 
-@contextlib.contextmanager
-def _partial(path: Path) -> Iterator[Path]:
-    """Yield the path at which `path` is written until it is whole, with its suffix; remove that file at the end. Raises
-    GffeError if `path` is a folder."""
-    if path.is_dir():
+def _not_a_folder(path: Path) -> Path:
+    if Path(path).is_dir():
         raise GffeError(f"{path}: is a folder")
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        yield part
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink()
+    return Path(path)
 
 
 @contextlib.contextmanager

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import flip_error, to_display
-from ..engine.layers import LayerSpec
 
 NAME = "flip error"
 SPEC = LayerSpec(

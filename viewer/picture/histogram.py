@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine import names
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.background import Derived
-from ..engine.layers import LayerSpec
 from .current_frame import Contents
 from .display_settings import Looks
 from .displays import Display, FrameInfo, shown_as, shown_values

@@ -7,17 +7,16 @@ from collections import deque
 
 import numpy as np
 
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.background import Derived
-from ..engine.layers import LayerSpec
 from ..engine.messages import Frame
 from .current_frame import Contents
 from .displays import FrameInfo
-from .view import View
+from .view import INVALID_RENDERED, INVALID_SHOWN, View
 
-MASKS = RENDERED, SHOWN = "invalid rendered", "invalid shown"  # on the canvas
 _SPECS = {
     name: LayerSpec(name, "Invalid pixels", "input", "mask", grid=grid)
-    for name, grid in ((RENDERED, "source"), (SHOWN, "target"))
+    for name, grid in ((INVALID_RENDERED, "source"), (INVALID_SHOWN, "target"))
 }
 
 
@@ -54,9 +53,9 @@ class InvalidPixels:
     def _upload(self, canvas, result: Frame | None) -> None:
         if canvas is None:
             return
-        canvas.forget([RENDERED, SHOWN])
+        canvas.forget([INVALID_RENDERED, INVALID_SHOWN])
         if result is not None and result.invalid is not None:
-            for name, mask in ((RENDERED, result.invalid.rendered), (SHOWN, result.invalid.shown)):
+            for name, mask in ((INVALID_RENDERED, result.invalid.rendered), (INVALID_SHOWN, result.invalid.shown)):
                 canvas.upload(name, np.where(mask, np.uint8(255), np.uint8(0)), _SPECS[name])
 
     @property

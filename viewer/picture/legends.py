@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection.layers import LayerSpec
 from .colors import LABEL_COLORS, MASK_OFF, SKY, Rgb, color_table, label_flip, wheel_color
 from .displays import Display, shown_as
 

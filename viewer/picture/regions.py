@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import squared_error, to_display
-from ..engine import names
 from ..engine.background import Derived
 from ..engine.figures import NEEDED, REGIONS, Part, parts_of, region_labels
-from ..engine.layers import LayerSpec
 from ..engine.messages import Frame
 from .current_frame import Contents
 from .view import View
@@ -53,15 +53,12 @@ class Regions:
     ----------
     map : RegionMap or None
         Of the slot that is shown, once it is known.
-    changes : int
-        How often there was another one.
     """
 
     def __init__(self, view: View, contents: Contents):
         self._view, self._contents = view, contents
         self._maps = Derived("regions")
         self.map: RegionMap | None = None
-        self.changes = 0
 
     @property
     def on(self) -> bool:
@@ -114,7 +111,7 @@ class Regions:
         if not have or self.why_not() is not None:
             if self.map is not None and result is not None and self.why_not():
                 self._maps.forget()
-                self.map, self.changes = None, self.changes + 1
+                self.map = None
                 if canvas is not None:
                     canvas.forget([NAME])
             return None
@@ -126,7 +123,7 @@ class Regions:
             self.switch(False)
             return f"regions: {error}"
         if made is not None and made is not self.map:
-            self.map, self.changes = made, self.changes + 1
+            self.map = made
             if canvas is not None:
                 canvas.upload(NAME, made.labels, SPEC)
         return None

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
 from gffe_cl.engine.stages.buffers import FILLED_BY
 from gffe_cl.lab.metrics import METRICS, squared_error, to_display
-from ..engine import names
 from ..engine.background import Derived
 from ..engine.messages import Frame
 from .current_frame import Contents

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import to_display
-from ..engine import names
-from ..engine.layers import LayerSpec
 from . import differences, flip_map
 from .current_frame import Contents
 from .displays import Display, FrameInfo, shown_as

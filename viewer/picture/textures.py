@@ -1,4 +1,4 @@
-"""Layers on the GPU: their textures, and the pixel-buffer objects through which they are uploaded."""
+"""Textures of layers on the GPU."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ import math
 import moderngl
 import numpy as np
 
-from ..engine.layers import LayerSpec
+from gffe_cl.engine.inspection.layers import LayerSpec
 from .displays import FrameInfo
 
 _DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
-_RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
-_RINGS = 12  # sizes that are kept
 
 
 class Texture:
@@ -62,38 +60,6 @@ class Texture:
             self.texels.build_mipmaps(max_level=levels)
             self.texels.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
             self.mipmaps = levels
-
-
-class PixelBuffers:
-    """Buffers to upload through, a few of each size."""
-
-    def __init__(self, ctx: moderngl.Context):
-        self._ctx = ctx
-        self._rings: dict[int, list[moderngl.Buffer]] = {}
-
-    def next(self, nbytes: int) -> moderngl.Buffer:
-        """Return a buffer of `nbytes` bytes that may be written."""
-        ring = self._rings.pop(nbytes, [])
-        self._rings[nbytes] = ring  # the latest used is the last
-        if len(ring) < _RING:
-            ring.append(self._ctx.buffer(reserve=nbytes, dynamic=True))
-        else:
-            ring.append(ring.pop(0))
-            ring[-1].orphan()
-        while len(self._rings) > _RINGS:
-            for buffer in self._rings.pop(next(iter(self._rings))):
-                buffer.release()
-        return ring[-1]
-
-    @property
-    def sizes(self) -> list[int]:
-        """Sizes of the buffers in use, bytes."""
-        return [buffer.size for ring in self._rings.values() for buffer in ring]
-
-    def release(self) -> None:
-        for buffer in (buffer for ring in self._rings.values() for buffer in ring):
-            buffer.release()
-        self._rings = {}
 
 
 def texels_of(array: np.ndarray, spec: LayerSpec, most: int) -> np.ndarray | None:

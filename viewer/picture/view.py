@@ -11,6 +11,7 @@ COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the cal
 OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions", "clipping")
 CLIPPING: dict[str, Rgb] = {"below 0": (0.1, 0.35, 1.0), "above white": (1.0, 0.15, 0.1)}
 ERRORS = ("absolute", "squared")
+INVALID = INVALID_RENDERED, INVALID_SHOWN = "invalid rendered", "invalid shown"  # layers: masks of invalid pixels
 
 Size = tuple[int, int]
 

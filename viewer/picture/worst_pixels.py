@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import to_display
-from ..engine import names
 from ..engine.background import Derived
-from ..engine.layers import LayerSpec
 from .current_frame import Contents
 from .view import View
 

@@ -42,7 +42,6 @@ _KEYPAD = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "decimal
 # with Shift, as on a US keyboard: there "?" and "Shift+/" are one shortcut
 _SHIFTED = dict(zip("',-./;=[\\]`", '"<_>?:+{|}~', strict=True))
 _UNSHIFTED = {shifted: plain for plain, shifted in _SHIFTED.items()}
-_ALIASES = {"esc": "Escape", "return": "Enter", "del": "Delete", "ins": "Insert", "pgup": "PageUp", "pgdn": "PageDown"}
 
 # attribute of imgui.Key → the name of the key as `Actions.dispatch` takes it
 IMGUI_KEYS: dict[str, str] = (
@@ -54,41 +53,20 @@ IMGUI_KEYS: dict[str, str] = (
     | {f"keypad_{name}": key for name, key in _KEYPAD.items()}
 )
 _KEYS = set(IMGUI_KEYS.values()) | set(_UNSHIFTED)
-_BY_FOLDED = {key.casefold(): key for key in _KEYS} | _ALIASES
-_MODIFIER_BY_FOLDED = {name.casefold(): name for name in MODIFIERS}
 
 Shortcut = tuple[frozenset[str], str]
 
 
 def parse_shortcut(text: str) -> Shortcut:
-    """Return (modifiers, key) of a shortcut such as "Ctrl+O", "Shift+E", "Space", "F5", "1" or "?"; case does not
-    matter.
+    """Return (modifiers, key) of a shortcut such as "Ctrl+O", "Shift+E", "Space", "F5", "1" or "?".
 
-    Shift is part of a symbol that is typed with it: "?" and "Shift+/" both give (no modifiers, "?"). Raises
-    ValueError that says what is wrong.
+    Shift is part of a symbol that is typed with it: "?" and "Shift+/" both give (no modifiers, "?"). Raises ValueError.
     """
-    stripped = text.strip()
-    if stripped == "+":
-        parts, key_text = [], "+"
-    elif stripped.endswith("++"):
-        parts, key_text = stripped[:-2].split("+"), "+"
-    else:
-        *parts, key_text = stripped.split("+")
-    modifiers = []
-    for part in parts:
-        name = _MODIFIER_BY_FOLDED.get(part.strip().casefold())
-        if name is None:
-            raise ValueError(f"shortcut {text!r}: {part.strip()!r} is none of the modifiers {', '.join(MODIFIERS)}")
-        if name in modifiers:
-            raise ValueError(f"shortcut {text!r}: {name} twice")
-        modifiers.append(name)
-    key_text = key_text.strip()
-    if not key_text or key_text.casefold() in _MODIFIER_BY_FOLDED:
-        raise ValueError(f"shortcut {text!r}: no key" + (f" after {'+'.join(modifiers)}+" if modifiers else ""))
-    key = _BY_FOLDED.get(key_text.casefold())
-    if key is None:
-        raise ValueError(f"shortcut {text!r}: no key is called {key_text!r} (such as A, 1, F5, Space, Left, PageUp, ?)")
-    return canonical(frozenset(modifiers), key)
+    head, _, start = text[:-1].rpartition("+")  # the key itself may be "+"
+    modifiers, key = frozenset(filter(None, head.split("+"))), start + text[-1:]
+    if not modifiers <= set(MODIFIERS) or key not in _KEYS:
+        raise ValueError(f"shortcut {text!r}: expected {', '.join(MODIFIERS)}, and a key such as A, 1, F5, Left or ?")
+    return canonical(modifiers, key)
 
 
 def canonical(modifiers: frozenset[str], key: str) -> Shortcut:
@@ -96,12 +74,6 @@ def canonical(modifiers: frozenset[str], key: str) -> Shortcut:
     if "Shift" in modifiers and key in _SHIFTED:
         key = _SHIFTED[key]
     return frozenset(modifiers) - ({"Shift"} if key in _UNSHIFTED else set()), key
-
-
-def shortcut_text(shortcut: Shortcut) -> str:
-    """Return a parsed shortcut as it is written: "Ctrl+Shift+P"."""
-    modifiers, key = shortcut
-    return "+".join([name for name in MODIFIERS if name in modifiers] + [key])
 
 
 @dataclass(frozen=True)
@@ -126,19 +98,6 @@ class Action:
     repeat: bool = False
     anywhere: bool = False
     also: tuple[str, ...] = ()
-
-    def __post_init__(self):
-        if not self.id or not self.label.strip():
-            raise ValueError(f"action {self.id!r} ({self.label!r}): needs an id and a label")
-        if self.hold and self.repeat:
-            raise ValueError(f"action {self.id!r}: hold and repeat exclude each other")
-        try:
-            texts = [shortcut_text(parse_shortcut(text)) for text in (self.shortcut, *self.also) if text]
-        except ValueError as error:
-            raise ValueError(f"action {self.id!r}: {error}") from None
-        if self.shortcut:
-            object.__setattr__(self, "shortcut", texts.pop(0))
-        object.__setattr__(self, "also", tuple(texts))
 
     @property
     def shortcuts(self) -> list[Shortcut]:
@@ -177,8 +136,7 @@ class Actions:
         for shortcut in action.shortcuts:
             other = self._by_shortcut.get(shortcut)
             if other is not None or action.shortcuts.count(shortcut) > 1:
-                text, taken = shortcut_text(shortcut), (other or action).id
-                raise ValueError(f"shortcut {text} of action {action.id!r} is taken by {taken!r}")
+                raise ValueError(f"{shortcut} of action {action.id!r} is taken by {(other or action).id!r}")
         self._actions[action.id] = action
         self._by_shortcut |= dict.fromkeys(action.shortcuts, action)
         return action

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ..engine import names
-from ..engine.buffers import Moment
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.figures import REGIONS
-from ..engine.layers import LayerSpec
 from ..picture import differences, disocclusions, flip_map
 from ..picture.colors import LABEL_COLORS, Rgb, color_table
 from ..picture.current_frame import Contents
@@ -50,6 +50,23 @@ def layer_text(spec: LayerSpec, display: Display) -> str:
     """Return the name of a layer with changed settings of its display."""
     exposed = spec.view == "color" and display.exposure
     return f"{spec.group}: {spec.label}" + (f"   {display.exposure:+.1f} EV" if exposed else "")
+
+
+def headings(
+    view: View, contents: Contents, looks: Looks, frame: str, settings: tuple[str, str], marked: str
+) -> list[Entry]:
+    """Return what a picture shows: the `frame`, the layers and `settings` of A and B, and the `marked` pixels."""
+    shown = list(zip("AB", (view.a, view.b if view.compare != "off" else None), settings, strict=True))
+    shown = [(side, name, of) for side, name, of in shown if name]
+    texts = [f"{contents.source.name}   {frame}"]
+    for side, name, of in shown:
+        spec = contents.spec(name)
+        text = names.plain(name) if spec is None else layer_text(spec, looks.of(name))
+        text = text if name == names.TRUTH else f"{text}   {of}"
+        texts.append(f"{side}  {text}" if len(shown) > 1 else text)
+    if marked:
+        texts.append(f"{marked}, checkered")
+    return [Entry(text, Legend("none")) for text in texts]
 
 
 REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint

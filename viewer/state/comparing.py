@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import METRICS
-from ..engine import names
 from ..engine.background import Derived
 from ..picture import flip_map
 from ..picture.current_frame import Contents

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from ..engine.messages import Inspection
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from ..picture.current_frame import Contents
 from ..picture.files import save_png
 from ..picture.legends import value_text

@@ -2,65 +2,57 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import moved
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
 from gffe_cl.engine.options import Options
-from ..engine import names
-from ..engine.attached.program import FRAMES, RunningProgram
-from ..engine.buffers import moved
 from ..engine.doctor_worker import Doctor
-from ..engine.engine import Engine, open_viewer_device
-from ..engine.explain.pixel_explain_types import Link
 from ..engine.figures import Figures, Measurements
-from ..engine.messages import Failure, Frame, Key, Recipe, Setup
-from ..engine.sources.attached import AttachedSource, FrozenSource, resolved
-from ..engine.sources.opening import ScenePlan, make_source
-from ..engine.sources.preview import Preview, Previewer, preview_of
+from ..engine.messages import Failure, Key, Recipe, Setup
+from ..engine.sources.attached import resolved
+from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
-from ..engine.store import CACHE_MIB, Store, Want
-from ..picture.current_frame import Contents
+from ..engine.store import CACHE_MIB, Want
+from ..picture.current_frame import Picture, Screen, Showing
 from ..picture.disocclusions import Disocclusions
 from ..picture.display_settings import Looks
 from ..picture.displays import Display
 from ..picture.histogram import Histogram
 from ..picture.invalid import InvalidPixels
 from ..picture.legend_strip import Entry
-from ..picture.legends import Legend
 from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
 from ..picture.worst_pixels import WorstPixels
-from .captions import Message, entries_of, frame_text, layer_text, slot_text
+from .captions import entries_of, frame_text, headings, slot_text
 from .comparing import Comparison
-from .navigation import Flight, Flyer, Walk
-from .parameters import Parameters
-from .playback import Playback
+from .navigation import Flights, Walk
+from .opening import Opening
 from .presets import Kept, KeptSettings, command_line, told
-from .saving import RecordingWork, Subject, Work
+from .saving import RecordingWork, Saving, Subject
 from .settings import Settings
 from .studies import Here, Studies
 from .survey import Side, Survey
 from .timings import Timings
 from .undo import Undo
-from .viewport import Framing, Pointing, Screen
-from .wanting import Ahead, Needed, Picture, Showing
+from .viewport import Framing, Pointing
+from .wanting import Ahead, Needed
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
-_LOOK_FOR_PROGRAM = 2.0  # seconds between looks for a program that has ended
 BUILD_LETTERS = 6  # of the identity of a build
 
 
-class Model:
+class Model(Opening):
     """State of the viewer.
 
     `update` is called once per frame of the interface; everything else is called by panels and actions in between.
@@ -71,27 +63,23 @@ class Model:
         plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
         check: bool = False, cache_mib: int = CACHE_MIB, start: bool = True,
     ):  # fmt: skip
-        self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
-        self.store = Store(cache_mib << 20)
-        self.engine = Engine(partial(open_viewer_device, device), self.store)
+        super().__init__(options, n, window, device, plan, check, cache_mib)
+        self.settings, self._save_settings = settings, save_settings
         if start:  # else there is no device, and nothing can be opened
             self.engine.start()
-        self.contents = Contents()
-        self.playback = Playback(n=n)
         self.ahead = Ahead(self.store, self.playback)
-        self.parameters = Parameters(options, self.playback, window)
         self.undo = Undo(self.parameters, self.playback)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
-        self.screen = Screen(self.contents, self.looks)
+        self.screen = Screen(self.contents)
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
         self.histogram = Histogram(self.view, self.contents, self.looks)
         self.invalid = InvalidPixels(self.view, self.contents)
-        self.showing = Showing(self.store, self._show, self._fail)
+        self.showing = Showing(self.store, self.contents, self._fail)
         self.measured = Measurements()
         self.survey = Survey(self.store, self.measured, self.playback)
         self.studies = Studies(self.store, self.measured.background)
@@ -99,28 +87,19 @@ class Model:
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
         self.worst = WorstPixels(self.view, self.contents)
+        shown, settled = self.comparison.shown, lambda: self.settled
+        subject = Subject(self.contents, self.playback, self.view, shown, self._legends, settled)
+        self.saving = Saving(subject, self.say)
         self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection, self.worst)
-        self.flyer: Flyer | None = None
-        self.export: Work | None = None
+        self.flights = Flights(self.contents, self.playback)
         self.overview = False
         self.arrows = False
         self.measuring = False
-        self.messages: list[Message] = []
         self.doctor: Doctor | None = None  # of the open source, once requested
-        self.preview: Preview | None = None  # shown until the opened source has a result
-        self.previewer: Previewer | None = None
-        self.failure: str | None = None  # why the requested picture is not there
         self._inspection_fault = ""
-        self.reload_fault = ""  # why the open source could not be read again
-        self.notice = ""
         self.timings = Timings()
-        self.program: RunningProgram | None = None  # that was attached to
         self.recipe = self.engine.recipe(self.setup)
-        self._target = ""
         self._stopped: Picture | None = None  # by the user, while it was made
-        self._awaits_program, self._looked_for_program = False, 0.0  # which was followed when it ended
-        self._flights = itertools.count(1)
-        self.keep_place = False
         self._closed = False
         self.playback.restore(settings.playback)
         self.parameters.restore(settings.options)
@@ -128,78 +107,6 @@ class Model:
         self.kept.restore(settings.kept)
 
     # ---- opening -----------------------------------------------------------------------------------------
-
-    @property
-    def source(self) -> Any:
-        """Return the open FrameSource, or None."""
-        return self.contents.source
-
-    def open(self, target: str) -> None:
-        """Open a folder with a sequence, or the built-in scene of that name, in the background; `update` notices when
-        it is open."""
-        self.failure = None
-        self.notice = f"opening {target} …"
-        self.previewer = preview_of(target) if self.source is None else None
-        make = partial(
-            make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
-        )
-        self.engine.open_source(make)
-
-    def attach_to(self, name: str) -> None:
-        """Follow the program attached as `name`, if there is one; else tell why not."""
-        before = self.program
-        try:
-            self.attach(name.strip())
-        except GffeError as error:
-            self.say(str(error), error=True)
-            return
-        if before is not None:
-            before.close()
-
-    def _attach_again(self, now: float) -> None:
-        """Follow a program that was followed when it ended, once it runs again."""
-        ended = self.program is not None and self.program.ended
-        if self._awaits_program and ended and now - self._looked_for_program > _LOOK_FOR_PROGRAM:
-            self._looked_for_program = now
-            assert self.program is not None  # it has ended
-            with suppress(GffeError):
-                self.attach(self.program.name, self.program.frames)
-                self._awaits_program = False
-                self.say(f"attached again to '{self.program.name}'")
-
-    def attach(self, name: str, frames: int = FRAMES) -> None:
-        """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
-        GffeError if there is none."""
-        self.program = RunningProgram(name, frames)
-        self.follow()
-
-    def follow(self) -> None:
-        """Show the program live, with its pipeline's options."""
-        program = self.program
-        assert program is not None  # as `attach` was called
-        self.notice = f"attaching to {program.name} …"
-        self.engine.open_source(lambda device: AttachedSource(program))
-
-    def freeze(self) -> None:
-        """Show the program's last rendered frames as they are now."""
-        program = self.program
-        assert program is not None
-        self.engine.open_source(lambda device: FrozenSource(program, device))
-
-    @property
-    def follows(self) -> bool:
-        """Whether a running program is displayed live."""
-        return self.source is not None and self.source.follows
-
-    @property
-    def frozen(self) -> bool:
-        """Whether a program's last frames are displayed."""
-        return isinstance(self.source, FrozenSource)
-
-    def reload(self) -> None:
-        """Open the present source again, and stay at the same slot."""
-        self.keep_place = True
-        self.open(self._target)
 
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
@@ -211,15 +118,14 @@ class Model:
             self.disocclusions,
         ):  # fmt: skip
             part.forget()
-        if self.export is not None:
-            self.export.cancel()
+        self.saving.cancel()
         self.playback.open(source.count, source.fps, self.times(source.count), keep=self.keep_place)
         self.pointing.open(self.contents.size)
         self.doctor = None
         if self.keep_place and self.flying:
             self.playback.play()  # at another render rate, from where the camera is
         else:
-            self.flyer = None
+            self.flights.flyer = None
         if not self.keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -231,11 +137,6 @@ class Model:
             self.playback.end()
         if source.target and not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
-
-    def times(self, count: int) -> list[float] | None:
-        """Return the times of `count` rendered frames in seconds; None in a built-in scene, and while a running program
-        is followed."""
-        return None if self.source.live or self.follows else [self.source.time(k) for k in range(count)]
 
     # ---- one frame of the interface after the other ----------------------------------------------------------
 
@@ -265,14 +166,14 @@ class Model:
             ready = self.playback.slot
         due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
         self._take_values()
-        self.showing.update(due, self._passes, self.screen.ready or result is None)
+        if self.showing.update(due, self._passes, self.screen.ready or result is None):
+            self._shown()
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
         self._derive(canvas)
         self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))
         self.store.want(self._wants(now))
-        if self.export is not None:
-            self.advance_export(canvas)
+        self.saving.advance(canvas)
 
     def _follow_source(self) -> None:
         """Take over another render rate that was chosen, more frames of the source, and options that a running program
@@ -301,15 +202,12 @@ class Model:
     def _layers(self) -> frozenset[str]:
         """Names of layers of A that are read back now."""
         layers = self.needed.all() if self.overview else self.needed.of_first(self.measuring)
-        return layers | (self.export.layers if self.export is not None else frozenset())
+        return layers | (self.saving.work.layers if self.saving.work is not None else frozenset())
 
     def _due(self, slot: int) -> Picture:
         """Return the picture of a slot, as it is looked at now."""
-        flyer = self.flyer if self.flying else None
-        layers = self._layers
-        slot = 0 if self.follows else slot
-        if flyer is not None and (flyer.moved or flyer.slot != slot):
-            flyer.moved, flyer.slot, flyer.flight = False, slot, next(self._flights)
+        layers, slot = self._layers, 0 if self.follows else slot
+        flyer = self.flights.at(slot) if self.flying else None
 
         def want(recipe: Recipe, layers: frozenset[str]) -> Want:
             if flyer is not None:
@@ -333,9 +231,9 @@ class Model:
         if awaited is not None and self.inspects and not self.showing.failed:
             wants += self.pointing.wants(awaited.a.key, self.follows)
         wants += showing.following
-        result, beside = self.contents.result, not (self.flying or self.overview or self.export or self.follows)
+        result, beside = self.contents.result, not (self.flying or self.overview or self.saving.work or self.follows)
         kept = self.kept.b
-        idle = not (self.flying or self.export or self.playback.playing or self.follows) and not showing.is_waiting
+        idle = not (self.flying or self.saving.work or self.playback.playing or self.follows) and not showing.is_waiting
         a = Side(self.setup, self.recipe)
         b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
         here = Here(
@@ -379,9 +277,10 @@ class Model:
         elif reason:
             self.say(reason)
 
-    def _show(self, result: Frame, second: Frame | None) -> None:
-        """Set the displayed frames of A and B."""
-        self.contents.take(result, second)
+    def _shown(self) -> None:
+        """Note what follows from another picture that is shown."""
+        result, second = self.contents.result, self.contents.second
+        assert result is not None
         self.failure = None
         self.previewer = self.preview = None
         if self.measuring:
@@ -409,8 +308,7 @@ class Model:
             self._failed_attached()
             self.playback.pause()
         self.previewer = self.preview = None
-        if self.export is not None:
-            self.export.cancel()
+        self.saving.cancel()
 
     def _failed(self, failure: Failure) -> None:
         """Take notice of a failure of anything but a picture."""
@@ -420,20 +318,9 @@ class Model:
         if failure.during == "source":
             self.reload_fault = failure.error if self.keep_place else self.reload_fault
             self.playback.pause()
-            if self.export is not None:
-                self.export.cancel()
+            self.saving.cancel()
         self.keep_place = False
         self.previewer = self.preview = None
-
-    def _failed_attached(self) -> None:
-        """Go on with the options of a running program that has refused others, and with its last frames if it has
-        ended."""
-        if self.follows and (program := self.program) is not None:
-            if program.ended:
-                self._awaits_program = True
-                self.freeze()
-            self.parameters.take(program.options, None)
-            self.source.flight += 1
 
     def go_to(self, find: Callable[[], int | None]) -> None:
         """Go to the slot that `find`, a method of the survey, gives, and show a message about it."""
@@ -652,37 +539,25 @@ class Model:
         shown = [spec.name for spec in self.contents.layers if spec.of_generated or image(spec.name) is not None]
         return [(name, self.looks.of(name)) for name in shown]
 
-    # ---- the camera ----------------------------------------------------------------------------------------
-
     @property
     def flying(self) -> bool:
-        return self.flyer is not None and self.flyer.active
-
-    def toggle_flying(self) -> None:
-        if self.flyer is not None and self.flyer.active:
-            self.flyer.active = False
-        elif self.contents.result is not None:
-            self.flyer = Flyer(self.contents.result.moment.camera)
-            self.playback.play()
+        return self.flights.flyer is not None and self.flights.flyer.active
 
     def stop_flying(self) -> None:
-        self.flyer = None
+        self.flights.flyer = None
         self.store.want(())
         self.source.forget_flight()
 
-    def fly(self, flight: Flight | None, now: float) -> None:
-        """Steer the camera; `now`: of the clock that playback goes by, seconds."""
-        if self.flyer is not None and flight is not None:
-            self.flyer.steer(flight, now)
-
     # ---- saving --------------------------------------------------------------------------------------------
 
-    @property
-    def _subject(self) -> Subject:
-        def legends() -> list[Entry]:
-            return [*self._headings(), *self.legends()] if self.settings.legends else []
-
-        return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
+    def _legends(self) -> list[Entry]:
+        """Return what is written under a saved picture."""
+        if not self.settings.legends:
+            return []
+        settings, kept = told(self.setup), self.kept.b if self.comparison.by_settings else None
+        marked = self.invalid.text() if self.view.mark_invalid else ""
+        sides = settings, settings if kept is None else kept.name
+        return [*headings(self.view, self.contents, self.looks, self.frame_text, sides, marked), *self.legends()]
 
     def legends(self) -> list[Entry]:
         """Return the legends of the picture."""
@@ -696,27 +571,6 @@ class Model:
             return slot_text(self.slot, self.n)
         return frame_text(result.moment) if self.follows else slot_text(self.slot, result.setup.n)
 
-    def _headings(self) -> list[Entry]:
-        """Return what a saved picture shows: the frame, and the layers and settings of A and B."""
-        view, settings = self.view, told(self.setup)
-        shown = [("A", view.a, settings)]
-        if view.compare != "off" and view.b:
-            kept = self.kept.b if self.comparison.by_settings else None
-            shown.append(("B", view.b, settings if kept is None else kept.name))
-        texts = [f"{self.source.name}   {self.frame_text}"]
-        for side, name, of in shown:
-            spec = self.contents.spec(name)
-            text = names.plain(name) if spec is None else layer_text(spec, self.looks.of(name))
-            text = text if name == names.TRUTH else f"{text}   {of}"
-            texts.append(f"{side}  {text}" if len(shown) > 1 else text)
-        if view.mark_invalid and (found := self.invalid.text()):
-            texts.append(f"{found}, checkered")
-        return [Entry(text, Legend("none")) for text in texts]
-
-    def save(self, work: Callable[[Subject], Work]) -> None:
-        """Start saving in the background."""
-        self.export = work(self._subject)
-
     def save_recording(self) -> None:
         """Start writing the program's last rendered frames: those that are frozen, else those up to now."""
         program = self.program
@@ -726,16 +580,7 @@ class Model:
         except GffeError as error:
             self.say(str(error), error=True)
             return
-        self.export = RecordingWork(self._subject, sequence)
-
-    def advance_export(self, canvas) -> None:
-        export = self.export
-        assert export is not None  # asked for only while there is one
-        export.advance(canvas)
-        if export.finished:
-            if export.outcome:
-                self.say(export.outcome, export.failed)
-            self.export = None
+        self.saving.start(partial(RecordingWork, sequence=sequence))
 
     # ---- telling -------------------------------------------------------------------------------------------
 
@@ -747,23 +592,6 @@ class Model:
     def marks(self) -> dict[int, str]:
         """Rendered frames with findings of the doctor."""
         return self.doctor.marks if self.doctor is not None else {}
-
-    def say(self, text: str, error: bool = False) -> None:
-        self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
-
-    def lately(self, now: float, seconds: dict[str, float]) -> list[Message]:
-        """Return the messages that were shown first at most `seconds` ago, which are given by their kind."""
-        found = []
-        for message in self.messages:
-            message.since = now if message.since is None else message.since
-            if now - message.since < seconds.get(message.kind, 0.0):
-                found.append(message)
-        return found
-
-    def dismiss_messages(self) -> None:
-        """Take all messages away that stand over the picture."""
-        for message in self.messages:
-            message.dismissed = True
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""
@@ -784,8 +612,7 @@ class Model:
         if self._closed:
             return
         self._closed = True
-        if self.export is not None:
-            self.export.close()
+        self.saving.close()
         for part in (
             self.comparison, self.regions, self.invalid, self.histogram, self.worst, self.selection, self.measured,
             self.engine,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -9,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
-from ..engine.explain.motion_trail import WayPoint
-from ..engine.explain.pixel_explain_types import Link
+from gffe_cl.engine.inspection.explain.motion_trail import WayPoint
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
 from ..picture.current_frame import Contents
 from ..picture.view import View
 from .playback import Playback
@@ -65,6 +66,36 @@ class Flyer:
         axes = np.stack([right, (0.0, 1.0, 0.0), forward])
         self._position += np.asarray(flight.move) @ axes * (_SPEED * flight.faster * elapsed)
         self.pose = Camera.from_pose(self._position, forward, (0.0, 1.0, 0.0), *self._start.intrinsics)
+
+
+class Flights:
+    """Flying of the camera; `flyer` is None while it has not been flown."""
+
+    def __init__(self, contents: Contents, playback: Playback):
+        self._contents, self._playback = contents, playback
+        self._numbers = itertools.count(1)
+        self.flyer: Flyer | None = None
+
+    def toggle(self) -> None:
+        """Fly from where the camera is, or stop where it is."""
+        if self.flyer is not None and self.flyer.active:
+            self.flyer.active = False
+        elif self._contents.result is not None:
+            self.flyer = Flyer(self._contents.result.moment.camera)
+            self._playback.play()
+
+    def steer(self, flight: Flight | None, now: float) -> None:
+        """Steer the camera; `now`: of the clock that playback goes by, seconds."""
+        if self.flyer is not None and flight is not None:
+            self.flyer.steer(flight, now)
+
+    def at(self, slot: int) -> Flyer:
+        """Return the camera, whose pose has a new number if it is another one, or for another slot."""
+        flyer = self.flyer
+        assert flyer is not None  # it flies
+        if flyer.moved or flyer.slot != slot:
+            flyer.moved, flyer.slot, flyer.flight = False, slot, next(self._numbers)
+        return flyer
 
 
 _MOST = 50

@@ -212,3 +212,33 @@ class VideoWork(Work):
     def cancel(self):
         self._cancelled.set()
         self._put(None)
+
+
+class Saving:
+    """Saves `subject`, one `work` at a time, which is None when there is none. `say` is given its outcome."""
+
+    def __init__(self, subject: Subject, say: Callable[[str, bool], None]):
+        self.subject, self._say = subject, say
+        self.work: Work | None = None
+
+    def start(self, work: Callable[[Subject], Work]) -> None:
+        """Start saving in the background."""
+        self.work = work(self.subject)
+
+    def advance(self, canvas) -> None:
+        """Go on with it. Call once per frame of the interface."""
+        if self.work is None:
+            return
+        self.work.advance(canvas)
+        if self.work.finished:
+            if self.work.outcome:
+                self._say(self.work.outcome, self.work.failed)
+            self.work = None
+
+    def cancel(self) -> None:
+        if self.work is not None:
+            self.work.cancel()
+
+    def close(self) -> None:
+        if self.work is not None:
+            self.work.close()

@@ -31,16 +31,9 @@ def default_path() -> Path | None:
 
 
 def _unix_folder() -> Path:
-    """Return the folder for configuration on Linux; until version 0.1 it was that of every system."""
+    """Return the folder for configuration on Linux."""
     given = os.environ.get("XDG_CONFIG_HOME", "")
     return Path(given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))) / "gffe-cl"
-
-
-def _path_to_read() -> Path | None:
-    """Return `default_path`, or the path that an older version wrote to, if nothing has been written to the new one
-    yet."""
-    path, old = default_path(), _unix_folder() / "viewer.json"
-    return old if path and not path.exists() and old.is_file() else path
 
 
 def can_save() -> bool:
@@ -84,7 +77,7 @@ class Settings:
         """Return (settings, warning or None) from `path`, or from the user's file. Whatever is missing or damaged has
         its default; a damaged entry costs only itself."""
         settings = cls()
-        path = path or _path_to_read()
+        path = path or default_path()
         if path is None:
             return settings, None
         try:

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import FRAME_GROUP, LayerSpec
 from gffe_cl.engine.options import OPTIONS
 from gffe_cl.lab.metrics import METRICS, squared_error
-from ..engine import names
 from ..engine.background import Background
 from ..engine.figures import NEEDED, displayed, parts_of, region_labels
-from ..engine.layers import FRAME_GROUP, LayerSpec
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
 from ..picture.displays import FrameInfo

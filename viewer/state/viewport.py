@@ -1,23 +1,12 @@
-"""The view of the picture: zoom and center, the pixel under the pointer, and images on the canvas."""
+"""The view of the picture: zoom and center, and the pixel under the pointer."""
 
 from __future__ import annotations
 
 import math
-import time
 
-import numpy as np
-
-from ..engine import names
-from ..engine.explain.pixel_explain_types import Story
-from ..engine.layers import FRAME_LAYERS
-from ..engine.messages import Failure, Inspection, Key
-from ..engine.sources.preview import Preview
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
+from ..engine.messages import Failure, Key
 from ..engine.store import Pixel, Store, Want
-from ..picture import disocclusions, flip_map, invalid, regions
-from ..picture.canvas import Canvas
-from ..picture.current_frame import Contents
-from ..picture.display_settings import Looks
-from ..picture.displays import FrameInfo
 from ..picture.view import View
 
 Size = tuple[int, int]
@@ -133,72 +122,3 @@ class Pointing:
 
     def _is_inside(self, pixel: Pixel | None) -> bool:
         return pixel is not None and all(0 <= at < size for at, size in zip(pixel, self._size, strict=True))
-
-
-# layers that come and go by themselves
-_OF_OTHERS = {flip_map.NAME, regions.NAME, disocclusions.NAME, invalid.RENDERED, invalid.SHOWN}
-_BUDGET = 0.02  # seconds per frame of the interface, but at least one image
-
-
-class Screen:
-    """Puts the images of `contents` on a canvas, and has `looks` meet them.
-
-    Attributes
-    ----------
-    canvas : Canvas or None
-        None: there is nothing to draw on.
-    upload_ms : float
-        What the images on the canvas took.
-    """
-
-    def __init__(self, contents: Contents, looks: Looks):
-        self._contents, self._looks = contents, looks
-        self._on_canvas: dict[str, np.ndarray] = {}
-        self._changes = self._coming = 0  # of the contents that are on the canvas, and of those that come
-        self.canvas: Canvas | None = None
-        self.upload_ms = 0.0
-
-    @property
-    def ready(self) -> bool:
-        """Whether all images are on the canvas."""
-        return self._changes == self._contents.changes
-
-    def preview(self, preview: Preview) -> None:
-        """Show a preview on the canvas before there are contents."""
-        if self.canvas is not None:
-            self.canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
-            self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
-
-    def update(self, first: set[str]) -> None:
-        """Upload the images of the contents that are not on the canvas yet, and remove all others, which belong to
-        another time: those of `first` at once, the others as time permits. Call once per frame of the interface, and
-        after the contents have changed."""
-        if self.ready:
-            return
-        images = self._contents.images
-        if self._coming != self._contents.changes:
-            self._coming, self.upload_ms = self._contents.changes, 0.0
-            if self.canvas is not None:
-                if self._contents.result is not None:
-                    self.canvas.frame = self._contents.frame_info()
-                self.canvas.forget(self.canvas.layers.keys() - images.keys() - _OF_OTHERS)
-        self._on_canvas = {name: image for name, image in self._on_canvas.items() if images.get(name) is image}
-        end = time.perf_counter() + _BUDGET
-        left = sorted(images.keys() - self._on_canvas.keys(), key=lambda name: name not in first)
-        for place, name in enumerate(left):
-            if place and name not in first and time.perf_counter() > end:
-                return
-            self._upload(name, images[name])
-        self._changes = self._contents.changes
-
-    def _upload(self, name: str, image: np.ndarray) -> None:
-        start = time.perf_counter()
-        if self.canvas is not None:
-            own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
-            spec = self._contents.spec(name)
-            assert spec is not None  # there is an image of it
-            self.canvas.upload(name, image, spec, *own)
-        self._on_canvas[name] = image
-        self.upload_ms += (time.perf_counter() - start) * 1e3
-        if not names.is_second(name):
-            self._looks.meet([name])

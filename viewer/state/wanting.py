@@ -1,13 +1,11 @@
-"""Wants of the engine: the picture that is due, pixels of it, and frames ahead; and the part of them that is shown."""
+"""Wants of the engine beside the picture itself: the layers that it needs, and frames ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import islice
 
-from ..engine import names
-from ..engine.messages import Failure, Frame, Key, Recipe
+from gffe_cl.engine.inspection import names
+from ..engine.messages import Key, Recipe
 from ..engine.store import Playhead, Store, Want
 from ..picture.current_frame import Contents
 from ..picture.disocclusions import Disocclusions
@@ -50,134 +48,6 @@ class Needed:
     def of_second(self, measures: bool) -> frozenset[str]:
         final = {names.FINAL} & self._regions.needed
         return frozenset({self._view.a} | final | (_MEASURED if measures else frozenset()))
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture that is due: a slot as A's settings make it, and as B's do where these are compared."""
-
-    a: Want
-    b: Want | None = None
-
-    @property
-    def wants(self) -> list[Want]:
-        return [want for want in (self.a, self.b) if want is not None]
-
-    def is_like(self, other: Picture) -> bool:
-        """Return whether both are of the same settings and layers: one may be shown on the way to the other."""
-        return len(self.wants) == len(other.wants) and all(
-            mine.key.recipe.continues(its.key.recipe) and mine.layers == its.layers
-            for mine, its in zip(self.wants, other.wants, strict=True)
-        )
-
-
-class Showing:
-    """The picture that is made for the screen, and the one that is on it: A and B of one slot, or neither.
-
-    Parameters
-    ----------
-    show : callable
-        Called with A's frame and B's, or None, as soon as they are there.
-    fail : callable
-        Called with the failure of A's or of B's, and whether it is B's, once for each picture. Without B's A is shown.
-
-    Attributes
-    ----------
-    awaited : Picture or None
-        What is made first. While frames pass, it is finished before the next one is due.
-    shown : Picture or None
-    from_cache : bool
-        What is shown was there before it was wanted.
-    fault_of_b : str
-        Why there is nothing of B; empty if there is.
-    """
-
-    def __init__(
-        self, store: Store, show: Callable[[Frame, Frame | None], None], fail: Callable[[Failure, bool], None]
-    ):
-        self._store, self._show, self._fail = store, show, fail
-        self.awaited: Picture | None = None
-        self.shown: Picture | None = None
-        self._due: Picture | None = None
-        self._frames: tuple[Frame, Frame | None] | None = None  # that are shown
-        self._told: set[Want] = set()  # failures
-        self.from_cache = self._was_there = False
-        self.fault_of_b = ""
-
-    def forget(self) -> None:
-        """Drop the picture after a change of the source."""
-        self.awaited = self.shown = self._due = self._frames = None
-        self.fault_of_b = ""
-
-    def update(self, due: Picture, passing: bool, may_show: bool = True) -> None:
-        """Show what is there of the awaited picture, and await the one that is due. Call once per frame of the
-        interface; `passing`: frames pass (it plays, for example): none is given up for the next one."""
-        before = self.awaited
-        self._due = due
-        there = before is not None and may_show and self._take(before)
-        if before is not None and (before == due or (passing and not there and before.is_like(due))):
-            return
-        self.awaited, self._told = due, set()
-        for want in due.wants:
-            self._store.retry(want)
-        self._was_there = not self.is_waiting
-        if may_show:
-            self._take(due)
-
-    @property
-    def wants(self) -> list[Want]:
-        """Parts of the awaited picture to make."""
-        return self.awaited.wants if self.awaited is not None else []
-
-    @property
-    def following(self) -> list[Want]:
-        """Parts of the picture that is due by now, to make next."""
-        return self._due.wants if self._due is not None and self._due != self.awaited else []
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether anything is still to be made of the awaited picture."""
-        return any(self._store.get(want) is None for want in self.wants)
-
-    @property
-    def failed(self) -> bool:
-        """Whether A of the awaited picture cannot be made."""
-        return self.awaited is not None and isinstance(self._store.get(self.awaited.a), Failure)
-
-    @property
-    def shows_like_due(self) -> bool:
-        """Whether the picture on the screen has the settings and layers of the one that is due."""
-        return self._due is not None and self.shown is not None and self.shown.is_like(self._due)
-
-    @property
-    def shows_due(self) -> bool:
-        """Whether the picture that is due is on the screen."""
-        return self._due is not None and self.shown == self._due and not self.is_waiting
-
-    @property
-    def shows_slot_due(self) -> bool:
-        """Whether the slot that is due is on the screen, made as it is now, with whichever layers."""
-        if self._due is None or self.shown is None or (self.shown.b is None and self._due.b is not None):
-            return False
-        return all(mine.key == its.key for mine, its in zip(self.shown.wants, self._due.wants, strict=False))
-
-    def _take(self, picture: Picture) -> bool:
-        """Show a picture if all of it is there. Returns whether nothing of it is to be made any more."""
-        made = [self._store.get(want) for want in picture.wants]
-        for want, one in zip(picture.wants, made, strict=True):
-            if isinstance(one, Failure) and want not in self._told:
-                self._told.add(want)
-                self._fail(one, want is not picture.a)
-        if not made or any(one is None for one in made):
-            return False
-        first, second = made[0], made[1] if len(made) > 1 else None
-        self.fault_of_b = second.error if isinstance(second, Failure) else ""
-        if isinstance(first, Frame):
-            frames = first, second if isinstance(second, Frame) else None
-            if self._frames is None or any(a is not b for a, b in zip(frames, self._frames, strict=True)):
-                self.from_cache, self.shown, self._frames = self._was_there, picture, frames
-                self._show(*frames)
-        return True
 
 
 _STILL = 0.3  # seconds that a still picture must have stood

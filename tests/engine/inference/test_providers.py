@@ -277,8 +277,8 @@ def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, mo
         arguments = ("eval", "corridor", *options)
     else:
         pytest.importorskip("imgui_bundle")
-        monkeypatch.setattr("gffe_cl.viewer.shell.start.require_display", lambda: None)
-        monkeypatch.setattr("gffe_cl.viewer.shell.start.view", lambda model, *_: said.extend(model.messages))
+        monkeypatch.setattr("gffe_cl.viewer.window.start.require_display", lambda: None)
+        monkeypatch.setattr("gffe_cl.viewer.window.start.view", lambda model, *_: said.extend(model.messages))
         arguments = ("view", "--cache", "0")
     code, _, err = gffe(*arguments, "--device", device.info.index, *scn)
     assert code == 0 and err.count("warning: provider webgpu: crashed") == 1, err

@@ -20,7 +20,7 @@ from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.scene_cuts import COUNTED, counts_say_cut
 from gffe_cl.lab.compare import compare
 from gffe_cl.viewer.engine.messages import Recipe, Setup
-from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.picture.current_frame import Contents
 

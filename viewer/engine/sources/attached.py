@@ -7,10 +7,11 @@ from dataclasses import replace
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from ..attached.program import RunningProgram
-from ..messages import Frame, Inspection, Key
+from ..messages import Frame, Key
+from .program import RunningProgram
 from .recorded import RecordedSource
 from .source import FrameSource
 

@@ -16,9 +16,9 @@ from gffe_cl.captures.offline.source import Live
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.engine.frame.camera import Camera, predict_camera
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, RenderedFrame
+from gffe_cl.engine.inspection.explain.motion_trail import REMEMBERED
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.base import read_some_rows
-from ..explain.motion_trail import REMEMBERED
 from .source import CACHE_BYTES, FrameSource
 
 _LEAST_RING = 3  # the pipeline uses two frames in place

@@ -12,8 +12,8 @@ from gffe_cl.captures.offline.source import Source
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.inspection.explain.motion_trail import REMEMBERED
 from gffe_cl.engine.options import Options
-from ..explain.motion_trail import REMEMBERED
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps
 

@@ -14,9 +14,9 @@ from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
-from .. import names
-from ..buffers import Moment
-from ..layers import FRAME_LAYERS, LayerSpec
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from ..messages import Frame, Key
 from .preview import place_of
 from .source import FrameSource

@@ -1,0 +1,1 @@
+"""Attached programs: their own side, and the messages between them and a viewer."""

@@ -1,0 +1,235 @@
+"""Why stages refused a pixel that is left to hole filling, and which pixels that took, from the slot's buffers."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import Shot, device_layers, read_blocks
+from gffe_cl.engine.inspection.explain.fragment_history import around, least
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step
+from gffe_cl.engine.opencl.program import constants
+from gffe_cl.engine.options import MAX_LEVELS
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.background import REMEMBERED
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING
+from gffe_cl.engine.stages.history import DYNAMIC
+
+_MOVERS, _HOLES = constants("hidden_parts.cl"), constants("holes.cl")
+_DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
+_BESIDE = 2  # texels around a place in which the background is looked at
+
+
+class _Block:
+    """Layers of one grid around a pixel of it, `reach` px each way."""
+
+    def __init__(self, pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], reach: int, wanted: tuple[str, ...]):
+        layers = device_layers(pipeline, shot)
+        self.x, self.y, self.width, self.height = around(pixel, reach, layers[wanted[0]].size)
+        block = self.x, self.y, self.width, self.height
+        read = read_blocks(pipeline, {name: (layers[name], *block) for name in wanted})
+        self._values = {name: values[0] for name, values in read.items()}
+        self.pixel, self.reach = pixel, reach
+
+    def at(self, name: str, x: int, y: int) -> np.ndarray:
+        """Return the values (channels,) of a pixel within the block."""
+        return self._values[name][y - self.y, x - self.x]
+
+    def first(self, direction: tuple[int, int], wanted) -> tuple[int, int] | None:
+        """Return the first pixel in a direction, within reach, for which `wanted(x, y)` is true."""
+        (x, y), step = self.pixel, math.hypot(*direction)
+        for t in range(1, int(self.reach / step) + 1):
+            at = x + t * direction[0], y + t * direction[1]
+            if not (self.x <= at[0] < self.x + self.width and self.y <= at[1] < self.y + self.height):
+                return None
+            if wanted(*at):
+                return at
+        return None
+
+
+def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step | None:
+    """Return why hidden parts of movers left the pixel; None where that stage does not run."""
+    if "hidden_parts" not in pipeline.stages:
+        return None
+    reach = max(_MOVERS["MOVER_REACH"], pipeline.sizes.target[0] // _MOVERS["MOVER_REACH_SHARE"])
+    wanted = (names.DYNAMIC, names.DEPTH, names.MOTION, names.DISOCCLUDED)
+    block = _Block(pipeline, shot, pixel, reach, wanted)
+    met = (block.first(direction, lambda x, y: bool(block.at(names.DYNAMIC, x, y)[0])) for direction in _DIRECTIONS)
+    found = [at for at in met if at is not None]
+    if not found:
+        return Step(
+            f"Hidden parts of movers left it: nothing moves within {reach} px, in eight directions.",
+            Link("dynamic", names.DYNAMIC),
+        )
+    x, y = min(found, key=lambda at: math.dist(at, pixel))
+    why = _why_not_of(pipeline, shot, block, x, y)
+    return Step(
+        f"Hidden parts of movers left it: if it moved as ({x}, {y}) does, the nearest mover, {why}",
+        Link("that mover", names.DYNAMIC, pixel=(x, y)),
+    )
+
+
+def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -> str:
+    """Return why the pixel of `block` is no part of the mover at (x, y)."""
+    moment, layers = shot.moment, device_layers(pipeline, shot)
+    camera, rendered = moment.camera, moment.render_camera
+    z, motion = float(block.at(names.DEPTH, x, y)[0]), block.at(names.MOTION, x, y).astype(np.float64)
+    off = (block.pixel[0] - x) * rendered.fx / camera.fx, (block.pixel[1] - y) * rendered.fy / camera.fy
+    place = float(x + 0.5 + motion[0] + off[0]), float(y + 0.5 + motion[1] + off[1])
+    was = f"it would have been at ({place[0]:.1f}, {place[1]:.1f}) of rendered frame {moment.k}"
+    at = layers[names.RENDERED_DEPTH].place((0, 0), place)
+    if at is None:
+        return f"{was}, which is outside of it."
+    shown = float(read_blocks(pipeline, {"depth": (layers[names.RENDERED_DEPTH], *at, 1, 1)})["depth"].flat[0])
+    of_mover = float(rendered.project(camera.unproject((x + 0.5, y + 0.5), z))[1])
+    if shown > 0 and not shown < _MOVERS["HIDES"] * of_mover:
+        return f"{was}. That shows depth {shown:.4g} there, which does not hide the mover at {of_mover:.4g}."
+    steps = max(abs(x - block.pixel[0]), abs(y - block.pixel[1]))
+    for t in range(1, steps):
+        between = (
+            block.pixel[0] + t * (x - block.pixel[0]) // steps, block.pixel[1] + t * (y - block.pixel[1]) // steps
+        )  # fmt: skip
+        depth = float(block.at(names.DEPTH, *between)[0])
+        if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["NEARER"] * z:
+            return f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
+    return (
+        f"{was}, behind depth {shown:.4g}. But the mover is on one side only and not close by, or the frame before"
+        " showed something farther there."
+    )
+
+
+def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px) -> Step | None:
+    """Return what the background remembers where the pixel would be, which does not land in it; None without it."""
+    if source_px is None:
+        return None
+    layers, told, empty, links = device_layers(pipeline, shot), [], [], []
+    for level in range(MAX_LEVELS):
+        named = [names.background(name, level) for name in ("state", "depth", "px")]
+        if not all(name in layers for name in named):
+            continue
+        at = layers[named[0]].place(pixel, source_px)
+        if at is None:
+            return Step(
+                f"The background left it: its place ({source_px[0]:.1f}, {source_px[1]:.1f}) is outside of the rendered"
+                " image."
+            )
+        x, y, width, height = around(at, _BESIDE, layers[named[0]].size)
+        block = read_blocks(pipeline, {name: (layers[name], x, y, width, height) for name in named})
+        state, depth, px = (values[0].reshape(width * height, -1) for values in block.values())
+        remembered = state[:, 0].astype(np.uint8) == REMEMBERED
+        best = least(np.hypot(*(px.astype(np.float64) - source_px).T), remembered)
+        if best is None:
+            empty.append(level)
+            continue
+        where = f"depth {float(depth[best][0]):.4g}, last at ({px[best][0]:.1f}, {px[best][1]:.1f})"
+        told.append(f"level {level} remembers {int(remembered.sum())}, the nearest with {where}, and none lands here")
+        links.append(Link(f"level {level}", names.background("color", level)))
+    if empty:
+        told.append(f"nothing is remembered in level {', '.join(map(str, empty))}")
+    if not told:
+        return None
+    around_it = f"around ({source_px[0]:.1f}, {source_px[1]:.1f})"
+    return Step(f"The background left it: {around_it} {'; '.join(told)}.", *links)
+
+
+class _Taken(NamedTuple):
+    """A pixel beside the hole: its depth and `inverse` depth, and 1 / distance. The hole's pixel at that depth is
+    `outside` of the rendered image, or may be a surface `behind` what that shows."""
+
+    at: tuple[int, int]
+    depth: float
+    inverse: float
+    closeness: float
+    outside: bool
+    behind: bool
+
+
+def what_was_taken(
+    pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], values: dict[str, np.ndarray]
+) -> Step | None:
+    """Return which pixels the hole filling "far-side" took the color from; None for other ways."""
+    reach = getattr(pipeline.stages.get("holes"), "reach", 0)
+    if not reach:
+        return None
+    wanted = (names.FILLED_BY, names.DEPTH, names.DYNAMIC)
+    block = _Block(pipeline, shot, pixel, reach, wanted)
+
+    def is_beside(x: int, y: int) -> bool:
+        return int(block.at(names.FILLED_BY, x, y)[0]) != BY_HOLE_FILLING
+
+    first = (block.first(direction, is_beside) for direction in _DIRECTIONS)
+    met = [_taken(pipeline, shot, block, at) for at in first if at is not None]
+    color = f"The result is ({', '.join(f'{float(c):.3g}' for c in values[names.FINAL][:3])})."
+    if not met:
+        return Step(
+            f"No pixel beside the hole is within {reach} px in eight directions, so it took the image downsampled 32"
+            f" times. {color}",
+            Link("downsampled", "holes.downsampled_color"),
+        )
+    beyond = [one for one in met if one.outside]
+    used = beyond or _behind(met)
+    listed = ", ".join(f"({one.at[0]}, {one.at[1]}) at depth {one.depth:.4g}" for one in used)
+    links = [Link(f"({one.at[0]}, {one.at[1]})", names.FINAL, pixel=one.at) for one in used]
+    if beyond:
+        said = f"It took depth from {listed}, which lie outside of the rendered image here, and color from its border."
+    else:
+        kind = "can be behind" if any(one.behind for one in met) else "are the farthest"
+        said = f"Of {len(met)} pixels beside the hole it took the mean of those that {kind}: {listed}."
+    return Step(f"{said} {color}", *links)
+
+
+def _taken(pipeline: Pipeline, shot: Shot, block: _Block, at: tuple[int, int]) -> _Taken:
+    depth, moment, layers = float(block.at(names.DEPTH, *at)[0]), shot.moment, device_layers(pipeline, shot)
+    inverse = 1.0 / depth if math.isfinite(depth) else 0.0
+    center = block.pixel[0] + 0.5, block.pixel[1] + 0.5
+    place, z = moment.render_camera.project(moment.camera.unproject(center, depth if inverse else 1e6))
+    texel = layers[names.RENDERED_DEPTH].place((0, 0), (float(place[0]), float(place[1]))) if z > 0 else None
+    behind = False
+    if texel is not None:
+        shown = read_blocks(pipeline, {"depth": (layers[names.RENDERED_DEPTH], *texel, 1, 1)})["depth"].flat[0]
+        static = not block.at(names.DYNAMIC, *at)[0] and int(block.at(names.FILLED_BY, *at)[0]) != BY_HIDDEN_PART
+        behind = bool(shown > 0 and static and not (z if inverse else math.inf) < _HOLES["IN_FRONT"] * shown)
+    return _Taken(at, depth, inverse, 1.0 / math.dist(at, block.pixel), texel is None, behind)
+
+
+def _behind(met: list[_Taken]) -> list[_Taken]:
+    """Return the pixels of the surface behind a disocclusion: of those that can be there the surface with the largest
+    sum of inverse distances; without any, the farthest one."""
+    far, candidates = _HOLES["FAR_SIDE"], [one for one in met if one.behind]
+    if not candidates:
+        limit = far * min(one.inverse for one in met)
+        return [one for one in met if not one.inverse > limit]
+
+    def alike(a: _Taken, b: _Taken) -> bool:
+        return not a.inverse > far * b.inverse and not b.inverse > far * a.inverse
+
+    chosen = max(candidates, key=lambda one: sum(other.closeness for other in candidates if alike(one, other)))
+    return [one for one in candidates if alike(one, chosen)]
+
+
+def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[float, float] | None) -> Step | None:
+    """Return where the frame before showed a part of a mover that reappears. It is at `source_px` of the rendered
+    image, behind what hides it, and moves as the mover beside that does."""
+    if source_px is None:
+        return None
+    reach = max(_MOVERS["MOVER_REACH"], pipeline.sizes.target[0] // _MOVERS["MOVER_REACH_SHARE"])
+    pixel = math.floor(source_px[0]), math.floor(source_px[1])
+    if not all(0 <= at < side for at, side in zip(pixel, pipeline.sizes.source, strict=True)):
+        return None
+    block = _Block(pipeline, shot, pixel, reach, (names.DYNAMIC_MASK, names.RENDERED_MOTION, names.MET_DEPTH))
+    sides = (block.first(d, lambda x, y: block.at(names.DYNAMIC_MASK, x, y)[0] == DYNAMIC) for d in _DIRECTIONS[::2])
+    found = [at for at in sides if at is not None]
+    if not found:
+        return None
+    mover = min(found, key=lambda at: math.dist(at, pixel))
+    motion = block.at(names.RENDERED_MOTION, *mover).astype(np.float64)
+    x, y, before = source_px[0] + motion[0], source_px[1] + motion[1], shot.moment.k - 1
+    depth = float(block.at(names.MET_DEPTH, *mover)[0])
+    said = (
+        f"It moves as the mover beside it, at {mover} of rendered frame {shot.moment.k}, does. So its color is that of"
+        f" frame {before} at ({x:.1f}, {y:.1f}), mixed of up to four pixels there at the mover's depth {depth:.4g}."
+    )
+    return Step(said, Link(f"frame {before}", names.FINAL, before, (math.floor(x), math.floor(y))))

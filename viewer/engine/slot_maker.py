@@ -1,0 +1,381 @@
+"""Computation of slots: the pipeline is brought to a slot, which is made and read back; and queries about it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.captures.offline.run import alphas_for
+from gffe_cl.captures.sequence.described import described_frame
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX, BadPixels, RenderedFrame, host_arrays
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.buffers import (
+    Moment,
+    Shot,
+    device_layers,
+    moved,
+    pixel_values,
+    read_layers,
+    source_position,
+)
+from gffe_cl.engine.inspection.description import in_words
+from gffe_cl.engine.inspection.explain.motion_trail import Passed
+from gffe_cl.engine.inspection.explain.pixel_explain import pixel_story
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
+from gffe_cl.engine.inspection.layers import layers_of
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import Board
+from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.shading import FocusMask
+from gffe_cl.engine.stages.upload import Upload
+from gffe_cl.engine.timing.parts import memory
+from .invalid import Invalid, fault_at, invalid_pixels, seen_at, seen_through
+from .messages import Frame, Interrupted, Key, Recipe
+from .reloading import Kernels
+from .sources.source import FrameSource
+
+WARM_UP = 8  # rendered frames submitted before the one that is wanted
+
+
+class Seeker:
+    """A pipeline and its position in the sequence. `check` is called before each rendered frame, and may raise to
+    stop."""
+
+    def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
+        self.device, self.source, self._check = device, source, check
+        self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
+        self.progress = 0, 0  # rendered frames of the last `go_to` that are submitted, and all of them
+        self._options: Options | None = None
+        self._versions = ("", "")  # of kernels and weights
+        self._ring: list[DeviceFrame] = []  # buffers for host frames: the pipeline uses two in place
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the pipeline; the next slot makes a new one."""
+        self.pipeline: Pipeline | None = None
+        self.shot: Shot | None = None
+        self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
+        self.bad_pixels = BadPixels()
+        self.invalid: np.ndarray | None = None  # pixels of the frame submitted last: a mask, see `invalid_pixels`
+        self.stored: RenderedFrame | None = None  # the frame submitted last, as an engine stored it, ...
+        self.converted: RenderedFrame | None = None  # ... and in our conventions
+        self._at: int | None = None  # the frame submitted last
+        self._frame: RenderedFrame | None = None
+        self._before: Camera | None = None  # render camera of the frame before
+        self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
+        self._presented = None
+        self._focus: FocusMask | None = None  # made when it is asked for
+
+    @property
+    def _running(self) -> Pipeline:
+        assert self.pipeline is not None  # `go_to` made it
+        return self.pipeline
+
+    def prepare(self, recipe: Recipe) -> None:
+        setup, versions = recipe.setup, (recipe.kernels, recipe.weights)
+        others = (setup.options, versions) != (self._options, self._versions)
+        if self.source.configure(setup.window, setup.n, setup.options.upscale) or others:
+            self.drop()
+            self.cuts = set()
+        self._options, self._versions = setup.options, versions
+
+    def steps_to(self, k: int) -> float:
+        """Return the rendered frames to submit until frame `k` is the last one; infinity if all begins anew."""
+        at = self._at
+        return k - at if at is not None and at <= k <= at + WARM_UP else math.inf
+
+    def go_to(self, k: int, alpha: float) -> list[str]:
+        """Submit the missing frames up to rendered frame `k`, with a new pipeline unless that is a little ahead.
+        Unreadable frames other than `k` are left out; returns messages about them."""
+        source, at = self.source, self._at
+        if at is not None and math.isfinite(self.steps_to(k)) and not source.outdated(k, alpha):
+            frames = range(max(at + 1, source.reset_before(k)), k + 1)
+        else:
+            frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)
+            self._restart()
+        notes = []
+        for done, m in enumerate(frames):
+            self.progress = done, len(frames)
+            self._check()
+            try:
+                self._submit(m, last=m == k)
+            except GffeError as error:
+                if m == k:
+                    raise
+                notes.append(f"rendered frame {m} is left out: {error}")
+                self._restart()
+        self.progress = len(frames), len(frames)
+        if frames:
+            self._presented = self._running.present()
+        return notes
+
+    def shoot(self, k: int, alpha: float) -> Shot:
+        """Make the slot at `alpha` after rendered frame `k`, which was submitted last, and return it."""
+        pipeline, frame, shown, self.truth = self._running, self._frame, self._presented, None
+        assert frame is not None and shown is not None  # `go_to` came first
+        buffers = {
+            names.RENDERED_COLOR: frame.color,
+            names.RENDERED_DEPTH: frame.depth,
+            names.RENDERED_MOTION: frame.motion,
+        }
+        cameras = (frame.camera, shown.camera, self._before)
+        if alpha:
+            made = pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
+            buffers[names.FINAL] = made.color
+            if "correction" in pipeline.stages:
+                buffers[names.GAE] = made.gae
+            self.shot = Shot(Moment(k, alpha, made.time, made.camera, *cameras), buffers)
+        else:
+            buffers[names.FINAL] = shown.color
+            if self.source.has_truth:
+                buffers[names.TRUTH] = shown.color
+            self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
+        return self.shot
+
+    def find_focus(self, truth: np.ndarray) -> None:
+        """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
+        if self._focus is None:
+            self._focus = FocusMask(self._running.board)
+            self._true_color = self.device.buffer(truth.nbytes)
+        cl.enqueue_copy(self.device.queue, self._true_color, truth)
+        self._focus.make(self._true_color, self.source.exposure)
+        assert self.shot is not None
+        self.shot.buffers[names.FOCUS_TRUTH] = self._focus.buffer["focus_truth"]
+
+    def _restart(self) -> None:
+        self.drop()  # before as much is allocated again
+        source = self.source
+        self.pipeline = Pipeline(
+            self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps,
+            format=source.format,
+        )  # fmt: skip
+        if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
+            self._ring = []
+            self._upload = Upload(Board(self.device, Sizes(source.render_size, source.render_size)))
+        source.restart()
+
+    def _submit(self, m: int, last: bool) -> None:
+        source, before = self.source, self._frame
+        frame, self.stored = source.rendered(m), source.stored(m)
+        host = host_arrays(frame) if isinstance(frame.color, np.ndarray) else None  # else it is on the device
+        if host and self.stored is None:
+            if len(self._ring) < 3:
+                self._ring.append(DeviceFrame.allocate(self.device, source.render_size, None, None, 0.0))
+            else:
+                self._ring.append(self._ring.pop(0))
+            color, depth, motion = self._ring[-1].buffers
+            self._upload.take(host, DeviceFrame(color, depth, motion, frame.camera, frame.shown_camera, frame.time))
+            frame = replace(frame, color=color, depth=depth, motion=motion)
+        pipeline = self._running
+        if last:
+            pipeline.take_timings()  # of the warm-up: not this slot's
+        pipeline.exposure = self.source.exposure
+        pipeline.submit(self.stored or frame)
+        if self.stored:  # the pipeline has converted it
+            self.converted, on_device = frame, pipeline.board.rendered
+            assert on_device is not None  # as it was submitted
+            color, depth, motion = on_device.buffers
+            frame = replace(frame, color=color, depth=depth, motion=motion)
+        self._at, self._frame = m, frame
+        if pipeline.is_cut:
+            self.cuts.add(m)
+        self._before = before.camera if before and not (frame.reset or pipeline.is_cut) else None
+        pixels: Any = host or frame
+        if host is not None and host.motion is None:
+            pixels = host.in_device_layout()
+        self.passed.appendleft(
+            Passed(
+                m, frame.camera, frame.shown_camera, source.render_size, pixels.depth, pixels.motion,
+                self._before is None,
+            )
+        )  # fmt: skip
+        self.bad_pixels = host.bad if self.stored and host else self._upload.take_bad_pixels() if host else BadPixels()
+        self.invalid = invalid_pixels(host) if host and last and self.bad_pixels else None
+
+
+class SlotMaker:
+    """Makes slots of `source`, one after the other. It is the only user of `source`.
+
+    Attributes
+    ----------
+    check : callable
+        Called between rendered frames; may raise to give up what is being made.
+    key : Key or None
+        The slot that was made last.
+    used_at : int
+        The number of slots made so far by all makers when this one was used last.
+    nbytes : int
+        What its pipeline has on the device, and its source.
+    """
+
+    _used = itertools.count(1)
+
+    def __init__(self, device: Device, source: FrameSource, kernels: Kernels, check: Callable[[], None]):
+        self.source, self._kernels, self.check = source, kernels, check
+        self._seeker = Seeker(device, source, lambda: self.check())
+        self.key: Key | None = None
+        self.used_at = self.nbytes = 0
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Rendered frames that are submitted for the slot under way, and all that are needed."""
+        return self._seeker.progress
+
+    def holds(self, key: Key) -> bool:
+        """Return whether the pipeline's buffers are those of this slot."""
+        return self._seeker.shot is not None and self.key == key
+
+    def steps_to(self, key: Key) -> float:
+        """Return the rendered frames to submit until a slot can be made; infinity if the pipeline starts anew."""
+        if self.key is None or not self.key.recipe.continues(key.recipe):
+            return math.inf
+        return self._seeker.steps_to(key.slot // (key.recipe.setup.n + 1))
+
+    def make(self, key: Key, layers: frozenset[str], to_inspect: bool = False) -> Frame:
+        """Return the computed slot. `to_inspect`: the pipeline's buffers are to hold all layers, whichever are asked
+        for. Raises GffeError; the pipeline is forgotten then."""
+        start = time.perf_counter()
+        alphas = (0.0, *alphas_for(key.recipe.setup.n))
+        k, j = divmod(key.slot, len(alphas))
+        if not 0 <= k < self.source.count:
+            raise GffeError(f"slot {key.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
+        self.key, self.used_at = key, next(self._used)
+        try:
+            with self._kernels.used(key.recipe.kernels):
+                return self._made(key, layers, k, alphas[j], start, to_inspect)
+        except Interrupted:
+            raise  # goes on from there next time
+        except Exception:
+            self._seeker.drop()
+            raise
+
+    def _made(self, key: Key, layers: frozenset[str], k: int, alpha: float, start: float, to_inspect: bool) -> Frame:
+        seeker, source = self._seeker, self.source
+        seeker.prepare(key.recipe)
+        notes = seeker.go_to(k, alpha)
+        pipeline = seeker.pipeline
+        assert pipeline is not None  # `go_to` made it
+        pipeline.keep(None if to_inspect else layers)
+        shot = seeker.shoot(k, alpha)
+        specs = layers_of(pipeline)
+        if not source.has_truth:
+            del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
+        stored, size, buffers = seeker.stored, source.render_size, ()
+        if stored is None:
+            del specs[names.UNDONE]
+        else:
+            buffers = in_words(source.format, size, stored.depth.shape[::-1], stored.geometry_jitter)
+        kernels = pipeline.take_kernel_timings()
+        wanted, truth = layers & specs.keys(), None
+        if alpha and source.has_truth and wanted & {names.TRUTH, names.FOCUS_TRUTH}:
+            seeker.truth = truth = self._truth(k, alpha, notes)
+        if truth is not None and names.FOCUS_TRUTH in wanted:
+            seeker.find_focus(_rgba(truth))
+        self.nbytes = sum(memory(pipeline).values()) + source.nbytes
+        reading = time.perf_counter()
+        images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
+        readback_ms = (time.perf_counter() - reading) * 1e3
+        if stored is not None and names.UNDONE in wanted:
+            assert seeker.converted is not None  # as it was stored
+            images[names.UNDONE] = _changed_motion(stored, seeker.converted, source.format)
+        if truth is not None and names.TRUTH in wanted:
+            images[names.TRUTH] = _rgba(truth)
+        return Frame(
+            key,
+            layers,
+            shot.moment,
+            images=images,
+            specs=specs,
+            kernels=kernels,
+            wall_ms=(time.perf_counter() - start) * 1e3,
+            readback_ms=readback_ms,
+            warnings=(*source.warnings(), *notes),
+            bad_pixels=seeker.bad_pixels,
+            invalid=self._invalid(shot),
+            cuts=frozenset(seeker.cuts),
+            render_size=size,
+            buffers=buffers,
+        )
+
+    def _invalid(self, shot: Shot) -> Invalid | None:
+        """Return where invalid pixels of the input are seen, None if there are none."""
+        mask, pipeline, moment = self._seeker.invalid, self._seeker.pipeline, shot.moment
+        if mask is None or pipeline is None:
+            return None
+        if moment.alpha:
+            motion = read_layers(pipeline, device_layers(pipeline, shot), [names.MOTION])[names.MOTION]
+            return Invalid(mask, seen_through(mask, motion))
+        place = lambda x, y: moved((x, y), moment.display_camera, moment.render_camera)  # noqa: E731
+        return Invalid(mask, seen_at(mask, (self.source.width, self.source.height), place))
+
+    def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:
+        """Return the ground truth, None if there is none. A fault of it becomes a warning in `notes`, because the slot
+        itself can be shown."""
+        try:
+            return self.source.truth(k, alpha)
+        except GffeError as error:
+            notes.append(str(error))
+            return None
+
+    def inspect(self, x: int, y: int) -> Inspection | None:
+        """Return the values of the last slot at display pixel (x, y); None outside, and without a slot."""
+        seeker = self._seeker
+        if not (seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
+            return None
+        pipeline, shot = seeker.pipeline, seeker.shot
+        assert pipeline is not None and self.key is not None  # as there is a shot
+        values = pixel_values(pipeline, shot, x, y)
+        fault = fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
+        story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
+        if seeker.truth is not None:
+            values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
+        return Inspection((x, y), self.key.slot, story.source, values.here, story, fault, values.origin)
+
+
+def weights_of(options: Options) -> str:
+    """Return the identity of the weights of shading correction; empty where it is off."""
+    path = options.weights
+    if path is None:
+        return ""
+    try:
+        state = path.stat()
+    except OSError:
+        return str(path)
+    return f"{path} {state.st_mtime_ns} {state.st_size}"
+
+
+def _rgba(color: np.ndarray) -> np.ndarray:
+    """Return colors (H, W, 3) as (H, W, 4) float16 with 0 in the last channel; other types are clipped to float16's
+    range."""
+    out = np.zeros((*color.shape[:2], 4), np.float16)
+    out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
+    return out
+
+
+def _changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFormat | None) -> np.ndarray:
+    """Return motion in use minus motion as stored, (H, W, 2) float32, pixels of color; 0 without motion."""
+    if stored.motion is None or used.motion is None:
+        return np.zeros((*used.color.shape[:2], 2), np.float32)
+    plain = replace(
+        format or FrameFormat(),
+        motion_dilated=False,
+        motion_jittered=False,
+        motion_invalid=None,
+        camera_motion="included",
+    )
+    given = described_frame(stored, plain, None, (0.0, 0.0)).motion
+    assert given is not None  # as it is stored
+    return np.asarray(used.motion, np.float32) - given

@@ -1,1 +1,0 @@
-"""The window: docked panels, actions, keys, theme, and windows over the panels."""

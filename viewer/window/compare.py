@@ -1,0 +1,139 @@
+"""Compare: two layers by wipe, flip, difference or error; quality against ground truth over the sequence."""
+
+from __future__ import annotations
+
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from gffe_cl.lab.metrics import METRICS
+from ..picture import flip_map
+from ..picture.differences import DIFFERENCES
+from ..picture.legends import legend
+from ..picture.view import ERRORS
+from ..state.comparing import FLIP_HIGH
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
+
+_TEXTS = {
+    "off": "off",
+    "split": "split wipe",
+    "flip": "flip (hold B)",
+    "difference": "difference",
+    "error": "error map",
+    "flip error": "FLIP error",
+}
+
+_SETTINGS = "settings "  # before a name, to distinguish it from a layer's
+
+
+def draw(app: Interface) -> None:
+    model = app.model
+    view = model.view
+    widgets.heading("Compare")
+    with widgets.in_rows(indent=0.0) as row:
+        for name, text in _TEXTS.items():
+            reason = model.comparison.why_not(name)
+            row(imgui.get_frame_height() + imgui.get_style().item_inner_spacing.x + imgui.calc_text_size(text).x)
+            imgui.begin_disabled(reason is not None)
+            if imgui.radio_button(f"{text}###compare {name}", view.compare == name):
+                model.comparison.set(name)
+            imgui.end_disabled()
+            widgets.tooltip(reason or "")
+    layers = {spec.name: f"{spec.group}: {spec.label}" for spec in model.contents.showable()}
+    widgets.choice("A", view.a, layers, model.show_layer)
+    _second(model, layers)
+    if view.compare == "split":
+        widgets.slider("split", view.split, 0.0, 1.0, 0.5, lambda v: setattr(view, "split", v))
+    if view.compare == "difference":
+        widgets.choice("difference", view.difference, list(DIFFERENCES), lambda name: setattr(view, "difference", name))
+        widgets.slider("gain", view.gain, 1.0, 32.0, 4.0, lambda v: setattr(view, "gain", v), "%.1f×")
+    if view.compare in ("error", "flip error"):
+        _error_map(model)
+    _settings(app)
+    _quality(model)
+
+
+def _second(model: Model, layers: dict[str, str]) -> None:
+    """Draw the choice of B: another layer, or A's layer as kept settings make it."""
+    comparison, b = model.comparison, model.kept.b
+    settings = {f"{_SETTINGS}{kept.name}": f"settings: {kept.name}" for kept in model.kept.all}
+    chosen = f"{_SETTINGS}{b.name}" if b is not None and comparison.by_settings else model.view.b or ""
+
+    def choose(name: str) -> None:
+        if name in settings:
+            comparison.with_settings(name.removeprefix(_SETTINGS))
+        else:
+            comparison.with_layer(name)
+
+    widgets.choice("B", chosen, settings | layers, choose)
+
+
+def _settings(app: Interface) -> None:
+    """Draw the kept settings, and the actions on them."""
+    model, kept = app.model, app.model.kept.b
+    widgets.heading("Settings A and B")
+    for name, icon in (("keep", icons.ICON_FA_BOOKMARK), ("swap", icons.ICON_FA_RIGHT_LEFT),
+                       ("copy_command", icons.ICON_FA_COPY), ("copy_command_b", icons.ICON_FA_CLONE)):  # fmt: skip
+        widgets.action_button(app.actions, name, icon)
+        imgui.same_line()
+    if kept is None:
+        widgets.hint("K keeps the present settings as B")
+        return
+    imgui.begin_disabled(not model.comparison.by_settings)
+    if imgui.button(f"{icons.ICON_FA_TRASH}###forget_settings"):
+        model.kept.forget(kept)
+    imgui.end_disabled()
+    widgets.tooltip(f"Forget the settings {kept.name}")
+    widgets.leave_room_for("name of B")
+    enter = imgui.InputTextFlags_.enter_returns_true.value
+    entered, text = imgui.input_text("###name_of_b", kept.name, enter)
+    if entered:
+        model.kept.rename(kept, text)
+    widgets.beside("name of B")
+    if model.showing.fault_of_b or kept.suspicion:
+        imgui.text_wrapped(model.showing.fault_of_b or kept.suspicion)
+
+
+def _beside(b: dict[str, float], a: dict[str, float]) -> str:
+    """Return B's scores in words, each with its difference from A's."""
+    return "   ".join(
+        f"{metric.sentence(b[name])} ({metric.text(b[name] - a[name], signed=True)})"
+        for name, metric in METRICS.items()
+        if name in b and name in a
+    )
+
+
+def _error_map(model: Model) -> None:
+    view = model.view
+    if view.compare == "error":
+        widgets.choice("error", view.error, list(ERRORS), lambda name: setattr(view, "error", name))
+    comparison, usual = model.comparison, 0.1 if view.compare == "error" else FLIP_HIGH
+    widgets.slider(
+        "brightest", comparison.brightest, 0.01, 1.0, usual, lambda v: setattr(comparison, "brightest", v), "%.2f"
+    )
+    widgets.show_legend(legend(flip_map.SPEC, model.comparison.error_display))
+
+
+def _quality(model: Model) -> None:
+    widgets.heading("Against ground truth")
+    reason = model.contents.why_not("truth")
+    if reason:
+        widgets.hint(reason)
+        return
+    widgets.toggle(
+        "measure",
+        model.measuring,
+        model.set_measuring,
+        f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
+    )
+    score = model.metrics.get(model.slot)
+    second = model.metrics_of_second().get(model.slot) if model.contents.second is not None else None
+    if score is not None:
+        known = [metric for metric in METRICS.values() if metric.name in score.values]
+        a = "   ".join(metric.sentence(score.values[metric.name]) for metric in known)
+        imgui.text_wrapped(f"A  {a}" if second else a)
+        if second is not None:
+            imgui.text_wrapped(f"B  {_beside(second.values, score.values)}")
+    elif model.measuring and model.slot % (model.n + 1) == 0:
+        imgui.text_disabled("rendered frame")

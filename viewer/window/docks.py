@@ -1,0 +1,228 @@
+"""Docked panels: where they are, which are open, how large they are, and which is in front."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+
+from imgui_bundle import ImVec2, hello_imgui, imgui
+
+from . import widgets
+from .interface import Interface
+from .table import Panel
+
+_ABOVE = "Above"  # the timeline
+_STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
+_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters ...
+_ROW_HEIGHT = 27.0  # ... and of one more row of controls ...
+_ONE_ROW = 640.0  # ... where it is narrower than this
+_PLOT_HEIGHT = 170.0
+_HIGHEST = 0.4  # of the height: timeline and plot
+_LEAST_PICTURE = 0.4  # of the height, above both
+_SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
+_WIDEST = (0.24, 0.32)  # ... but not more of the width
+_LOWER_RIGHT = 0.52  # of the height on the right
+_TAB = 6.5  # em: width of a tab with a button to close it
+_FLAGS = imgui.internal.DockNodeFlagsPrivate_
+_PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
+
+
+class Docks:
+    """The panels of an application.
+
+    Parameters
+    ----------
+    panels : dict
+        Each `Panel` by its name, in order.
+    scale : callable
+        Size of the interface.
+    """
+
+    def __init__(self, app: Interface, panels: dict[str, Panel], scale: Callable[[], float]):
+        self._app, self._panels, self._scale = app, panels, scale
+        self._runner: hello_imgui.RunnerParams | None = None  # it stores a copy of the assigned value
+        self.hidden = False  # the panels on both sides
+        self._before_hiding: list[str] = []
+        self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
+        self._plot_due = self._plot_beside = False  # a plot beside the timeline: the window is too low for both
+        self._to_front: str | None = None  # the panel that is brought there
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self._panels)
+
+    def arrange(self, runner: hello_imgui.RunnerParams, size: tuple[int, int], open_panels: dict[str, bool]) -> None:
+        """Arrange the panels in a window of `size` pixels, before it is opened. `open_panels` has the differences
+        from the default."""
+        docking = hello_imgui.DockingParams()
+        docking.main_dock_space_node_flags |= _PLAIN_TABS
+        left, right = _sides(size[0], self._scale())
+        bottom = min((_TIMELINE_HEIGHT * self._scale() + _second_row(size[0], self._scale())) / size[1], _HIGHEST)
+        above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
+        docking.docking_splits = [
+            hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
+            hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
+            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
+            hello_imgui.DockingSplit("MainDockSpace", _ABOVE, imgui.Dir.down, above),
+            hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
+        ]
+        self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
+        docking.dockable_windows = [self._window(name, open_panels) for name in self._panels]
+        runner.docking_params, self._runner = docking, runner
+
+    def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
+        panel = self._panels[name]
+        beside = panel.space == _ABOVE and self._plot_beside
+        space = self._panels["Timeline"].space if beside else panel.space
+        window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
+        window.is_visible = open_panels.get(name, panel.is_open)
+        window.remember_is_visible = False  # the settings do
+        window.call_begin_end, docked, narrow = False, True, True
+
+        def draw_it():
+            nonlocal docked, narrow
+            if not docked:
+                widgets.floating()
+            unfolded, stays = imgui.begin(name, True if window.can_be_closed and not narrow else None)
+            docked = imgui.is_window_docked()
+            narrow = docked and _is_crowded(name)
+            if unfolded:
+                try:
+                    panel.draw(self._app)
+                except Exception:
+                    traceback.print_exc()  # ImGui, in the middle of something, will end the program
+                    raise
+            imgui.end()
+            window.is_visible = stays is not False
+
+        window.gui_function = draw_it
+        return window
+
+    # ---- which are open ----------------------------------------------------------------------------------
+
+    @property
+    def _running(self) -> hello_imgui.RunnerParams:
+        assert self._runner is not None  # the window is open
+        return self._runner
+
+    def panel(self, name: str) -> hello_imgui.DockableWindow:
+        return next(window for window in self._running.docking_params.dockable_windows if window.label == name)
+
+    def toggle(self, name: str) -> None:
+        window = self.panel(name)
+        window.is_visible = not window.is_visible
+        self.hidden = False
+
+    def show(self, name: str) -> None:
+        """Have a panel there, in front of those that are docked with it."""
+        self.panel(name).is_visible = True
+        self._plot_due |= name == "Plot"
+        self._to_front = name
+
+    def hide(self) -> None:
+        """Show only the picture and the timeline, or restore the other panels."""
+        sides = [name for name in self._panels if name not in _STAY]
+        self.hidden = not self.hidden
+        if self.hidden:
+            self._before_hiding = [name for name in sides if self.panel(name).is_visible]
+        for name in self._before_hiding or sides:
+            self.panel(name).is_visible = not self.hidden
+
+    def reset(self) -> None:
+        """Restore the default arrangement."""
+        for name, panel in self._panels.items():
+            self.panel(name).is_visible = panel.is_open
+        self.hidden = False
+        self._running.docking_params.layout_reset = True
+
+    @property
+    def remembered(self) -> dict[str, bool]:
+        """Panels by name, and whether they are open, for the next start."""
+        shown = {name: self.panel(name).is_visible for name in self._panels}
+        return shown | (dict.fromkeys(self._before_hiding, True) if self.hidden else {})
+
+    # ---- sizes, and stacking order -------------------------------------------------------------------------
+
+    def update(self) -> None:
+        """Carry out requests for panels that had to wait until those were there. Call once per frame of the
+        interface."""
+        self._make_room_for_plot()
+        self._bring_to_front()
+
+    def stretch(self, before: float, after: float) -> None:
+        """Give the panels around the picture more or less room, for larger or smaller letters."""
+        width, height = imgui.get_io().display_size
+        around = {node.id_ for node in _nodes("Picture")}
+        sizes = ("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", _HIGHEST * height)
+        for name, most in sizes:
+            beside = [node for node in _nodes(name) if node.id_ not in around]
+            if not beside:
+                continue
+            node, down = beside[-1], name == "Timeline"
+            now = node.size.y if down else node.size.x
+            made, usual = self._stretched.get(name, (0.0, 0.0))
+            rows = [_second_row(width, scale * content_scale()) if down else 0.0 for scale in (before, after)]
+            if abs(now - made) > 2:  # the user chose another size
+                usual = (now - rows[0]) / before
+            made = min(usual * after + rows[1], most)
+            self._stretched[name] = made, usual
+            size = ImVec2(node.size.x, made) if down else ImVec2(made, node.size.y)
+            imgui.internal.dock_builder_set_node_size(node.id_, size)
+
+    def _bring_to_front(self) -> None:
+        """Show the tab of the requested panel before the others, once it is there. The keyboard stays where it is
+        unless it is at one of them."""
+        front = self._to_front
+        nodes = _nodes(front) if front else []
+        if front is None or not nodes or nodes[0].tab_bar is None:
+            return
+        at = imgui.get_current_context().nav_window
+        if at is not None and at.root_window.dock_node is not None and at.root_window.dock_node.id_ == nodes[0].id_:
+            imgui.set_window_focus(front)
+        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(front).tab_id
+        self._to_front = None
+
+    def _make_room_for_plot(self) -> None:
+        """Make the plot as high as it has to be at this size of letters, once it is there."""
+        nodes = _nodes("Plot")
+        if self._plot_due and nodes:
+            wanted = _PLOT_HEIGHT * self._scale() * content_scale()
+            height = min(wanted, _HIGHEST * imgui.get_io().display_size.y)
+            if len(nodes) > 1:
+                height = min(height, nodes[1].size.y / 2)  # the other half is the picture's
+            if nodes[0].size.y < height and not self._plot_beside:
+                imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
+            self._plot_due = False
+
+
+def content_scale() -> float:
+    """Return the window's pixels per pixel at 96 dpi, in which sizes of windows are given."""
+    return hello_imgui.get_dpi_aware_params().dpi_window_size_factor
+
+
+def _sides(width: float, scale: float) -> list[float]:
+    """Return shares of a window's width, left and right of the picture."""
+    return [min(side * scale / width, most) for side, most in zip(_SIDES, _WIDEST, strict=True)]
+
+
+def _second_row(width: float, scale: float) -> float:
+    """Return the height of the timeline's controls that do not fit into the first row of a window of this width,
+    pixels."""
+    return _ROW_HEIGHT * scale if (1 - sum(_sides(width, scale))) * width < _ONE_ROW * scale else 0.0
+
+
+def _is_crowded(name: str) -> bool:
+    """Return whether a panel's neighbors leave its tab no room for a button to close it: the menu Panels does it."""
+    nodes = _nodes(name)
+    tabs = nodes[0].tab_bar.tabs if nodes and nodes[0].tab_bar is not None else ()
+    return len(tabs) > 1 and nodes[0].size.x < len(tabs) * hello_imgui.em_size(_TAB)
+
+
+def _nodes(name: str) -> list:
+    """Return the nodes that a window is docked in, from its own node to the root; empty if it floats or is not
+    there."""
+    window = imgui.internal.find_window_by_name(name)
+    nodes = [window.dock_node if window is not None else None]
+    while nodes[-1] is not None:
+        nodes.append(nodes[-1].parent_node)
+    return nodes[:-1]

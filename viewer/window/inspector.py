@@ -1,0 +1,221 @@
+"""Inspector: the values of all layers under the cursor, and the story of a pixel that was clicked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
+from gffe_cl.engine.inspection.layers import LayerSpec
+from ..picture.invalid import bad_values
+from ..picture.legends import value_text
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
+
+HERE, FROM = "here", "from"  # the pixel under the pointer, and where its content comes from
+_LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest of the line
+
+
+class Row(NamedTuple):
+    """A layer's value: `group` is its stage, `description` the layer's; `where`: HERE, FROM, or nothing where both are
+    one; `is_bad`: NaN or infinite."""
+
+    group: str
+    label: str
+    description: str
+    where: str
+    value: str
+    is_color: bool
+    is_bad: bool
+
+
+def draw(app: Interface) -> None:
+    model = app.model
+    if model.walk.can_go_back:
+        widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
+    if model.pointing.story is not None:
+        imgui.begin_disabled(model.story_is_due or not model.current)
+        _story(model, model.pointing.story)
+        imgui.end_disabled()
+    if model.selection.rectangle is not None:
+        _rectangle(model, *model.selection.rectangle)
+    _buffers(model)
+    pinned = model.pointing.picked is not None
+    widgets.heading("Values of the picked pixel" if pinned else "Values")
+    inspection = model.pointing.pinned if pinned else model.pointing.inspection
+    if inspection is None:
+        widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
+        return
+    stale = not model.current or (model.story_is_due if pinned else not model.shows_values)
+    if stale:
+        imgui.text_disabled("computing … these values are of another frame or setting")
+    imgui.begin_disabled(stale)
+    _inspection(app, inspection)
+    imgui.end_disabled()
+
+
+def _inspection(app: Interface, inspection: Inspection) -> None:
+    """Draw the values of a pixel, under the positions that they are of."""
+    x, y = inspection.pixel
+    imgui.text_wrapped(f"{HERE}: pixel ({x}, {y})")
+    if inspection.origin and inspection.source is not None:
+        right, down = inspection.source
+        imgui.text_wrapped(f"{FROM}: ({right:.2f}, {down:.2f}) of the rendered frame, where the warp's motion leads")
+    if inspection.fault:
+        told = f"invalid in the input, {FROM} where it comes" if inspection.origin else "invalid in the input"
+        widgets.colored(widgets.red(), f"{told}: {inspection.fault}")
+    _values(app, inspection)
+
+
+def _buffers(model: Model) -> None:
+    """Draw the description of the engine's buffers, if they differ from our conventions."""
+    result = model.contents.result
+    if result is not None and result.buffers:
+        widgets.heading("Buffers as given")
+        for line in result.buffers:
+            imgui.text_wrapped(line)
+        widgets.tooltip("Where the buffers of this frame differ from our conventions (docs/engines.md)")
+
+
+def _values(app: Interface, inspection) -> None:
+    """Draw a table for each stage, under its name: layers, and their values."""
+    rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
+    names = _widest(f"{row.label} {row.where}".strip() for row in rows)
+    with widgets.compact():
+        for group, of_group in groupby(rows, key=lambda row: row.group):
+            imgui.text_disabled(group)
+            listed = list(of_group)
+            colors = _widest(row.value for row in listed if row.is_color)
+            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room))
+
+
+def _widest(texts: Iterable[str]) -> float:
+    return max((imgui.calc_text_size(text).x for text in texts), default=0.0)
+
+
+def _table(group: str, rows: list[Row], names: float) -> None:
+    """Draw the rows of a stage; `names`: width of the layers' names."""
+    if not imgui.begin_table(f"###values {group}", 2, imgui.TableFlags_.row_bg.value):
+        return
+    imgui.table_setup_column("layer", imgui.TableColumnFlags_.width_fixed.value, names)
+    imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch.value)
+    for row in rows:
+        imgui.table_next_row()
+        imgui.table_next_column()
+        where = f" {row.where}" if row.where else ""
+        imgui.text(widgets.cut(row.label, names - imgui.calc_text_size(where).x) + where)
+        widgets.tooltip(f"{row.label}: {row.description}")
+        imgui.table_next_column()
+        text_color = widgets.red() if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
+        widgets.colored(text_color, row.value)
+    imgui.end_table()
+
+
+def _rows(app: Interface, inspection) -> list[Row]:
+    """Return the rows of an inspection, which are made once for it."""
+    known, rows = app.inspected
+    if known is not inspection:
+        rows = rows_of(app.model.contents.layers, inspection)
+        app.inspected = inspection, rows
+    return rows
+
+
+def rows_of(layers: Iterable[LayerSpec], inspection: Inspection) -> list[Row]:
+    """Return the rows of an inspection in the order of `layers`: for each the value at the pixel; then, of layers on
+    the rendered image, the one where the pixel's content comes from."""
+    rows = []
+    for spec in layers:
+        named = ((HERE, inspection.values), (FROM, inspection.origin))
+        for where, values in ((where, values[spec.name]) for where, values in named if spec.name in values):
+            told = where if spec.name in inspection.origin else ""
+            text, bad = value_text(spec, values), _is_bad(spec, values)
+            rows.append(Row(spec.group, spec.label, spec.description, told, text, spec.view == "color", bad))
+    return rows
+
+
+def _is_bad(spec: LayerSpec, values: np.ndarray) -> bool:
+    """Return whether the values (planes?, channels) of a pixel hold NaN or infinity."""
+    return bool(bad_values(spec, np.reshape(values, (-1, 1, np.shape(values)[-1]))).any())
+
+
+def _story(model: Model, story: Story) -> None:
+    widgets.heading(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
+    for number, sentence in enumerate(story.sentences):
+        imgui.bullet()
+        imgui.same_line()
+        imgui.text_wrapped(sentence)
+        _links(model, number, getattr(sentence, "links", ()))
+    if len(story.way) > 1:
+        imgui.bullet()
+        imgui.same_line()
+        imgui.text_wrapped(f"Its way through the last {len(story.way)} rendered frames:")
+        with widgets.in_rows() as row:
+            for point in story.way[1:]:
+                row(imgui.calc_text_size(f"{point.k}").x)
+                if imgui.text_link(f"{point.k}###way {point.k}"):
+                    model.walk.follow_way(point)
+                widgets.tooltip(f"rendered frame {point.k}, pixel ({point.px[0]:.1f}, {point.px[1]:.1f})")
+    if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_story"):
+        model.pointing.pick(None)
+
+
+def _links(model: Model, number: int, links) -> None:
+    """Draw the links of a step, under it."""
+    with widgets.in_rows() as row:
+        for link in links:
+            reason, name = model.walk.why_not(link), f"{link.label}###{number} {link.label}"
+            row(imgui.calc_text_size(link.label).x)
+            if reason:
+                imgui.text_disabled(link.label)
+            elif imgui.text_link(name):
+                model.walk.follow(link)
+            widgets.tooltip(reason or _where(link))
+
+
+def _where(link) -> str:
+    parts = [] if link.frame is None else [f"rendered frame {link.frame}"]
+    parts += [] if link.pixel is None else [f"pixel ({link.pixel[0]}, {link.pixel[1]})"]
+    parts += [f"layer {link.layer}"] if link.layer and link.frame is None else []
+    return "Go to " + ", ".join(parts)
+
+
+def _rectangle(model: Model, left: int, top: int, right: int, bottom: int) -> None:
+    """Draw the statistics of the pixels in the rectangle."""
+    selection = model.selection
+    widgets.heading(f"Rectangle ({left}, {top}) – ({right - 1}, {bottom - 1})")
+    found = selection.statistics
+    if found is None:
+        imgui.text_disabled("…")
+        return
+    imgui.text_wrapped(f"{right - left}×{bottom - top}, {found.count} pixels")
+    for name, share in found.filled.items():
+        imgui.bullet_text(f"{share:.1%} {name}")
+    if found.psnr is not None and found.worst is not None:
+        imgui.text_wrapped(
+            f"PSNR {found.psnr:.2f} dB   error {found.mean_error:.4f} on average, at most {found.largest_error:.4f} at"
+        )
+        if imgui.text_link(f"({found.worst[0]}, {found.worst[1]})###worst_pixel"):
+            model.walk.go_to_pixel(found.worst)
+        widgets.tooltip("Tell the story of this pixel")
+    if found.motion is not None:
+        _motion(found)
+    if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_rectangle"):
+        selection.forget()
+
+
+def _motion(found) -> None:
+    """Draw the median motion, and a histogram of the lengths of motion."""
+    imgui.text_wrapped(f"median motion ({found.motion[0]:+.2f}, {found.motion[1]:+.2f}) px")
+    flags = implot.Flags_.no_mouse_text | implot.Flags_.no_legend | implot.Flags_.no_inputs
+    if implot.begin_plot("###motion", ImVec2(-1, hello_imgui.em_size(8)), int(flags)):
+        fit = implot.AxisFlags_.auto_fit.value
+        implot.setup_axes("length of motion, px", "pixels", fit, fit)
+        middles = (found.edges[:-1] + found.edges[1:]) / 2
+        implot.plot_bars("motion", middles.astype(np.float64), found.lengths, 0.9 * float(np.diff(found.edges)[0]))
+        implot.end_plot()

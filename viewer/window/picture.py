@@ -1,0 +1,374 @@
+"""Picture panel: zoom at the cursor, pan, wipe, choice of a pixel; overlays on the picture."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui
+
+from gffe_cl.engine.inspection import names
+from ..engine.sources.preview import Preview
+from ..picture.canvas import Rectangle
+from ..picture.shown_numbers import Numbers, numbers_of, texels
+from ..picture.view import View
+from ..state.captions import layer_text
+from ..state.model import Model
+from ..state.presets import told
+from . import overview, widgets
+from .interface import Interface, Spot
+
+_ZOOM_STEP = 1.2
+_DRAG = 4.0  # screen pixels: less is a click
+_LINE = 2.0  # screen pixels at the usual size of letters: the wipe's line ...
+_GRIP = 10.0  # ... and on both sides of it, where it is taken hold of
+_VALUES = 3  # that are written into a pixel where it is large enough: so many ...
+_LEAST_LETTERS = 8.0  # ... in letters of at least this size, screen pixels at the usual size of letters ...
+_LETTERS_WIDE, _LETTER = 4, 0.55  # ... of which as many have room, each so wide, em
+_ARROW_SPACING = 24.0  # screen pixels
+_ACCENT = (0.35, 0.85, 1.0, 1.0)
+_WARM = (1.0, 0.7, 0.25, 1.0)
+_WAY = (0.55, 1.0, 0.5, 1.0)
+_NEAR = 7.0  # screen pixels
+_GRAY = (0.3, 0.3, 0.32, 0.6)  # over a picture that is not the requested one ...
+_STILL_FRESH = 0.15  # ... for so many seconds: less would flicker
+
+
+def draw(app: Interface) -> None:
+    model = app.model
+    app.spot = None
+    size = imgui.get_content_region_avail()
+    width, height = max(int(size.x), 16), max(int(size.y), 16)
+    origin = imgui.get_cursor_screen_pos()
+    app.foot = origin.x + width / 2, origin.y + height
+    if model.contents.result is None and model.preview is not None:
+        _preview(app, model.preview, origin, (width, height))
+        return
+    if model.source is None:
+        _welcome(app, size)
+        return
+    if model.framing.due or (model.framing.is_fitted and app.canvas_size != (width, height)):
+        model.framing.fit((width, height), model.contents.size)
+    app.canvas_size = width, height
+    if model.overview:
+        overview.draw(app, (width, height))
+        return
+    view = model.comparison.shown()
+    view.line = _LINE * widgets.mark_unit()
+    texture = app.canvas.draw(view, (width, height))
+    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
+    imgui.set_cursor_screen_pos(origin)
+    imgui.invisible_button("###picture", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left.value
+                           | imgui.ButtonFlags_.mouse_button_middle.value)  # fmt: skip
+    place = Placement(model, origin, (width, height))
+    _mouse(app, place)
+    hovered = imgui.is_item_hovered()
+    marks = imgui.get_window_draw_list()
+    marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
+    stale = app.stale_for(_STILL_FRESH)
+    if stale:
+        marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
+    if model.arrows:
+        _arrows(model, place, marks)
+    marked = _numbers(model, view, place, marks)
+    _way(model, place, marks)
+    _trajectory(model, place, marks)
+    _rectangle(model, place, marks)
+    marks.pop_clip_rect()
+    covers = _caption(model, origin, width, height, marks)
+    covers += _bars(model, origin, width, height, marks)
+    if not (marked or stale or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
+        app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
+
+
+class Placement:
+    """Conversion between display pixels and positions on the screen."""
+
+    def __init__(self, model: Model, origin, size):
+        self.view, self.origin, self.size = model.view, origin, size
+
+    def to_screen(self, x: float, y: float) -> ImVec2:
+        right, down = self.view.screen_at(self.size, x, y)
+        return ImVec2(self.origin.x + right, self.origin.y + down)
+
+    def to_display(self, at: ImVec2) -> tuple[float, float]:
+        return self.view.display_at(self.size, at.x - self.origin.x, at.y - self.origin.y)
+
+
+def _welcome(app: Interface, size) -> None:
+    text = app.model.notice or "Drop a sequence here, or open one (Ctrl+O), or a built-in scene (File menu)"
+    wide = imgui.calc_text_size(text)
+    imgui.set_cursor_pos(ImVec2(max((size.x - wide.x) / 2, 0), max((size.y - wide.y) / 2, 0)))
+    imgui.text_disabled(text)
+
+
+def _preview(app: Interface, preview: Preview, origin, size) -> None:
+    """Draw the first rendered frame, as long as nothing can be computed."""
+    model, (height, width) = app.model, preview.color.shape[:2]
+    view = View(names.FINAL, model.looks.of(names.FINAL))
+    view.fit(size, (width, height))
+    texture = app.canvas.draw(view, size)
+    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
+    marks = imgui.get_window_draw_list()
+    state = f"{model.engine.activity} …" if model.engine.activity else model.waiting_text
+    text = f"rendered frame 0   {state}"
+    widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
+
+
+def _mouse(app: Interface, place) -> None:
+    """Handle the mouse on the item drawn last: hover, zoom at the cursor, drag the wipe's line or the picture, click a
+    pixel."""
+    model, io, view = app.model, imgui.get_io(), app.model.view
+    at = imgui.get_mouse_pos()
+    hovered = imgui.is_item_hovered()
+    model.pointing.hover(place.to_display(at) if hovered else None)
+    if hovered and io.mouse_wheel and not io.key_ctrl:
+        before = place.to_display(at)
+        model.framing.zoom(_ZOOM_STEP**io.mouse_wheel)
+        after = place.to_display(at)
+        view.center = (view.center[0] + before[0] - after[0], view.center[1] + before[1] - after[1])
+    line = place.origin.x + view.split * place.size[0]
+    near = abs(at.x - line) < _GRIP * widgets.mark_unit()
+    on_line = view.compare == "split" and not model.comparison.flipped and near
+    if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
+        imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew.value)
+    if imgui.is_item_activated():
+        left = imgui.is_mouse_down(imgui.MouseButton_.left)
+        app.pressed_at = at
+        app.drags = "picture" if not left else "rectangle" if io.key_shift else "line" if on_line else "nothing yet"
+    if imgui.is_item_active():
+        if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
+            app.drags = "picture"
+        if app.drags == "line":
+            view.split = min(max((at.x - place.origin.x) / place.size[0], 0.0), 1.0)
+        elif app.drags == "rectangle" and _distance(at, app.pressed_at) >= _DRAG:
+            model.selection.draw(place.to_display(app.pressed_at), place.to_display(at))
+        elif app.drags == "picture":
+            delta = io.mouse_delta
+            view.center = (view.center[0] - delta.x / view.zoom, view.center[1] - delta.y / view.zoom)
+    if imgui.is_item_deactivated():
+        if app.drags == "rectangle" and _distance(at, app.pressed_at) < _DRAG:
+            model.selection.forget()
+        if app.drags == "nothing yet":
+            x, y = place.to_display(at)
+            model.pointing.pick((math.floor(x), math.floor(y)))
+        app.drags = "nothing"
+
+
+def _distance(a, b) -> float:
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def _arrows(model: Model, place, marks) -> None:
+    """Draw the motion of the layer A at a grid of places."""
+    grid = texels(model.view.a, model.looks.of(model.view.a), model.contents)
+    if grid is None or grid.spec.view != "motion":
+        return
+    image, scale, start = grid.image, grid.scale, grid.start
+    height, width = image.shape[:2]
+    step = max(_ARROW_SPACING / place.view.zoom, 1.0)
+    (left, top), (right, bottom) = place.to_display(place.origin), place.to_display(
+        ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])
+    )  # fmt: skip
+    xs = np.arange(max(left, 0) + step / 2, min(right, model.source.width), step)
+    ys = np.arange(max(top, 0) + step / 2, min(bottom, model.source.height), step)
+    color = imgui.get_color_u32((1.0, 1.0, 1.0, 0.9))
+    sign = -1.0 if grid.display.reverse else 1.0
+    for y in ys:
+        for x in xs:
+            column, row = int((x - start[0]) / scale[0]), int((y - start[1]) / scale[1])
+            mx, my = image[min(max(row, 0), height - 1), min(max(column, 0), width - 1), :2]
+            if not (math.isfinite(mx) and math.isfinite(my)) or mx * mx + my * my < 0.01:
+                continue
+            foot, end = place.to_screen(x, y), place.to_screen(x + sign * mx * scale[0], y + sign * my * scale[1])
+            marks.add_line(foot, end, color, 1.0)
+            length = math.hypot(end.x - foot.x, end.y - foot.y)
+            if length > 3:
+                ux, uy = (end.x - foot.x) / length * 4, (end.y - foot.y) / length * 4
+                tips = (
+                    ImVec2(end.x - ux - uy / 2, end.y - uy + ux / 2),
+                    ImVec2(end.x - ux + uy / 2, end.y - uy - ux / 2),
+                )
+                marks.add_triangle_filled(end, *tips, color)
+
+
+def _numbers(model: Model, view: View, place, marks) -> bool:
+    """Write the numbers of the picture into its pixels, where these are large enough; return whether any are."""
+    shown = [_written(numbers, place, marks) for numbers in numbers_of(view, model.contents, model.comparison.flip_map)]
+    return any(shown)
+
+
+def _written(numbers: Numbers, place, marks) -> bool:
+    """Write numbers into the pixels of their part of the picture, and return whether these are large enough."""
+    grid = numbers.grid
+    (height, width), scale, start = grid.image.shape[:2], grid.scale, grid.start
+    from_x, to_x = (place.origin.x + share * place.size[0] for share in numbers.part)
+    left, top = place.to_display(ImVec2(from_x, place.origin.y))
+    right, bottom = place.to_display(ImVec2(to_x, place.origin.y + place.size[1]))
+    whole = grid.frame.display_size
+    top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, whole[1])))
+    left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, whole[0])))
+    rows = np.arange(max(int(top), 0), min(math.ceil(bottom), height))
+    columns = np.arange(max(int(left), 0), min(math.ceil(right), width))
+    wide, high = (along * place.view.zoom for along in scale)
+    lines = min(numbers.of(np.zeros(1, int), np.zeros(1, int)).shape[1], _VALUES)
+    size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
+    if size < _LEAST_LETTERS * widgets.mark_unit() or not (len(rows) and len(columns)):
+        return False
+    ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
+    font, letters, edge = imgui.get_font(), int((wide / size - 0.3) / _LETTER), 0.15 * size
+    marks.push_clip_rect(ImVec2(from_x, place.origin.y), ImVec2(to_x, place.origin.y + place.size[1]), True)
+    grid_rows, grid_columns = (at.ravel() for at in np.meshgrid(rows, columns, indexing="ij"))
+    for row, column, values in zip(grid_rows, grid_columns, numbers.of(grid_rows, grid_columns), strict=True):
+        text = "\n".join(short(float(value), letters) for value in values[:_VALUES])
+        at = place.to_screen(column * scale[0] + start[0], row * scale[1] + start[1])
+        for offset, color in ((1, shade), (0, ink)):
+            marks.add_text(font, size, ImVec2(at.x + edge + offset, at.y + edge + offset), color, text)
+    marks.pop_clip_rect()
+    return True
+
+
+def short(value: float, letters: int) -> str:
+    """Return a number with three digits, or as many as so many letters have room for; without the zero before the
+    point."""
+    for digits in (3, 2, 1):
+        text = f"{value:.{digits}g}"
+        text = text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
+        if len(text) <= letters:
+            break
+    return text
+
+
+def _trajectory(model: Model, place, marks) -> None:
+    """Draw the picked pixel, and the origin of its content."""
+    if model.pointing.picked is None:
+        return
+    x, y = model.pointing.picked
+    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), widgets.mark_unit()
+    half = max(model.view.zoom / 2, 4 * unit)
+    middle = place.to_screen(x + 0.5, y + 0.5)
+    corners = ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half)
+    marks.add_rect(*corners, accent, 0, 2 * unit)
+    story = model.pointing.story
+    if story is None or len(story.trajectory) < 2:
+        return
+    points = [place.to_screen(*point) for point in story.trajectory]
+    for a, b in zip(points, points[1:], strict=False):
+        marks.add_line(a, b, warm, 2 * unit)
+    for point in points[:-1]:
+        marks.add_circle_filled(point, 3 * unit, warm)
+    marks.add_circle_filled(points[-1], 4 * unit, accent)
+
+
+def _way(model: Model, place, marks) -> None:
+    """Draw the positions of the picked fragment in the last rendered frames."""
+    story = model.pointing.story
+    if story is None or len(story.way) < 2:
+        return
+    line, rim, unit = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8)), widgets.mark_unit()
+    points = [place.to_screen(*point.px) for point in story.way]
+    for a, b in zip(points, points[1:], strict=False):
+        marks.add_line(a, b, rim, 3.5 * unit)
+        marks.add_line(a, b, line, 1.5 * unit)
+    at = imgui.get_mouse_pos()
+    for point, spot in zip(story.way, points, strict=True):
+        near = _distance(at, spot) < _NEAR * unit
+        marks.add_circle_filled(spot, (4.5 if near else 3.5) * unit, rim)
+        marks.add_circle_filled(spot, (3.5 if near else 2.5) * unit, line)
+        if near and imgui.is_window_hovered():
+            imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
+
+
+def _rectangle(model: Model, place, marks) -> None:
+    """Draw the rectangle whose statistics the inspector shows."""
+    if model.selection.rectangle is None:
+        return
+    left, top, right, bottom = model.selection.rectangle
+    corners = place.to_screen(left, top), place.to_screen(right, bottom)
+    marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
+    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * widgets.mark_unit())
+    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * widgets.mark_unit())
+
+
+def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
+    """Write layer names and changed display settings into the corners. Returns their rectangles, in the picture's
+    pixels."""
+    view, covers = model.view, []
+
+    def label(text: str, x: float, y: float, right: bool = False) -> None:
+        left, top, end, bottom = widgets.label(marks, text, origin.x + x, origin.y + y, right)
+        inside = left - origin.x, top - origin.y, end - origin.x + 1, bottom - origin.y + 1
+        covers.append(tuple(map(int, inside)))
+
+    line = hello_imgui.em_size(1.6)
+    if height < 2.6 * line:
+        pass  # there is room for the line at the foot only
+    elif model.comparison.flipped and view.b:
+        label(f"B  {_layer_text(model, view.b)}", 10, 8)
+    elif view.compare != "off" and view.b:
+        first = model.contents.result
+        settings = f"{told(first.setup)}   " if model.comparison.by_settings and first is not None else ""
+        builds = model.builds
+        texts = (
+            f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}"
+        )  # fmt: skip
+        a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
+        label(a, 10, 8)
+        label(b, width - 10, 8, right=True)
+    else:
+        label(_layer_text(model, view.a), 10, 8)
+    kind = f"{model.frame_text}   {view.zoom * 100:.0f} %"
+    if found := model.invalid.text():
+        kind += f"   {found} (Shift+N)"
+    label(kind, 10, height - line)
+    state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
+    if not (model.comparison.ready and model.current) or (model.busy and not (model.playback.playing or model.follows)):
+        state = model.waiting_text if model.failure is None or model.busy else f"not this frame: {model.failure}"
+    if state:
+        state = widgets.cut(state, width - 24)
+        beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
+        label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
+    for number, state in enumerate(model.states):
+        text = widgets.cut(state, width - 24)
+        if height > (6 + number) * line:
+            label(text, (width - imgui.calc_text_size(text).x) / 2, (1.6 + 1.2 * number) * line)
+    return covers
+
+
+def _bars(model: Model, origin, width: int, height: int, marks) -> list[Rectangle]:
+    """Draw a color bar with numbers and unit for each map, at the picture's right edge, of A in a wipe at its left one.
+    Returns their rectangles, in the picture's pixels."""
+    em, covers = hello_imgui.em_size(), []
+    top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
+    if high < 4 * em or width < 20 * em:
+        return covers
+    for entry in model.legends():
+        shown = entry.legend
+        left = entry.title.startswith("A  ")
+        at = origin.x + (0.3 * em if left else width - 0.3 * em), origin.y + top
+        draw = {"ramp": widgets.vertical_bar, "wheel": widgets.small_wheel}.get(shown.kind)
+        if draw is None:
+            continue
+        x0, y0, x1, y1 = draw(marks, shown, at, high, right=not left)
+        covers.append(tuple(map(int, (x0 - origin.x, y0 - origin.y, x1 - origin.x + 1, y1 - origin.y + 1))))
+        top += 0 if left else y1 - y0 + 0.5 * em
+        high = min(high, height - top - 4 * em)
+        if high < 4 * em:
+            break
+    return covers
+
+
+def _layer_text(model: Model, name: str) -> str:
+    """Return the layer's name and its display settings, or the reason why it is missing."""
+    spec = model.contents.spec(name)
+    if spec is None:
+        return f"{names.plain(name)}: not made with these options"
+    text = layer_text(spec, model.looks.of(name))
+    if names.is_second(name) and model.kept.b is not None:
+        text = f"{model.kept.b.name}   {text}"
+        if model.showing.fault_of_b:
+            return f"{model.kept.b.name}: {model.showing.fault_of_b}"
+    result = model.contents.second if names.is_second(name) else model.contents.result
+    if result and names.plain(name) in result.layers and model.contents.image(name) is None:
+        text += "   (none for this frame)"
+    return text

@@ -1,0 +1,111 @@
+"""Timings of the stages and their kernels, and how they went over the last frames."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+
+from ..state.model import Model
+from . import widgets
+from .interface import Interface
+
+_COLUMNS = {"stage": 0.5, "time": 0.28, "ms": 0.22}
+_NARROW = 20.0  # em: a narrower table has no bars
+
+
+def draw(app: Interface) -> None:
+    model = app.model
+    means = model.timings.means()
+    if not means:
+        imgui.text_disabled("nothing computed yet")
+        return
+    imgui.text_wrapped(
+        f"interface {imgui.get_io().framerate:.0f} frames/s   {'since its last frame' if model.follows else 'frame'}"
+        f" {model.timings.wall():.1f} ms   {'looking' if model.follows else 'reading back'}"
+        f" {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
+    )
+    held, mib = model.held, 1 << 20
+    told = ", ".join(f"{name} {nbytes / mib:.0f}" for name, nbytes in held.items())
+    imgui.text_wrapped(f"memory {sum(held.values()) / mib:.0f} of {model.store.most / mib:.0f} MiB: {told}")
+    widgets.tooltip("What frames in the cache, pipelines with their sources, and textures hold (--cache)")
+    longest, columns = max(means.values()), list(_COLUMNS)
+    if imgui.get_content_region_avail().x < hello_imgui.em_size(_NARROW):
+        columns.remove("time")
+    if imgui.begin_table("###timings", len(columns), imgui.TableFlags_.row_bg.value):
+        for title in columns:
+            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, _COLUMNS[title])
+        imgui.table_headers_row()
+        for index, (name, milliseconds) in enumerate(means.items()):
+            color = implot.get_colormap_color(index)
+            imgui.table_next_column()
+            flags = imgui.TreeNodeFlags_.span_avail_width.value | imgui.TreeNodeFlags_.no_tree_push_on_open.value
+            room = imgui.get_content_region_avail().x - imgui.get_tree_node_to_label_spacing()
+            is_open = imgui.tree_node_ex(f"{widgets.cut(name, room)}###stage {name}", flags)
+            widgets.tooltip(name if name != "correction" else "")
+            if name == "correction":
+                network, copies = model.timings.network(), model.timings.copies()
+                widgets.tooltip(f"of this {network:.2f} ms in the network, {copies:.2f} ms in copies to it and back")
+            _cost(columns, milliseconds, longest, color)
+            if is_open:
+                _kernels(model, columns, name, longest, color)
+        imgui.table_next_column()
+        imgui.text("all")
+        _cost(columns, sum(means.values()), None, None)
+        imgui.end_table()
+    if model.follows and model.program is not None and model.program.pacing:
+        _pacing(list(model.program.pacing))
+    flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table has the legend
+    if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
+        flags = implot.AxisFlags_.auto_fit.value
+        implot.setup_axes("computed frame", "ms", flags, flags)
+        for name, values in model.timings.stages.items():
+            implot.plot_line(name, np.array(values, np.float64))
+        implot.end_plot()
+
+
+def _pacing(told: list) -> None:
+    """Draw the statistics of the program's pacer, and their plot over the frames that were seen."""
+    last = told[-1]
+    imgui.text_wrapped(
+        f"paced: {last.rendered} rendered, {last.extrapolated} extrapolated, {last.held} held; {last.late} late,"
+        f" {last.dropped} dropped; jitter {last.jitter:.1f} ms"
+    )
+    if implot.begin_plot("###pacing", ImVec2(-1, hello_imgui.em_size(9)), implot.Flags_.no_mouse_text.value):
+        fit = implot.AxisFlags_.auto_fit.value
+        implot.setup_axes("frame seen", "jitter, ms", fit, fit)
+        implot.setup_axis(implot.ImAxis_.y2, "frames", fit | implot.AxisFlags_.aux_default.value)
+        implot.plot_line("jitter", np.array([one.jitter for one in told]))
+        implot.set_axis(implot.ImAxis_.y2)
+        for name in ("late", "dropped"):
+            implot.plot_line(name, np.array([getattr(one, name) - getattr(told[0], name) for one in told], np.float64))
+        implot.end_plot()
+
+
+def _cost(columns: list[str], milliseconds: float, longest: float | None, color) -> None:
+    """Draw the cells of those `columns` that there are: a bar, full for the `longest` stage, and milliseconds."""
+    if "time" in columns:
+        imgui.table_next_column()
+        if longest is not None:
+            _bar(milliseconds / max(longest, 1e-9), color)
+    imgui.table_next_column()
+    imgui.text(f"{milliseconds:.2f}")
+
+
+def _kernels(model: Model, columns: list[str], stage: str, longest: float, color) -> None:
+    """Draw a row for each kernel of a stage."""
+    for kernel, milliseconds in model.timings.of_stage(stage).items():
+        imgui.table_next_column()
+        imgui.indent(hello_imgui.em_size(2))
+        imgui.text(widgets.cut(kernel, imgui.get_content_region_avail().x))
+        widgets.tooltip(kernel)
+        imgui.unindent(hello_imgui.em_size(2))
+        _cost(columns, milliseconds, longest, color)
+
+
+def _bar(share: float, color) -> None:
+    """Draw a bar in a cell: `share` of its width."""
+    origin, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
+    width = max(imgui.get_content_region_avail().x * min(share, 1.0), 1.0)
+    corner = ImVec2(origin.x + width, origin.y + 0.85 * height)
+    ink = imgui.get_color_u32(color)
+    imgui.get_window_draw_list().add_rect_filled(ImVec2(origin.x, origin.y + 0.2 * height), corner, ink)
