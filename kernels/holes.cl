@@ -387,14 +387,6 @@ INLINE bool is_unfilled(const uint entry, __global const uchar *filled_by) {
 /* Whether a pixel of the new frame shows a mover, or what was made up for one. */
 INLINE bool is_of_mover(const int dst, const Images f) { return f.is_dynamic[dst] || IS_OF_MOVER(f.filled_by[dst]); }
 
-/* Whether the surface of inverse depth `inverse` can be static at a hole. */
-INLINE bool can_be_behind(const int dst_x, const int dst_y, const float inverse, __constant Frame *frame,
-                          const Images f, bool *is_outside) {
-    const float3 px_source = static_source(dst_x, dst_y, inverse, frame->to_source);
-    *is_outside = is_out_of_screen(px_source, frame);
-    return !*is_outside && can_be_at(px_source, frame, f.source_depth);
-}
-
 /* Whether something beside a hole is static, and nothing out of screen: then it is neither inside a mover nor beyond
    the image. */
 INLINE bool may_look_past(__local const Side *sides) {
@@ -419,11 +411,10 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
         const int px = dst + t * offset;
         const float z = f.depth[px];
         if (!(z > before) || f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue;
-        bool is_outside;
-        if (can_be_behind(dst_x, dst_y, isinf(z) ? 0.0f : divide(1.0f, z), frame, f, &is_outside)) {
-            Side found = *side;
+        const float3 px_source = static_source(dst_x, dst_y, isinf(z) ? 0.0f : divide(1.0f, z), frame->to_source);
+        if (!is_out_of_screen(px_source, frame) && can_be_at(px_source, frame, f.source_depth)) {
+            Side found = {.meets = true, .can_be_there = true};
             meet(&found, dst, t, d, frame, f.depth, f.color);
-            found.can_be_there = true;
             *side = found;
             return;
         }
@@ -458,9 +449,10 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
         for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM) {
             Side s = look(hole_x, hole_y, k, reach, frame, filled_by, BY_HOLE_FILLING, depth, color);
             if (s.meets) {
+                const float3 px_source = static_source(hole_x, hole_y, s.inverse, frame->to_source);
                 s.is_of_mover = is_of_mover(s.px, images);
-                s.can_be_there =
-                    can_be_behind(hole_x, hole_y, s.inverse, frame, images, &s.is_outside) && !s.is_of_mover;
+                s.is_outside = is_out_of_screen(px_source, frame);
+                s.can_be_there = !s.is_outside && !s.is_of_mover && can_be_at(px_source, frame, source_depth);
             }
             sides[team][k] = s;
         }

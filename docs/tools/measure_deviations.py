@@ -130,7 +130,7 @@ GAE: dict[str, Change] = {
     "what lies beyond the image has no far side": Change(
         edits={
             "holes.cl": {
-                "*is_outside = is_out": "*is_outside = false && is_out",
+                "s.is_outside = is_out": "s.is_outside = false && is_out",
                 "tile.after_far_side && is_out": "false && is_out",
             }
         }

@@ -392,7 +392,7 @@ class Options:
     def preset(cls, name: str, **values: Any) -> Options:
         """Return the options of a preset, "quality", "balanced" or "performance", with `values` of single options in
         place of its own. Raises GffeError for an unknown preset or an invalid value."""
-        if name == "auto":
+        if isinstance(name, str) and name == "auto":
             raise GffeError(
                 "options: preset auto depends on device, size and picture (expected gffe.choose_options(device, frames,"
                 " budget_ms).options)"
